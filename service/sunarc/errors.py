@@ -1,0 +1,65 @@
+"""The errors that a caller reacts to; everything else is a bug and ends its worker.
+
+::
+
+    SunarcError
+    ├── InputError             the caller's input is wrong: say which field, and the remedy (exit 2, HTTP 4xx)
+    │   └── NotFoundError      what was asked for is not there (HTTP 404)
+    ├── ConfigurationError     settings or installation are wrong: refuse to start (exit 2)
+    │   └── SchemaError        the database is of another revision: run the command that it names
+    ├── OutsideError           something outside failed: disk, port, peer (exit 3)
+    └── CameraError            one exposure failed: try again within the cycle
+        ├── CameraTimeoutError no frame came in time
+        └── CameraLostError    the connection is gone: close, wait, open anew
+"""
+
+from __future__ import annotations
+
+
+class SunarcError(Exception):
+    """Root of the errors that are reported in one line."""
+
+
+class InputError(SunarcError):
+    """Input that cannot be used.
+
+    Parameters
+    ----------
+    field : where the fault is, as the caller names it (a column, a query parameter, a file and line).
+    problem : what is wrong with it, one sentence without a full stop.
+    remedy : what to do about it.
+    """
+
+    def __init__(self, *, field: str, problem: str, remedy: str) -> None:
+        super().__init__(f"{field}: {problem}; {remedy}")
+        self.field = field
+        self.problem = problem
+        self.remedy = remedy
+
+
+class NotFoundError(InputError):
+    """What was asked for does not exist."""
+
+
+class ConfigurationError(SunarcError):
+    """Settings that cannot be run with."""
+
+
+class SchemaError(ConfigurationError):
+    """The database's revision is not the one this version needs."""
+
+
+class OutsideError(SunarcError):
+    """A disk, a port or a peer failed."""
+
+
+class CameraError(SunarcError):
+    """An exposure failed."""
+
+
+class CameraTimeoutError(CameraError):
+    """No frame came in time."""
+
+
+class CameraLostError(CameraError):
+    """The connection to the camera is gone."""

@@ -1,0 +1,25 @@
+"""Where a direction lands: projections, the camera as a value, project, unproject and their derivatives."""
+
+from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.forward import project, project_with_jacobian
+from sunarc.optics.inverse import unproject
+from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.optics.stretch import local_stretch, rising_limit
+
+__all__ = [
+    "PARAMETER_NAMES",
+    "PROJECTIONS",
+    "Camera",
+    "PoseAngles",
+    "Projection",
+    "local_stretch",
+    "pose_angles",
+    "project",
+    "project_with_jacobian",
+    "rising_limit",
+    "rotation_from_pose_angles",
+    "rotation_matrix",
+    "rotation_vector",
+    "unproject",
+]

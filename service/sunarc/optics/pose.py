@@ -1,0 +1,85 @@
+"""Rotations: vectors, matrices, and the three angles of the paper's Table 2."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+FloatArray = NDArray[np.float64]
+
+
+class PoseAngles(NamedTuple):
+    """The camera's pose in degrees (Table 2).
+
+    phi_xz_deg : azimuth of the camera's x axis, counter-clockwise from east, about the vertical.
+    theta_zz_deg : tilt of the optical axis from the vertical.
+    psi_z_deg : azimuth that the optical axis leans towards, clockwise from north.
+    """
+
+    phi_xz_deg: float
+    theta_zz_deg: float
+    psi_z_deg: float
+
+
+def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
+    """Return the (3, 3) matrix that takes east-north-up to the camera frame, from its rotation vector in radians."""
+    return np.asarray(Rotation.from_rotvec(np.asarray(rotation_cam_enu, dtype=np.float64)).as_matrix())
+
+
+def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:
+    """Return the rotation vector in radians of a (3, 3) rotation matrix."""
+    x, y, z = Rotation.from_matrix(np.asarray(matrix_cam_enu, dtype=np.float64)).as_rotvec()
+    return float(x), float(y), float(z)
+
+
+def pose_angles(rotation_cam_enu: ArrayLike) -> PoseAngles:
+    """Return the Table 2 angles of a pose.
+
+    The direction of the tilt is meaningless for a level camera and is then given as 0.
+    """
+    matrix = rotation_matrix(rotation_cam_enu)
+    x_axis, z_axis = matrix[0], matrix[2]
+    horizontal = math.hypot(z_axis[0], z_axis[1])
+    return PoseAngles(
+        phi_xz_deg=math.degrees(math.atan2(x_axis[1], x_axis[0])),
+        theta_zz_deg=math.degrees(math.atan2(horizontal, z_axis[2])),
+        psi_z_deg=math.degrees(math.atan2(z_axis[0], z_axis[1])) % 360.0 if horizontal > 0.0 else 0.0,
+    )
+
+
+def rotation_from_pose_angles(angles: PoseAngles) -> tuple[float, float, float]:
+    """Return the rotation vector of a pose given by its Table 2 angles (tilt below 90 degrees).
+
+    The x axis is orthogonal to the optical axis and has the azimuth phi_xz in the horizontal plane.
+    """
+    tilt, lean, phi = (math.radians(a) for a in (angles.theta_zz_deg, angles.psi_z_deg, angles.phi_xz_deg))
+    z_axis = np.array([math.sin(tilt) * math.sin(lean), math.sin(tilt) * math.cos(lean), math.cos(tilt)])
+    heading = np.array([math.cos(phi), math.sin(phi)])
+    x_axis = np.array([*heading, -float(heading @ z_axis[:2]) / z_axis[2]])
+    x_axis /= np.linalg.norm(x_axis)
+    return rotation_vector(np.stack([x_axis, np.cross(z_axis, x_axis), z_axis]))
+
+
+def right_jacobian(rotation_cam_enu: ArrayLike) -> FloatArray:
+    """Return the right Jacobian of the rotation group: exp(w + dw) = exp(w) exp(J dw) to first order.
+
+    Reference: J. Solà et al., "A micro Lie theory", arXiv 1812.01537, Eq. 143.
+    """
+    w = np.asarray(rotation_cam_enu, dtype=np.float64)
+    angle = float(np.linalg.norm(w))
+    skew = skew_matrix(w)
+    if angle < 1e-5:
+        return np.asarray(np.eye(3) - 0.5 * skew + skew @ skew / 6.0)
+    first = (1.0 - math.cos(angle)) / angle**2
+    second = (angle - math.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) - first * skew + second * (skew @ skew))
+
+
+def skew_matrix(v: FloatArray) -> FloatArray:
+    """Return the (3, 3) matrix whose product with u is v × u."""
+    x, y, z = (float(c) for c in v)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

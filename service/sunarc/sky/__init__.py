@@ -1,0 +1,20 @@
+"""Where the sun is: positions, refraction, directions and solar days."""
+
+from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.site import Site
+from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_directions
+
+__all__ = [
+    "SOLAR_RADIUS",
+    "Site",
+    "SunAngles",
+    "angles_from_direction",
+    "angular_distance",
+    "day_bounds_unix_s",
+    "direction_from_angles",
+    "hour_angle",
+    "solar_date",
+    "sun_angles",
+    "sun_directions",
+]

@@ -1,0 +1,27 @@
+"""Solar days: midnight to midnight of local mean solar time, cut where the sun is lowest, wherever that is."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, timedelta
+
+_SECONDS_PER_DEGREE = 240.0
+_SECONDS_PER_DAY = 86_400.0
+
+
+def solar_date(unix_s: float, *, longitude: float) -> date:
+    """Return the local mean solar date of a moment.
+
+    Parameters
+    ----------
+    unix_s : seconds since 1970-01-01 UTC.
+    longitude : degrees, east positive.
+    """
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=unix_s + longitude * _SECONDS_PER_DEGREE)
+    return moment.date()
+
+
+def day_bounds_unix_s(day: date, *, longitude: float) -> tuple[float, float]:
+    """Return the first moment of a solar day and of the next, in seconds since 1970-01-01 UTC."""
+    midnight = datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
+    start = midnight - longitude * _SECONDS_PER_DEGREE
+    return start, start + _SECONDS_PER_DAY

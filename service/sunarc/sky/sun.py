@@ -1,0 +1,96 @@
+"""The sun's position: NREL's solar position algorithm as pvlib computes it.
+
+Reference: I. Reda and A. Andreas, "Solar position algorithm for solar radiation applications", Solar Energy 76 (2004).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pvlib import spa
+
+from sunarc.sky.directions import FloatArray, direction_from_angles
+from sunarc.sky.site import Site
+
+SOLAR_RADIUS = math.radians(0.2666)
+"""The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
+
+_REFRACTION_AT_HORIZON_DEG = 0.5667
+_SECONDS_PER_JULIAN_YEAR = 31_557_600.0
+
+
+class SunAngles(NamedTuple):
+    """Angles in degrees, each (...): true and apparent (refracted) zenith, azimuth clockwise from north."""
+
+    zenith: FloatArray
+    apparent_zenith: FloatArray
+    azimuth: FloatArray
+
+
+def sun_angles(unix_s: ArrayLike, site: Site) -> SunAngles:
+    """Return where the sun stands.
+
+    Parameters
+    ----------
+    unix_s : (...) seconds since 1970-01-01 UTC.
+    site : the place and its air.
+
+    Returns
+    -------
+    Angles in degrees; below the horizon the refraction fades to 0, as in the algorithm.
+    """
+    times = np.asarray(unix_s, dtype=np.float64)
+    flat = np.atleast_1d(times).ravel()
+    if flat.size == 0:
+        empty = np.zeros(times.shape)
+        return SunAngles(empty, empty.copy(), empty.copy())
+    rows = spa.solar_position(
+        flat,
+        site.latitude,
+        site.longitude,
+        site.altitude,
+        site.pressure_pa / 100.0,
+        site.temperature,
+        _delta_t_s(flat),
+        _REFRACTION_AT_HORIZON_DEG,
+    )
+    apparent_zenith, zenith, azimuth = (np.reshape(rows[i], times.shape) for i in (0, 1, 4))
+    return SunAngles(zenith, apparent_zenith, azimuth)
+
+
+def sun_directions(unix_s: ArrayLike, site: Site) -> FloatArray:
+    """Return the apparent directions of the sun's centre.
+
+    Parameters
+    ----------
+    unix_s : (...) seconds since 1970-01-01 UTC.
+    site : the place and its air.
+
+    Returns
+    -------
+    (..., 3) unit vectors, east-north-up: the directions that the light arrives from.
+    """
+    angles = sun_angles(unix_s, site)
+    return direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+
+
+def hour_angle(unix_s: ArrayLike, site: Site) -> FloatArray:
+    """Return the sun's local hour angle in radians, -pi to pi, 0 at upper transit, east negative.
+
+    Computed from the true horizontal angles, so that it is exact for the same algorithm.
+    """
+    angles = sun_angles(unix_s, site)
+    direction = direction_from_angles(zenith_deg=angles.zenith, azimuth_deg=angles.azimuth)
+    east, north, up = np.moveaxis(direction, -1, 0)
+    latitude = math.radians(site.latitude)
+    return np.asarray(np.arctan2(-east, up * math.cos(latitude) - north * math.sin(latitude)))
+
+
+def _delta_t_s(unix_s: FloatArray) -> float:
+    """Terrestrial time minus UT in seconds; a decade's drift of it moves the sun by less than 0.0003 degrees."""
+    year = 1970.0 + float(np.mean(unix_s)) / _SECONDS_PER_JULIAN_YEAR
+    whole_year = math.floor(year)
+    return float(spa.calculate_deltat(whole_year, 1 + 11 * (year - whole_year)))
