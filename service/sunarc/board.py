@@ -1,0 +1,146 @@
+"""The status board: what the service knows about itself, as values; its workers write it, the API reads it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Literal, TypedDict, Unpack
+
+Health = Literal["ready", "degraded", "not_ready"]
+Severity = Literal["degraded", "not_ready"]
+WorkerState = Literal["starting", "running", "restarting", "stopped", "failed"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerStatus:
+    """One worker: how it is, and the seconds since it last gave a sign of life (None before the first)."""
+
+    name: str
+    state: WorkerState
+    heartbeat_age_s: float | None = None
+    restarts: int = 0
+    last_error: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reason:
+    """Why the service is not, or not wholly, ready.
+
+    Attributes
+    ----------
+    code : stable name, one reason per code (`no_calibration`, `camera_lost`).
+    severity : `degraded` still answers, with less; `not_ready` cannot answer.
+    text : what is the matter, one sentence.
+    remedy : what to do about it.
+    """
+
+    code: str
+    severity: Severity
+    text: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraStatus:
+    """The camera as it last answered."""
+
+    name: str
+    connected: bool
+    address: str = ""
+    model: str = ""
+    serial: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockStatus:
+    """Whether the host's clock is disciplined (None: unknown), and the bound of its error in seconds."""
+
+    synchronised: bool | None
+    max_error_s: float | None = None
+
+
+class Notes(TypedDict, total=False):
+    """What `StatusBoard.note` takes."""
+
+    camera: CameraStatus
+    clock: ClockStatus
+    disk_free_bytes: int
+    last_frame_at: datetime
+    last_sighting_at: datetime
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusSnapshot:
+    """The whole board at one moment; None is "not known yet". Times are aware, UTC, and of the frames."""
+
+    version: str
+    started_at: datetime
+    workers: tuple[WorkerStatus, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+    camera: CameraStatus | None = None
+    clock: ClockStatus | None = None
+    disk_free_bytes: int | None = None
+    last_frame_at: datetime | None = None
+    last_sighting_at: datetime | None = None
+
+    @property
+    def health(self) -> Health:
+        """The worst of the reasons' severities."""
+        severities = {reason.severity for reason in self.reasons}
+        if "not_ready" in severities:
+            return "not_ready"
+        return "degraded" if severities else "ready"
+
+
+class StatusBoard:
+    """The one place where the service's state is written down; any thread may write or read.
+
+    Parameters
+    ----------
+    version : the software's version.
+    started_at : when the service started, aware.
+    monotonic : seconds that never jump (`Clock.monotonic`); heartbeats age by it between writing and reading.
+    """
+
+    def __init__(self, *, version: str, started_at: datetime, monotonic: Callable[[], float]) -> None:
+        self._lock = threading.Lock()
+        self._monotonic = monotonic
+        self._noted = StatusSnapshot(version=version, started_at=started_at)
+        self._workers: dict[str, tuple[WorkerStatus, float]] = {}
+        self._reasons: dict[str, Reason] = {}
+
+    def set_worker(self, status: WorkerStatus) -> None:
+        """Write how a worker is, in place of what was written before."""
+        with self._lock:
+            self._workers[status.name] = (status, self._monotonic())
+
+    def set_reason(self, reason: Reason) -> None:
+        """Write a reason, in place of the one of the same code."""
+        with self._lock:
+            self._reasons[reason.code] = reason
+
+    def clear_reason(self, code: str) -> None:
+        """Take a reason off the board; nothing happens when it is not there."""
+        with self._lock:
+            self._reasons.pop(code, None)
+
+    def note(self, **changes: Unpack[Notes]) -> None:
+        """Write down facts, by the names of `StatusSnapshot`: `board.note(last_frame_at=frame.time)`."""
+        with self._lock:
+            self._noted = replace(self._noted, **changes)
+
+    def snapshot(self) -> StatusSnapshot:
+        """Return the whole board, workers and reasons in the order of their names."""
+        with self._lock:
+            now = self._monotonic()
+            workers = tuple(_aged(status, now - at) for _, (status, at) in sorted(self._workers.items()))
+            reasons = tuple(reason for _, reason in sorted(self._reasons.items()))
+            return replace(self._noted, workers=workers, reasons=reasons)
+
+
+def _aged(status: WorkerStatus, elapsed_s: float) -> WorkerStatus:
+    if status.heartbeat_age_s is None:
+        return status
+    return replace(status, heartbeat_age_s=status.heartbeat_age_s + elapsed_s)

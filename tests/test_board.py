@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import threading
+from datetime import UTC, datetime
+
+import pytest
+
+from sunarc.board import CameraStatus, ClockStatus, Reason, StatusBoard, WorkerStatus
+from sunarc.clock import VirtualClock
+
+START = datetime(2026, 5, 1, 12, tzinfo=UTC)
+LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")
+DRIFT = Reason(code="drift", severity="degraded", text="the camera moved", remedy="wait for a clear day")
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock(START)
+
+
+@pytest.fixture
+def board(clock: VirtualClock) -> StatusBoard:
+    return StatusBoard(version="0.1", started_at=START, monotonic=clock.monotonic)
+
+
+def test_an_empty_board_is_ready_and_knows_nothing(board: StatusBoard) -> None:
+    snapshot = board.snapshot()
+    assert snapshot.health == "ready"
+    assert not snapshot.workers
+    assert not snapshot.reasons
+    assert snapshot.camera is None
+    assert snapshot.last_frame_at is None
+
+
+def test_health_is_the_worst_reason(board: StatusBoard) -> None:
+    board.set_reason(DRIFT)
+    assert board.snapshot().health == "degraded"
+    board.set_reason(LOST)
+    assert board.snapshot().health == "not_ready"
+    board.clear_reason(LOST.code)
+    board.clear_reason(LOST.code)
+    assert board.snapshot().reasons == (DRIFT,)
+
+
+def test_a_reason_replaces_the_one_of_its_code(board: StatusBoard) -> None:
+    board.set_reason(DRIFT)
+    worse = Reason(code=DRIFT.code, severity="not_ready", text="it moved again", remedy="tighten the screws")
+    board.set_reason(worse)
+    assert board.snapshot().reasons == (worse,)
+
+
+def test_heartbeats_age_between_writing_and_reading(board: StatusBoard, clock: VirtualClock) -> None:
+    board.set_worker(WorkerStatus(name="capture", state="running", heartbeat_age_s=1.5))
+    board.set_worker(WorkerStatus(name="archive", state="starting"))
+    clock.advance(10.0)
+    archive, capture = board.snapshot().workers
+    assert (archive.name, archive.heartbeat_age_s) == ("archive", None)
+    assert (capture.name, capture.heartbeat_age_s) == ("capture", 11.5)
+
+
+def test_notes_keep_what_was_noted_before(board: StatusBoard) -> None:
+    camera = CameraStatus(name="roof", connected=True)
+    board.note(camera=camera, disk_free_bytes=5)
+    board.note(clock=ClockStatus(synchronised=True, max_error_s=0.01), last_frame_at=START)
+    snapshot = board.snapshot()
+    assert (snapshot.camera, snapshot.disk_free_bytes, snapshot.last_frame_at) == (camera, 5, START)
+
+
+def test_a_snapshot_does_not_change_afterwards(board: StatusBoard) -> None:
+    before = board.snapshot()
+    board.set_reason(LOST)
+    board.note(disk_free_bytes=1)
+    assert before.health == "ready"
+    assert before.disk_free_bytes is None
+
+
+def test_many_threads_may_write_at_once(board: StatusBoard) -> None:
+    def write(name: str) -> None:
+        for restarts in range(200):
+            board.set_worker(WorkerStatus(name=name, state="running", restarts=restarts))
+            board.note(disk_free_bytes=restarts)
+            board.snapshot()
+
+    threads = [threading.Thread(target=write, args=(f"worker {i}",)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [worker.restarts for worker in board.snapshot().workers] == [199] * 4
