@@ -1,0 +1,21 @@
+"""Frames from outside: what a camera is to us, the Aravis adapter, and a folder of images played again."""
+
+from sunarc.cameras.aravis import AravisCamera, open_aravis
+from sunarc.cameras.frame import CameraInfo, Counts, Frame, SkyCamera, full_scale_of
+from sunarc.cameras.options import AravisOptions, ReplayOptions
+from sunarc.cameras.replay import ReplayCamera, SkippedFile, open_replay
+
+__all__ = [
+    "AravisCamera",
+    "AravisOptions",
+    "CameraInfo",
+    "Counts",
+    "Frame",
+    "ReplayCamera",
+    "ReplayOptions",
+    "SkippedFile",
+    "SkyCamera",
+    "full_scale_of",
+    "open_aravis",
+    "open_replay",
+]

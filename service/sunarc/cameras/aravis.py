@@ -1,0 +1,260 @@
+"""GigE Vision cameras, through Aravis: the only file that knows the library.
+
+A frame is trusted when the camera was idle, was given one software trigger, and answered with one whole frame whose
+count follows the last one's. Whatever else happens raises, and the next exposure starts from a stopped camera.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from sunarc.cameras.features import describe, pin_settings, pinned_gain_db
+from sunarc.cameras.frame import CameraInfo, Counts, Frame, middle_of_exposure
+from sunarc.cameras.options import AravisOptions
+from sunarc.clock import Clock
+from sunarc.errors import (
+    CameraError,
+    CameraLostError,
+    CameraTimeoutError,
+    ConfigurationError,
+    SunarcError,
+)
+
+_log = logging.getLogger(__name__)
+
+_BUFFERS = 6
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
+    """Open a camera by its address and bring it into the state that exposures need.
+
+    Raises
+    ------
+    CameraLostError
+        Nothing answers at the address, or another program controls the camera.
+    ConfigurationError
+        Aravis is not installed, or the camera cannot be set up as asked.
+    """
+    camera = AravisCamera(options, clock, library=_library())
+    try:
+        camera.connect()
+    except SunarcError as error:
+        camera.close()
+        # a traceback would keep the device alive, and with it the control that nobody could take again
+        error.__context__ = error.__cause__ = None
+        raise error.with_traceback(None)  # noqa: B904 - the cause was cut off on purpose
+    except BaseException:
+        camera.close()
+        raise
+    return camera
+
+
+class AravisCamera:
+    """A GigE Vision camera under our control (a `SkyCamera`); made by `open_aravis`."""
+
+    def __init__(self, options: AravisOptions, clock: Clock, *, library: tuple[Any, Any]) -> None:
+        self._options = options
+        self._clock = clock
+        self._aravis, self._glib = library
+        self._lost = threading.Event()
+        self._camera: Any = None
+        self._device: Any = None
+        self._stream: Any = None
+        self._handler = 0
+        self._info: CameraInfo | None = None
+        self._gain_db = 0.0
+        self._previous_id: int | None = None
+        self._in_doubt = False
+
+    @property
+    def info(self) -> CameraInfo:
+        """What is known of the camera."""
+        if self._info is None:
+            raise CameraLostError(f"the camera at {self._options.address} is not open")
+        return self._info
+
+    def connect(self) -> None:
+        """Take control, pin the settings and start acquisition; `close` afterwards, also if this fails."""
+        address = self._options.address
+        with self._translated(f"opening the camera at {address}"):
+            self._camera = self._aravis.Camera.new(address)
+            self._device = self._camera.get_device()
+            self._handler = self._device.connect("control-lost", _setter(self._lost))
+            if self._camera.is_gv_device() and not self._device.is_controller():
+                raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
+            pin_settings(self._camera, self._options)
+            self._open_stream()
+            self._info = describe(self._camera, address=address)
+            self._gain_db = pinned_gain_db(self._camera)
+            self._camera.start_acquisition()
+        _log.info("opened %s", self._info)
+
+    def expose(self, exposure_us: float) -> Frame:
+        """Expose once, within the camera's bounds, and return the frame (see `SkyCamera`)."""
+        info = self.info
+        if self._lost.is_set():
+            raise CameraLostError(f"the camera at {info.address} no longer answers")
+        with self._translated("exposing"):
+            if self._in_doubt:
+                self._resynchronise()
+            self._in_doubt = True
+            self._camera.set_exposure_time(min(max(exposure_us, info.exposure_min_us), info.exposure_max_us))
+            actual_us = float(self._camera.get_exposure_time())
+            self._flush()
+            triggered_at = self._clock.now()
+            self._camera.software_trigger()
+            frame = self._pop(actual_us, triggered_at)
+            self._in_doubt = False
+        return frame
+
+    def close(self) -> None:
+        """Let go of the camera, so that it can be opened again; harmless when done twice."""
+        if self._camera is not None and not self._lost.is_set():
+            try:
+                self._camera.stop_acquisition()
+            except self._glib.Error as error:
+                _log.debug("stopping the camera: %s", error.message)
+        if self._device is not None and self._handler:
+            self._device.disconnect(self._handler)
+        self._handler = 0
+        self._stream = None
+        self._device = None
+        self._camera = None
+        self._info = None
+
+    def _open_stream(self) -> None:
+        aravis, options = self._aravis, self._options
+        if self._camera.is_gv_device():
+            if not options.packet_socket:
+                self._camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+            if options.packet_size is None:
+                self._camera.gv_auto_packet_size()
+            else:
+                self._camera.gv_set_packet_size(options.packet_size)
+        payload = self._camera.get_payload()
+        self._stream = self._camera.create_stream(None, None)
+        if self._stream is None:
+            raise CameraLostError(f"the camera at {options.address} gives no stream")
+        if self._camera.is_gv_device():
+            self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.AUTO)
+        for _ in range(_BUFFERS):
+            self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
+
+    def _flush(self) -> int:
+        """Give frames that nobody waits for back to the stream, and return their number."""
+        count = 0
+        while (buffer := self._stream.try_pop_buffer()) is not None:
+            self._stream.push_buffer(buffer)
+            count += 1
+        return count
+
+    def _resynchronise(self) -> None:
+        """Wait for a late frame, stop, and start anew: no frame is under way afterwards."""
+        late = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
+        if late is not None:
+            self._stream.push_buffer(late)
+        self._camera.stop_acquisition()
+        self._flush()
+        self._previous_id = None
+        self._camera.start_acquisition()
+
+    def _pop(self, exposure_us: float, triggered_at: datetime) -> Frame:
+        buffer = self._stream.timeout_pop_buffer(int(exposure_us + self._options.answer_timeout_s * 1e6))
+        if buffer is None:
+            if self._lost.is_set():
+                raise CameraLostError("the camera no longer answers")
+            raise CameraTimeoutError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
+        try:
+            return self._checked(buffer, exposure_us, triggered_at)
+        finally:
+            self._stream.push_buffer(buffer)
+
+    def _checked(self, buffer: Any, exposure_us: float, triggered_at: datetime) -> Frame:  # noqa: ANN401 - a GObject
+        status = buffer.get_status()
+        if status != self._aravis.BufferStatus.SUCCESS:  # nothing else of such a buffer may be touched
+            raise _incomplete(status.value_nick)
+        info = self.info
+        if (buffer.get_image_width(), buffer.get_image_height()) != (info.width, info.height):
+            raise CameraError(f"a frame of {buffer.get_image_width()}×{buffer.get_image_height()} px came")
+        image = _image(buffer.get_image_data(), info)
+        frame_id = int(buffer.get_frame_id())
+        if self._previous_id is not None and not follows(self._previous_id, frame_id):
+            raise CameraError(f"frame {frame_id} came after frame {self._previous_id}")
+        self._previous_id = frame_id
+        started_at = triggered_at
+        if self._options.timestamps == "camera":
+            started_at = _EPOCH + timedelta(microseconds=buffer.get_timestamp() // 1000)
+        return Frame(
+            image=image,
+            time=middle_of_exposure(started_at, exposure_us),
+            exposure_us=exposure_us,
+            gain_db=self._gain_db,
+            pixel_format=info.pixel_format,
+            full_scale=info.full_scale,
+            frame_id=frame_id,
+        )
+
+    @contextmanager
+    def _translated(self, doing: str) -> Iterator[None]:
+        """Turn the library's errors into ours: a command that stays unanswered means that the camera is gone."""
+        gone = self._aravis.DeviceError
+        try:
+            yield
+        except self._glib.Error as error:
+            quark = self._aravis.device_error_quark()
+            codes = (gone.TIMEOUT, gone.NOT_CONNECTED, gone.NOT_CONTROLLER, gone.NOT_FOUND)
+            if self._lost.is_set() or any(error.matches(quark, code) for code in codes):
+                raise CameraLostError(f"{doing}: no answer ({error.message}); check power and network") from error
+            raise CameraError(f"{doing}: {error.message}") from error
+
+
+def follows(previous_id: int, frame_id: int) -> bool:
+    """Return whether a frame count is the next one; GigE Vision 1 counts 1 … 65535 and never says 0."""
+    return frame_id == previous_id + 1 or (previous_id == 65_535 and frame_id == 1)
+
+
+def _image(data: bytes, info: CameraInfo) -> Counts:
+    """Return the counts of a frame's bytes, which may have been cut short."""
+    count, depth = info.width * info.height, 1 if info.full_scale == 255 else 2
+    if len(data) < count * depth:
+        raise CameraError(f"a frame of {len(data)} bytes came")
+    flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
+    return flat.reshape(info.height, info.width)
+
+
+def _incomplete(status: str) -> CameraError:
+    if status in {"timeout", "missing-packets"}:
+        return CameraTimeoutError(f"packets of the frame were lost ({status}); see the network's buffer settings")
+    return CameraError(f"the frame is not usable ({status})")
+
+
+def _setter(event: threading.Event) -> Callable[..., None]:
+    """Return a signal handler that holds nothing but the event: holding the camera would keep it open for ever."""
+
+    def set_event(*_: object) -> None:
+        event.set()
+
+    return set_event
+
+
+def _library() -> tuple[Any, Any]:
+    """Return Aravis and GLib as their introspection gives them, untyped."""
+    try:
+        import gi  # noqa: PLC0415 - a machine without a GigE camera needs none of this
+
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis, GLib  # noqa: PLC0415 - only after the version was required
+    except (ImportError, ValueError) as error:
+        raise ConfigurationError(
+            f"Aravis is missing ({error}); run: apt-get install python3-gi gir1.2-aravis-0.8, "
+            "and use a virtual environment on /usr/bin/python3"
+        ) from None
+    return Aravis, GLib

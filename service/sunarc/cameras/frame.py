@@ -1,0 +1,110 @@
+"""What a camera is to the rest of the house: one that can be asked for an exposure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.errors import InputError
+
+Counts: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+"""An image as the sensor counted it."""
+
+_UNPACKED = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(8|10|12|14|16)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """One exposure.
+
+    Attributes
+    ----------
+    image : (height, width) uint8 or uint16 counts, read-only.
+    time : middle of the exposure, aware, UTC.
+    exposure_us : as read back from the camera.
+    gain_db : as read back from the camera.
+    pixel_format : GenICam's name, as "Mono12" or "BayerRG8".
+    full_scale : the largest count of that format.
+    frame_id : the camera's own count.
+    """
+
+    image: Counts
+    time: datetime
+    exposure_us: float
+    gain_db: float
+    pixel_format: str
+    full_scale: int
+    frame_id: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraInfo:
+    """What is known of a camera once it is open.
+
+    Attributes
+    ----------
+    address : where it was found.
+    vendor, model, serial : as the camera says, empty where it says nothing.
+    width, height : px of the frames that it delivers (its region of interest).
+    pixel_format, full_scale : as in `Frame`.
+    exposure_min_us, exposure_max_us : bounds of what may be asked for.
+    exposure_step_us : increment of the exposure; 0 where the camera does not tell.
+    """
+
+    address: str
+    vendor: str
+    model: str
+    serial: str
+    width: int
+    height: int
+    pixel_format: str
+    full_scale: int
+    exposure_min_us: float
+    exposure_max_us: float
+    exposure_step_us: float
+
+
+class SkyCamera(Protocol):
+    """A camera that looks at the sky and is asked for one exposure after the other, from one thread at a time."""
+
+    @property
+    def info(self) -> CameraInfo:
+        """What is known of the camera."""
+
+    def expose(self, exposure_us: float) -> Frame:
+        """Expose once, within the camera's bounds, and return the frame.
+
+        Raises
+        ------
+        CameraTimeoutError
+            No frame came in time.
+        CameraLostError
+            The connection is gone: close, wait, open anew.
+        CameraError
+            A frame came that cannot be trusted.
+        """
+
+    def close(self) -> None:
+        """Let go of the camera; harmless when done twice."""
+
+
+def full_scale_of(pixel_format: str) -> int:
+    """Return the largest count of an unpacked single-channel pixel format (GenICam's names)."""
+    match = _UNPACKED.fullmatch(pixel_format)
+    if match is None:
+        raise InputError(
+            field="pixel_format",
+            problem=f"{pixel_format!r} is not an unpacked single-channel format",
+            remedy="use Mono8, Mono10, Mono12, Mono14, Mono16 or a Bayer format of the same depths",
+        )
+    return int(2 ** int(match.group(1)) - 1)
+
+
+def middle_of_exposure(start: datetime, exposure_us: float) -> datetime:
+    """Return the middle of an exposure that began at `start`."""
+    return start + timedelta(microseconds=exposure_us / 2.0)
