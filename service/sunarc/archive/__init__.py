@@ -1,0 +1,61 @@
+"""What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
+
+values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
+schema.py: revisions, migrations (in migrations/), checks, backups · sightings.py, calibrations.py, journal.py: the
+parts of `Archive` · archive.py: the whole · images.py: composites on disk · csv_files.py: the files people hand us.
+"""
+
+from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.csv_files import (
+    SightingTable,
+    parse_time,
+    read_pairs,
+    read_sightings,
+    write_columns,
+    write_sightings,
+)
+from sunarc.archive.images import ImageStore
+from sunarc.archive.schema import Check, backup, check, head_revision, upgrade
+from sunarc.archive.values import (
+    CalibrationRecord,
+    CalibrationState,
+    CameraRecord,
+    Day,
+    DayVerdict,
+    Event,
+    EventSeverity,
+    PoseEpoch,
+    Refit,
+    RefitState,
+    SunPoint,
+    SunPointColumns,
+)
+
+__all__ = [
+    "Archive",
+    "CalibrationRecord",
+    "CalibrationState",
+    "CameraRecord",
+    "Check",
+    "Day",
+    "DayVerdict",
+    "Event",
+    "EventSeverity",
+    "ImageStore",
+    "PoseEpoch",
+    "Refit",
+    "RefitState",
+    "SightingTable",
+    "SunPoint",
+    "SunPointColumns",
+    "backup",
+    "check",
+    "head_revision",
+    "open_archive",
+    "parse_time",
+    "read_pairs",
+    "read_sightings",
+    "upgrade",
+    "write_columns",
+    "write_sightings",
+]

@@ -1,0 +1,173 @@
+"""Calibrations: candidates, the current one, and the history of who answered when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, func, insert, literal, or_, select, update
+
+from sunarc.archive.store import Store, values_of
+from sunarc.archive.tables import UtcTime, calibration
+from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.errors import InputError, NotFoundError
+
+_SERVED: tuple[CalibrationState, ...] = ("current", "retired")
+_FIELDS = ("id", "camera", "method", "pose_epoch")
+
+
+class Calibrations(Store):
+    """The part of the archive that remembers calibrations; none is ever deleted."""
+
+    def add_calibration(self, document: Mapping[str, Any], *, parent: str | None = None) -> CalibrationRecord:
+        """Keep a calibration document, as a candidate or as refused, by its verdict.
+
+        Parameters
+        ----------
+        document : schema sunarc.calibration/1; `state` and validity in it are those of the archive from now on.
+        parent : the id of the calibration that it was compared with, or copied from.
+        """
+        record = _record(document, parent)
+        with self._writing() as connection:
+            if _find(connection, record.id) is not None:
+                raise _wrong_state(record.id, "is there already", remedy="give it an id of its own")
+            connection.execute(insert(calibration).values(asdict(record)))
+        return _told(record)
+
+    def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:
+        """Make a candidate the current calibration of its camera, in one step.
+
+        Parameters
+        ----------
+        calibration_id : a candidate, or a refused one that a person decides to serve.
+        at : from when on it answers; its document's `valid_from` where None. Those that answered for times from then
+            on stop doing so: the former current one retires, and no two validities overlap.
+        """
+        with self._writing() as connection:
+            record = _required(connection, calibration_id)
+            if record.state in _SERVED:
+                raise _wrong_state(
+                    calibration_id,
+                    f"is {record.state} and has its place in the history",
+                    remedy="activate a copy of it with its own id",
+                )
+            start = at or record.valid_from
+            _end_others(connection, record.camera, start)
+            chosen = replace(record, state="current", valid_from=start, valid_until=None)
+            _set(connection, calibration_id, state="current", valid_from=start, valid_until=None)
+        return _told(chosen)
+
+    def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
+        """End the current calibration with nothing in its place."""
+        with self._writing() as connection:
+            record = _required(connection, calibration_id)
+            if record.state != "current":
+                raise _wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
+            _end_others(connection, record.camera, at)
+            return _told(_required(connection, calibration_id))
+
+    def refuse(self, calibration_id: str, *, reasons: tuple[str, ...]) -> CalibrationRecord:
+        """Mark a candidate as refused, with the reasons; it is kept."""
+        with self._writing() as connection:
+            record = _required(connection, calibration_id)
+            if record.state != "candidate":
+                raise _wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
+            _set(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
+            return _told(_required(connection, calibration_id))
+
+    def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
+        """Return the calibration that answers now, or the one that answers for the moment `at`; None without one."""
+        c = calibration.c
+        statement = select(calibration).where(c.camera == camera)
+        if at is None:
+            statement = statement.where(c.state == "current")
+        else:
+            within = (c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at))
+            statement = statement.where(c.state.in_(_SERVED), *within)
+        found = self._values(statement, CalibrationRecord)
+        return _told(found[0]) if found else None
+
+    def calibration(self, calibration_id: str) -> CalibrationRecord:
+        """Return a calibration by its id; NotFoundError when there is none."""
+        with self._reading() as connection:
+            return _told(_required(connection, calibration_id))
+
+    def calibrations(
+        self, camera: str, *, state: CalibrationState | None = None, limit: int | None = None
+    ) -> tuple[CalibrationRecord, ...]:
+        """Return a camera's calibrations, the newest first."""
+        c = calibration.c
+        statement = (
+            select(calibration).where(c.camera == camera).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
+        )
+        found = self._values(statement if state is None else statement.where(c.state == state), CalibrationRecord)
+        return tuple(_told(record) for record in found)
+
+
+def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
+    """Take the fields from the document, so that the two cannot differ."""
+    try:
+        verdict = document["verdict"]
+        return CalibrationRecord(
+            **{name: document[name] for name in _FIELDS},
+            state="candidate" if verdict["accepted"] else "refused",
+            created_at=datetime.fromisoformat(document["created_at"]),
+            valid_from=datetime.fromisoformat(document["valid_from"]),
+            valid_until=None,
+            parent=parent,
+            accepted=bool(verdict["accepted"]),
+            reasons=tuple(verdict["reasons"]),
+            document=dict(document),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/1"
+        ) from error
+
+
+def _told(record: CalibrationRecord) -> CalibrationRecord:
+    """Let the document say what the archive decided since it was written."""
+    decided = {
+        "state": record.state,
+        "valid_from": _written(record.valid_from),
+        "valid_until": None if record.valid_until is None else _written(record.valid_until),
+        "verdict": {**record.document["verdict"], "accepted": record.accepted, "reasons": list(record.reasons)},
+    }
+    return replace(record, document={**record.document, **decided})
+
+
+def _written(time: datetime) -> str:
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def _find(connection: Connection, calibration_id: str) -> CalibrationRecord | None:
+    found = values_of(connection, select(calibration).where(calibration.c.id == calibration_id), CalibrationRecord)
+    return found[0] if found else None
+
+
+def _required(connection: Connection, calibration_id: str) -> CalibrationRecord:
+    record = _find(connection, calibration_id)
+    if record is None:
+        raise NotFoundError(
+            field="id", problem=f"there is no calibration {calibration_id}", remedy="ask for the list of calibrations"
+        )
+    return record
+
+
+def _wrong_state(calibration_id: str, state: str, *, remedy: str) -> InputError:
+    return InputError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
+
+
+def _end_others(connection: Connection, camera: str, at: datetime) -> None:
+    c = calibration.c
+    answering = update(calibration).where(
+        c.camera == camera, c.state.in_(_SERVED), or_(c.valid_until.is_(None), c.valid_until > at)
+    )
+    until = func.max(c.valid_from, literal(at, UtcTime), type_=UtcTime)  # of one that began later nothing remains
+    connection.execute(answering.values(state="retired", valid_until=until))
+
+
+def _set(connection: Connection, calibration_id: str, **columns: Any) -> None:  # noqa: ANN401 - columns of many types
+    connection.execute(update(calibration).where(calibration.c.id == calibration_id).values(**columns))

@@ -1,0 +1,70 @@
+"""Connections to the SQLite file: durable, with foreign keys, and with transactions that begin where we say."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
+
+from sunarc.errors import ConfigurationError, InputError, OutsideError
+
+_BUSY_TIMEOUT_MS = 30_000
+_WRITES = "sunarc_writes"
+
+
+def create_archive_engine(path: Path, *, foreign_keys: bool = True) -> Engine:
+    """Return an engine on a database file; migrations alone switch the foreign keys off."""
+    engine = create_engine(f"sqlite:///{path}", pool_size=8, max_overflow=32, pool_timeout=30.0)
+
+    @event.listens_for(engine, "connect")
+    def _prepare(connection: sqlite3.Connection, _record: object) -> None:
+        connection.isolation_level = None  # the driver begins nothing by itself
+        connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(f"PRAGMA foreign_keys={'ON' if foreign_keys else 'OFF'}")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get(_WRITES, False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    return engine
+
+
+@contextmanager
+def reading(engine: Engine) -> Iterator[Connection]:
+    """Give a connection that sees one state of the database throughout."""
+    with outside_errors(engine), engine.connect() as connection:
+        yield connection
+
+
+@contextmanager
+def writing(engine: Engine) -> Iterator[Connection]:
+    """Give a connection that holds the database's one write lock, and commit at the end."""
+    with outside_errors(engine), engine.execution_options(**{_WRITES: True}).begin() as connection:
+        yield connection
+
+
+@contextmanager
+def outside_errors(engine: Engine) -> Iterator[None]:
+    """Say in one line what SQLite could not do."""
+    path = engine.url.database
+    try:
+        yield
+    except IntegrityError as error:
+        raise InputError(
+            field="archive",
+            problem=f"a row contradicts another ({error.orig})",
+            remedy="write the camera, its pose epoch and its calibration before what refers to them",
+        ) from error
+    except OperationalError as error:
+        raise OutsideError(f"cannot use the database {path}: {error.orig}") from error
+    except DatabaseError as error:
+        raise ConfigurationError(
+            f"{path} is no sound SQLite database ({error.orig}); move it away or restore a backup"
+        ) from error

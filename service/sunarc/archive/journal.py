@@ -1,0 +1,101 @@
+"""Days, refits and events: what was decided, what was tried, what happened."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from datetime import date, datetime
+
+from sqlalchemy import select, update
+from sqlalchemy.dialects.sqlite import insert
+
+from sunarc.archive import tables
+from sunarc.archive.store import Store, given, values_of
+from sunarc.archive.values import Day, Event, EventSeverity, Refit, RefitState
+from sunarc.errors import NotFoundError
+
+
+class Journal(Store):
+    """The part of the archive that remembers verdicts, refits and events."""
+
+    def save_day(self, day: Day) -> None:
+        """Write a day's verdict, in place of an earlier one."""
+        row = asdict(day)
+        statement = insert(tables.day).values(row)
+        with self._writing() as connection:
+            connection.execute(statement.on_conflict_do_update(index_elements=["camera", "date"], set_=row))
+
+    def days(
+        self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None
+    ) -> tuple[Day, ...]:
+        """Return the days with `since` <= date < `until` that have a verdict, the newest first."""
+        c = tables.day.c
+        wanted = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
+        return self._values(select(tables.day).where(*wanted).order_by(c.date.desc()).limit(limit), Day)
+
+    def add_refit(self, refit: Refit) -> Refit:
+        """Write down that a refit was asked for, or has begun."""
+        with self._writing() as connection:
+            connection.execute(insert(tables.refit).values(asdict(refit)))
+        return refit
+
+    def start_refit(self, refit_id: str, *, started_at: datetime) -> Refit:
+        """Write down that a refit has begun."""
+        return self._change_refit(refit_id, state="running", started_at=started_at)
+
+    def finish_refit(
+        self,
+        refit_id: str,
+        *,
+        state: RefitState,
+        finished_at: datetime,
+        calibration: str | None = None,
+        message: str = "",
+    ) -> Refit:
+        """Write down how a refit ended, and the calibration it made (accepted or refused)."""
+        return self._change_refit(
+            refit_id, state=state, finished_at=finished_at, calibration=calibration, message=message
+        )
+
+    def refit(self, refit_id: str) -> Refit:
+        """Return a refit by its id; NotFoundError when there is none."""
+        found = self._values(select(tables.refit).where(tables.refit.c.id == refit_id), Refit)
+        if not found:
+            raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
+        return found[0]
+
+    def refits(self, camera: str, *, unfinished: bool = False, limit: int | None = None) -> tuple[Refit, ...]:
+        """Return a camera's refits, the newest first; only those that have not ended, if asked."""
+        c = tables.refit.c
+        statement = select(tables.refit).where(c.camera == camera).order_by(c.requested_at.desc()).limit(limit)
+        return self._values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
+
+    def add_event(self, event: Event) -> Event:
+        """Write an event down and return it with its id."""
+        row = asdict(event)
+        row.pop("id")
+        with self._writing() as connection:
+            key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
+        return replace(event, id=None if key is None else int(key[0]))
+
+    def events(
+        self,
+        camera: str | None = None,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        severity: EventSeverity | None = None,
+        limit: int | None = None,
+    ) -> tuple[Event, ...]:
+        """Return the events with `since` <= time < `until`, the newest first; None does not filter."""
+        c = tables.event.c
+        mine = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
+        wanted = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
+        statement = select(tables.event).where(*mine, *wanted).order_by(c.time.desc(), c.id.desc()).limit(limit)
+        return self._values(statement, Event)
+
+    def _change_refit(self, refit_id: str, **columns: object) -> Refit:
+        self.refit(refit_id)
+        mine = tables.refit.c.id == refit_id
+        with self._writing() as connection:
+            connection.execute(update(tables.refit).where(mine).values(**columns))
+            return values_of(connection, select(tables.refit).where(mine), Refit)[0]

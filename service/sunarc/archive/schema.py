@@ -1,0 +1,154 @@
+"""The database's revision: compare, migrate, check, back up."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, func, select
+
+import sunarc
+from sunarc.archive.engine import create_archive_engine, reading, writing
+from sunarc.archive.tables import metadata
+from sunarc.errors import InputError, OutsideError, SchemaError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """What a look at the database told.
+
+    Attributes
+    ----------
+    revision, head : the database's own, and the one this version needs; None for a database without tables.
+    integrity : SQLite's findings; empty when it is sound.
+    rows : the number of rows by table; empty when the revisions differ.
+    """
+
+    revision: str | None
+    head: str
+    integrity: tuple[str, ...]
+    rows: Mapping[str, int]
+
+    @property
+    def sound(self) -> bool:
+        """Whether this version can use the database."""
+        return self.revision == self.head and not self.integrity
+
+
+def head_revision() -> str:
+    """Return the revision that this version needs."""
+    head = ScriptDirectory.from_config(_config()).get_current_head()
+    if head is None:
+        raise SchemaError("the migrations are missing; install sunarc again")
+    return head
+
+
+def upgrade(path: Path) -> Path | None:
+    """Create the database, or bring it to the head revision.
+
+    Returns
+    -------
+    The copy that was made before a migration; None when there was nothing to migrate.
+    """
+    existed = path.exists()
+    _make_folder(path.parent)
+    engine = create_archive_engine(path, foreign_keys=False)
+    try:
+        with reading(engine) as connection:
+            revision = _revision(connection)
+        if revision == head_revision():
+            return None
+        copy = backup(path, path.with_name(f"{path.name}.before-{revision or 'none'}")) if existed else None
+        config = _config()
+        with writing(engine) as connection:
+            config.attributes["connection"] = connection
+            command.upgrade(config, "head")
+    finally:
+        engine.dispose()
+    return copy
+
+
+def check(path: Path) -> Check:
+    """Look at the revision, the integrity and the size of a database, changing nothing."""
+    require_file(path, command="sunarc db upgrade")
+    engine = create_archive_engine(path)
+    try:
+        with reading(engine) as connection:
+            revision, head = _revision(connection), head_revision()
+            rows = {
+                name: connection.scalar(select(func.count()).select_from(table)) or 0
+                for name, table in (metadata.tables.items() if revision == head else ())
+            }
+            return Check(revision=revision, head=head, integrity=_integrity(connection), rows=rows)
+    finally:
+        engine.dispose()
+
+
+def backup(path: Path, target: Path) -> Path:
+    """Copy a database while others use it; `target` must not exist, and appears only when it is whole."""
+    if target.exists():
+        raise InputError(field="target", problem=f"{target} exists", remedy="name a file that does not exist yet")
+    partial = target.with_name(f"{target.name}.partial")
+    try:
+        with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(partial)) as copy:
+            source.backup(copy)
+        partial.replace(target)
+    except (sqlite3.Error, OSError) as error:
+        raise OutsideError(f"cannot copy {path} to {target}: {error}") from error
+    return target
+
+
+def require_file(path: Path, *, command: str) -> None:
+    """Refuse a path without a database."""
+    if not path.is_file():
+        raise SchemaError(f"there is no database at {path}; run: {command}")
+
+
+def require_head(connection: Connection, *, path: Path, command: str) -> None:
+    """Refuse a database of another revision."""
+    revision, head = _revision(connection), head_revision()
+    if revision is None or revision in _known_revisions():
+        if revision != head:
+            raise SchemaError(f"{path} is at revision {revision}, this version needs {head}; run: {command}")
+        return
+    raise SchemaError(
+        f"{path} is at revision {revision}, which this version ({sunarc.__version__}, {head}) does not know; "
+        "install the version that wrote it, or a newer one"
+    )
+
+
+def _revision(connection: Connection) -> str | None:
+    return MigrationContext.configure(connection).get_current_revision()
+
+
+def _known_revisions() -> set[str]:
+    return {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
+
+
+def _integrity(connection: Connection) -> tuple[str, ...]:
+    lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
+    orphans = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
+    return (*(line for line in lines if line != "ok"), *(f"{row[0]} row {row[1]} refers to nothing" for row in orphans))
+
+
+def _config() -> Config:
+    package = Path(sunarc.__file__).parent
+    places = (package / "migrations", package.parents[1] / "migrations")  # an installed wheel, a checkout
+    config = Config()
+    place = next((folder for folder in places if folder.is_dir()), places[0])
+    config.set_main_option("script_location", str(place).replace("%", "%%"))
+    return config
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutsideError(f"cannot create the folder {folder}: {error.strerror}") from error

@@ -1,0 +1,193 @@
+"""Cameras, their pose epochs, and the sightings made in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from datetime import UTC, date, datetime, timedelta
+from typing import Any, cast
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column, select, update
+from sqlalchemy.dialects.sqlite import insert
+
+from sunarc.archive import tables
+from sunarc.archive.store import Store, given
+from sunarc.archive.tables import sun_point
+from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
+from sunarc.errors import InputError
+from sunarc.sky import day_bounds_unix_s, solar_date
+
+_COLUMNS = np.dtype([("time", "i8"), ("x", "f8"), ("y", "f8"), ("sigma", "f8"), ("clock", "f8"), ("epoch", "i8")])
+_EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
+
+
+class Sightings(Store):
+    """The part of the archive that remembers what the camera saw."""
+
+    def save_camera(self, record: CameraRecord) -> None:
+        """Write a camera down, in place of what was known of the same name."""
+        row = asdict(record)
+        statement = insert(tables.camera).values(row)
+        with self._writing() as connection:
+            connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=row))
+
+    def cameras(self) -> tuple[CameraRecord, ...]:
+        """Return the known cameras by name."""
+        return self._values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
+
+    def open_epoch(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
+        """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
+        epochs = tables.pose_epoch.c
+        with self._writing() as connection:
+            before = connection.execute(select(tables.pose_epoch).where(epochs.camera == camera)).all()
+            if any(row.started_at >= at for row in before):
+                raise InputError(
+                    field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
+                )
+            epoch = PoseEpoch(id=f"{camera}-{len(before) + 1}", camera=camera, started_at=at, reason=reason)
+            closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
+            connection.execute(closing.values(ended_at=at))
+            connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
+            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
+            connection.execute(moving.values(pose_epoch=epoch.id))
+        return epoch
+
+    def current_epoch(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
+        """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
+        epochs = tables.pose_epoch.c
+        newest = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at.desc()).limit(1)
+        found = self._values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
+        return found[0] if found else None
+
+    def epoch_at(self, camera: str, moment: datetime, *, reason: str) -> PoseEpoch:
+        """Return the pose epoch of a moment; where there is none yet, open one that ends where the first begins."""
+        found = self.current_epoch(camera, at=moment)
+        if found is not None:
+            return found
+        with self._writing() as connection:
+            epochs = tables.pose_epoch.c
+            known = connection.execute(select(tables.pose_epoch).where(epochs.camera == camera)).all()
+            first = min((row.started_at for row in known), default=None)
+            epoch = PoseEpoch(
+                id=f"{camera}-{len(known) + 1}", camera=camera, started_at=moment, ended_at=first, reason=reason
+            )
+            connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
+        return epoch
+
+    def epochs(self, camera: str) -> tuple[PoseEpoch, ...]:
+        """Return a camera's pose epochs, the first one first."""
+        epochs = tables.pose_epoch.c
+        return self._values(
+            select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at), PoseEpoch
+        )
+
+    def add_sun_points(self, points: Iterable[SunPoint]) -> int:
+        """Store sightings and return how many were new; one that is there already is left as it is."""
+        rows = [asdict(point) for point in points]
+        if not rows:
+            return 0
+        with self._writing() as connection:
+            return connection.execute(insert(sun_point).on_conflict_do_nothing(), rows).rowcount
+
+    def sun_points(
+        self,
+        camera: str,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        accepted: bool | None = None,
+        pose_epoch: str | None = None,
+        newest_first: bool = False,
+        limit: int | None = None,
+    ) -> tuple[SunPoint, ...]:
+        """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter."""
+        c = sun_point.c
+        wanted = _wanted(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
+        fields = [column for column in c if column.name != "id"]
+        order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
+        return self._values(select(*fields).where(*wanted).order_by(*order).limit(limit), SunPoint)
+
+    def sun_point_columns(
+        self,
+        camera: str,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        pose_epoch: str | None = None,
+        method: str | None = None,
+        body: str = "sun",
+    ) -> SunPointColumns:
+        """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter."""
+        c = sun_point.c
+        wanted = _wanted(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
+        with self._reading() as connection:
+            ids = _epoch_ids(connection, camera)
+            rows = _numbers(connection, wanted)
+        present, epoch = np.unique(rows["epoch"], return_inverse=True)
+        return SunPointColumns(
+            unix_s=rows["time"] / 1e6,
+            pixels=np.stack([rows["x"], rows["y"]], axis=-1),
+            sigma_px=_nan_for_negative(rows["sigma"]),
+            clock_error_s=_nan_for_negative(rows["clock"]),
+            epoch=epoch.astype(np.int64),
+            epoch_ids=tuple(ids[number] for number in present.tolist()),
+        )
+
+    def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
+        """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""
+        c = sun_point.c
+        found: list[date] = []
+        moment = None if since is None else _day_start(since, longitude)
+        with self._reading() as connection:
+            while True:  # one step in the index per day
+                rest = _wanted(camera, since=moment)
+                time = connection.scalar(select(func.min(c.time)).where(*rest))
+                if time is None:
+                    return tuple(found)
+                found.append(solar_date(time.timestamp(), longitude=longitude))
+                moment = _day_start(found[-1] + timedelta(days=1), longitude)
+
+
+def _wanted(
+    camera: str,
+    *,
+    since: datetime | None = None,
+    until: datetime | None = None,
+    accepted: bool | None = None,
+    pose_epoch: str | None = None,
+) -> list[ColumnElement[bool]]:
+    c = sun_point.c
+    return given(
+        (c.camera.__eq__, camera),
+        (c.time.__ge__, since),
+        (c.time.__lt__, until),
+        (c.accepted.__eq__, accepted),
+        (c.pose_epoch.__eq__, pose_epoch),
+    )
+
+
+def _day_start(day: date, longitude: float) -> datetime:
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=day_bounds_unix_s(day, longitude=longitude)[0])
+
+
+def _epoch_ids(connection: Connection, camera: str) -> dict[int, str]:
+    epochs = tables.pose_epoch.c
+    rows = connection.execute(select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera))
+    return {int(number): epoch_id for number, epoch_id in rows}
+
+
+def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+    """Read straight from the driver's cursor: of millions of rows no object per row is kept."""
+    c, epochs = sun_point.c, tables.pose_epoch
+    numbers = (c.time, c.x_px, c.y_px, func.coalesce(c.sigma_px, -1.0), func.coalesce(c.clock_error_s, -1.0))
+    joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
+    statement = select(*numbers, _EPOCH_NUMBER).select_from(joined).where(*wanted).order_by(c.time, c.id)
+    result = connection.execute(statement)
+    cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
+    return np.fromiter(cursor, dtype=_COLUMNS)
+
+
+def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.where(column < 0.0, np.nan, column)

@@ -1,0 +1,57 @@
+"""What the parts of the archive share: one engine, one writer at a time, rows turned into values."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from sqlalchemy import ColumnElement, Connection, Engine, Select
+
+from sunarc.archive.engine import reading, writing
+
+Value = TypeVar("Value")
+
+
+class Store:
+    """Reads and writes of one database; safe to use from any thread.
+
+    Parameters
+    ----------
+    engine : an engine of `create_archive_engine`, on a database of the head revision.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+
+    def close(self) -> None:
+        """Close the connections that are not in use."""
+        self._engine.dispose()
+
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        with reading(self._engine) as connection:
+            yield connection
+
+    @contextmanager
+    def _writing(self) -> Iterator[Connection]:
+        with self._turn, writing(self._engine) as connection:
+            yield connection
+
+    def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+        with self._reading() as connection:
+            return values_of(connection, statement, kind)
+
+
+def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
+    """Return one value per row; the columns carry the names of its fields."""
+    result = connection.execute(statement)
+    names = tuple(result.keys())
+    return tuple(kind(**dict(zip(names, row, strict=True))) for row in result)
+
+
+def given(*conditions: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
+    """Return the conditions whose argument is given: `given((column.__eq__, None))` filters nothing."""
+    return [compare(argument) for compare, argument in conditions if argument is not None]

@@ -1,0 +1,196 @@
+"""The tables of the head revision; a column carries the name of the value's field."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Date,
+    Dialect,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    Table,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+    text,
+)
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+
+
+def to_microseconds(time: datetime) -> int:
+    """Return the whole microseconds since 1970-01-01 UTC of an aware time."""
+    return (time - _EPOCH) // _MICROSECOND
+
+
+class UtcTime(TypeDecorator[datetime]):
+    """An aware UTC time as whole microseconds since 1970, so that equality and order are exact."""
+
+    impl = BigInteger
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> int | None:  # noqa: ARG002 - SQLAlchemy's
+        """Return the number to store."""
+        return None if value is None else to_microseconds(value)
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored time, aware."""
+        return None if value is None else _EPOCH + value * _MICROSECOND
+
+
+class TextTuple(TypeDecorator[tuple[str, ...]]):
+    """A tuple of sentences, as a JSON list."""
+
+    impl = JSON
+    cache_ok = True
+
+    def process_bind_param(self, value: tuple[str, ...] | None, dialect: Dialect) -> list[str]:  # noqa: ARG002 - SQLAlchemy's
+        """Return the list to store."""
+        return list(value or ())
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[str, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored sentences."""
+        return tuple(value or ())
+
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+
+def _camera_column(*, nullable: bool = False) -> Column[str]:
+    return Column("camera", Text, ForeignKey("camera.name"), nullable=nullable)
+
+
+camera = Table(
+    "camera",
+    metadata,
+    Column("name", Text, primary_key=True),
+    Column("latitude", Float, nullable=False),
+    Column("longitude", Float, nullable=False),
+    Column("altitude", Float, nullable=False),
+    Column("width", Integer, nullable=False),
+    Column("height", Integer, nullable=False),
+    Column("model", Text, nullable=False),
+    Column("serial", Text, nullable=False),
+)
+
+pose_epoch = Table(
+    "pose_epoch",
+    metadata,
+    Column("id", Text, primary_key=True),
+    _camera_column(),
+    Column("started_at", UtcTime, nullable=False),
+    Column("ended_at", UtcTime),
+    Column("reason", Text, nullable=False),
+    UniqueConstraint("camera", "started_at"),
+)
+
+sun_point = Table(
+    "sun_point",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    _camera_column(),
+    Column("pose_epoch", Text, ForeignKey("pose_epoch.id"), nullable=False),
+    Column("time", UtcTime, nullable=False),
+    Column("body", Text, nullable=False),
+    Column("exposure_us", Float, nullable=False),
+    Column("method", Text, nullable=False),
+    Column("accepted", Boolean, nullable=False),
+    Column("verdict", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    *(
+        Column(name, Float)
+        for name in (
+            "x_px",
+            "y_px",
+            "sigma_px",
+            "peak_fraction",
+            "background_fraction",
+            "radius_px",
+            "ellipticity",
+            "residual_chi2",
+            "snr",
+        )
+    ),
+    Column("saturated_px", Integer),
+    Column("clock_error_s", Float),
+    UniqueConstraint("camera", "time", "body", "exposure_us", "method"),
+)
+
+day = Table(
+    "day",
+    metadata,
+    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
+    Column("date", Date, primary_key=True),
+    Column("verdict", Text, nullable=False),
+    Column("reasons", TextTuple, nullable=False),
+    Column("n", Integer, nullable=False),
+    Column("n_possible", Integer, nullable=False),
+    Column("decided_at", UtcTime, nullable=False),
+    Column("arc_deg", Float),
+    Column("sd_px", Float),
+    Column("rmsd_px", Float),
+)
+
+calibration = Table(
+    "calibration",
+    metadata,
+    Column("id", Text, primary_key=True),
+    _camera_column(),
+    Column("state", Text, nullable=False),
+    Column("method", Text, nullable=False),
+    Column("created_at", UtcTime, nullable=False),
+    Column("valid_from", UtcTime, nullable=False),
+    Column("valid_until", UtcTime),
+    Column("pose_epoch", Text, ForeignKey("pose_epoch.id")),
+    Column("parent", Text, ForeignKey("calibration.id")),
+    Column("accepted", Boolean, nullable=False),
+    Column("reasons", TextTuple, nullable=False),
+    Column("document", JSON, nullable=False),
+    Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
+    Index("uq_calibration_one_current", "camera", unique=True, sqlite_where=text("state = 'current'")),
+)
+
+refit = Table(
+    "refit",
+    metadata,
+    Column("id", Text, primary_key=True),
+    _camera_column(),
+    Column("requested_at", UtcTime, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("state", Text, nullable=False),
+    Column("started_at", UtcTime),
+    Column("finished_at", UtcTime),
+    Column("calibration", Text, ForeignKey("calibration.id")),
+    Column("message", Text, nullable=False),
+    Index("ix_refit_camera_requested_at", "camera", "requested_at"),
+)
+
+event = Table(
+    "event",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    _camera_column(nullable=True),
+    Column("time", UtcTime, nullable=False),
+    Column("kind", Text, nullable=False),
+    Column("severity", Text, nullable=False),
+    Column("text", Text, nullable=False),
+    Column("details", JSON, nullable=False),
+    Index("ix_event_time", "time"),
+)

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from sunarc.archive import Archive
+from sunarc.errors import InputError, NotFoundError
+
+MAY = datetime(2013, 5, 1, tzinfo=UTC)
+
+
+def document(calibration_id: str, *, day: int = 0, accepted: bool = True, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
+    moment = (MAY + timedelta(days=day)).isoformat().replace("+00:00", "Z")
+    return {
+        "schema": "sunarc.calibration/1",
+        "id": calibration_id,
+        "camera": "roof",
+        "state": "candidate",
+        "method": "robust",
+        "created_at": moment,
+        "valid_from": moment,
+        "valid_until": None,
+        "pose_epoch": "roof-1",
+        "verdict": {"accepted": accepted, "reasons": ["held-out days agree"]},
+        **changes,
+    }
+
+
+def served(archive: Archive, day: float) -> str | None:
+    record = archive.current_calibration("roof", at=MAY + timedelta(days=day))
+    return None if record is None else record.id
+
+
+def test_a_candidate_is_kept_and_not_served(archive: Archive) -> None:
+    record = archive.add_calibration(document("a"), parent=None)
+    assert record.state == "candidate"
+    assert archive.current_calibration("roof") is None
+    assert archive.calibration("a") == record
+    assert record.document["verdict"] == {"accepted": True, "reasons": ["held-out days agree"]}
+
+
+def test_a_refused_candidate_is_kept_with_its_reasons(archive: Archive) -> None:
+    archive.add_calibration(document("a", accepted=False))
+    assert [r.reasons for r in archive.calibrations("roof", state="refused")] == [("held-out days agree",)]
+    assert archive.current_calibration("roof") is None
+
+
+def test_activation_hands_over_without_a_gap_or_an_overlap(archive: Archive) -> None:
+    for day, calibration_id in enumerate("abc"):
+        archive.add_calibration(document(calibration_id, day=10 * day), parent=None)
+        archive.activate(calibration_id)
+    assert [served(archive, day) for day in (-1, 0, 9.99, 10, 19.99, 20, 1000)] == [None, *"aabbcc"]
+    states = {record.id: (record.state, record.valid_until) for record in archive.calibrations("roof")}
+    assert states == {
+        "a": ("retired", MAY + timedelta(days=10)),
+        "b": ("retired", MAY + timedelta(days=20)),
+        "c": ("current", None),
+    }
+
+
+def test_the_document_says_what_the_archive_decided(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    archive.add_calibration(document("b", day=10))
+    activated = archive.activate("a")
+    assert activated == archive.calibration("a") == archive.current_calibration("roof")
+    assert activated.document["state"] == "current"
+    archive.activate("b", at=MAY + timedelta(days=10, microseconds=1))
+    retired = archive.calibration("a").document
+    assert (retired["state"], retired["valid_until"]) == ("retired", "2013-05-11T00:00:00.000001Z")
+    assert archive.calibration("b").document["valid_from"] == "2013-05-11T00:00:00.000001Z"
+
+
+def test_a_calibration_from_further_back_takes_over_from_there(archive: Archive) -> None:
+    for day, calibration_id in enumerate("ab"):
+        archive.add_calibration(document(calibration_id, day=10 * day))
+        archive.activate(calibration_id)
+    archive.add_calibration(document("c", day=20))
+    archive.activate("c", at=MAY + timedelta(days=5))
+    assert [served(archive, day) for day in (0, 4.99, 5, 12, 30)] == [*"aaccc"]
+
+
+def test_what_was_served_once_is_not_activated_again(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    archive.activate("a")
+    with pytest.raises(InputError, match="is current and has its place"):
+        archive.activate("a")
+
+
+def test_an_unknown_calibration_changes_nothing(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    archive.activate("a")
+    with pytest.raises(NotFoundError, match="no calibration b"):
+        archive.activate("b")
+    assert served(archive, 1) == "a"
+
+
+def test_retiring_leaves_nothing_served_from_then_on(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    archive.activate("a")
+    assert archive.retire("a", at=MAY + timedelta(days=3)).state == "retired"
+    assert archive.current_calibration("roof") is None
+    assert [served(archive, day) for day in (2, 3)] == ["a", None]
+    with pytest.raises(InputError, match="is retired"):
+        archive.retire("a", at=MAY)
+
+
+def test_a_candidate_may_be_refused_later(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    refused = archive.refuse("a", reasons=("worse than the current one",))
+    assert (refused.state, refused.accepted) == ("refused", False)
+    assert refused.document["verdict"] == {"accepted": False, "reasons": ["worse than the current one"]}
+    with pytest.raises(InputError, match="is refused"):
+        archive.refuse("a", reasons=())
+
+
+def test_an_id_is_given_once(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    with pytest.raises(InputError, match="a is there already"):
+        archive.add_calibration(document("a"))
+
+
+@pytest.mark.parametrize(
+    "broken", [{"verdict": {}}, {"created_at": "yesterday"}, {"valid_from": None}, {"verdict": None}]
+)
+def test_a_malformed_document_is_refused(archive: Archive, broken: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="missing or malformed"):
+        archive.add_calibration(document("a", **broken))
+    assert archive.calibrations("roof") == ()
+
+
+def test_numbers_in_a_document_come_back_bit_for_bit(archive: Archive) -> None:
+    numbers = [0.1 + 0.2, 601.32, 1e-300, -97.484856]
+    archive.add_calibration(document("a", model={"radial": numbers}))
+    assert archive.calibration("a").document["model"]["radial"] == numbers

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
+
+import pytest
+
+from sunarc.archive import Archive, Day, Event, Refit
+from sunarc.errors import NotFoundError
+
+NOW = datetime(2013, 5, 14, 2, tzinfo=UTC)
+CLEAR = Day(
+    camera="roof",
+    date=date(2013, 5, 13),
+    verdict="clear",
+    reasons=("98 % of the possible sightings",),
+    n=800,
+    n_possible=810,
+    arc_deg=140.0,
+    sd_px=0.05,
+    rmsd_px=0.07,
+    decided_at=NOW,
+)
+
+
+def test_a_day_comes_back_and_a_later_verdict_replaces_it(archive: Archive) -> None:
+    archive.save_day(CLEAR)
+    partly = replace(CLEAR, verdict="partly", reasons=("clouds", "at noon"), sd_px=None)
+    archive.save_day(partly)
+    assert archive.days("roof") == (partly,)
+
+
+def test_days_are_the_newest_first_within_bounds(archive: Archive) -> None:
+    for day in range(1, 6):
+        archive.save_day(replace(CLEAR, date=date(2013, 5, day)))
+    dates = [day.date.day for day in archive.days("roof", since=date(2013, 5, 2), until=date(2013, 5, 5))]
+    assert dates == [4, 3, 2]
+    assert len(archive.days("roof", limit=1)) == 1
+
+
+def test_a_refit_is_followed_to_its_end(archive: Archive) -> None:
+    asked = archive.add_refit(Refit(id="r1", camera="roof", requested_at=NOW, reason="clear day"))
+    assert archive.refit("r1") == asked
+    archive.start_refit("r1", started_at=NOW + timedelta(seconds=1))
+    assert [refit.state for refit in archive.refits("roof", unfinished=True)] == ["running"]
+    ended = archive.finish_refit("r1", state="failed", finished_at=NOW + timedelta(seconds=9), message="no arc")
+    assert (ended.state, ended.message) == ("failed", "no arc")
+    assert archive.refits("roof", unfinished=True) == ()
+    assert archive.refits("roof") == (ended,)
+
+
+def test_an_unknown_refit_is_not_found(archive: Archive) -> None:
+    with pytest.raises(NotFoundError, match="no refit r9"):
+        archive.finish_refit("r9", state="failed", finished_at=NOW)
+
+
+def test_events_are_told_the_newest_first(archive: Archive) -> None:
+    bump = Event(time=NOW, kind="bump", severity="alarm", text="it moved", camera="roof", details={"deg": 0.2})
+    stored = archive.add_event(bump)
+    assert stored == replace(bump, id=stored.id)
+    archive.add_event(Event(time=NOW + timedelta(seconds=1), kind="disk", severity="warning", text="nearly full"))
+    archive.add_event(Event(time=NOW - timedelta(days=9), kind="start", severity="info", text="started"))
+    assert [event.kind for event in archive.events("roof")] == ["disk", "bump", "start"]
+    assert archive.events("attic", severity="alarm") == ()
+    assert archive.events(since=NOW, until=NOW + timedelta(seconds=1)) == (stored,)

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sunarc.archive import Archive, PoseEpoch, SunPoint
+from sunarc.archive.tables import UtcTime
+from sunarc.errors import InputError
+
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+SEEN = SunPoint(
+    camera="roof",
+    pose_epoch="roof-1",
+    time=NOON,
+    method="disc",
+    accepted=True,
+    verdict="clear",
+    reason="the disc fits",
+    exposure_us=47.3,
+    x_px=900.25,
+    y_px=700.125,
+    sigma_px=0.03,
+    peak_fraction=0.6,
+    saturated_px=0,
+    clock_error_s=0.01,
+)
+HIDDEN = replace(SEEN, accepted=False, verdict="hidden", x_px=None, y_px=None, sigma_px=None)
+
+
+def later(point: SunPoint, seconds: float, **changes: Any) -> SunPoint:  # noqa: ANN401 - fields of many types
+    return replace(point, time=point.time + timedelta(seconds=seconds), **changes)
+
+
+@given(st.datetimes(min_value=datetime(1970, 1, 1), max_value=datetime(2200, 1, 1)))  # noqa: DTZ001 - made aware below
+@settings(derandomize=True, deadline=None)
+def test_a_time_is_stored_exactly(time: datetime) -> None:
+    aware, kept = time.replace(tzinfo=UTC), UtcTime()
+    stored = kept.process_bind_param(aware, None)  # type: ignore[arg-type]
+    assert kept.process_result_value(stored, None) == aware  # type: ignore[arg-type]
+
+
+def test_a_sighting_comes_back_as_it_went_in(archive: Archive) -> None:
+    points = (SEEN, later(HIDDEN, 30.000001))
+    assert archive.add_sun_points(points) == 2
+    assert archive.sun_points("roof") == points
+
+
+def test_doubles_are_ignored_and_the_first_one_stays(archive: Archive) -> None:
+    assert archive.add_sun_points([SEEN, SEEN]) == 1
+    assert archive.add_sun_points([replace(SEEN, x_px=1.0), later(SEEN, 1e-6)]) == 1
+    assert archive.sun_points("roof")[0].x_px == SEEN.x_px
+
+
+@pytest.mark.parametrize("change", [{"body": "moon"}, {"exposure_us": 47.4}, {"method": "paper"}])
+def test_another_body_exposure_or_method_is_another_sighting(archive: Archive, change: dict[str, Any]) -> None:
+    assert archive.add_sun_points([SEEN, replace(SEEN, **change)]) == 2
+
+
+def test_one_bad_sighting_keeps_the_whole_batch_out(archive: Archive) -> None:
+    with pytest.raises(InputError, match="FOREIGN KEY"):
+        archive.add_sun_points([SEEN, later(SEEN, 30, pose_epoch="nowhere")])
+    assert archive.sun_points("roof") == ()
+
+
+@pytest.mark.parametrize("x", [None, math.nan, math.inf])
+def test_an_accepted_sighting_must_be_somewhere(x: float | None) -> None:
+    with pytest.raises(InputError, match="without a pixel"):
+        replace(SEEN, x_px=x)
+
+
+def test_sightings_are_chosen_by_time_verdict_and_epoch(archive: Archive) -> None:
+    archive.add_sun_points(later(HIDDEN if i % 3 == 0 else SEEN, 30.0 * i) for i in range(10))
+    since, until = NOON + timedelta(seconds=60), NOON + timedelta(seconds=240)
+    seen = archive.sun_points("roof", since=since, until=until, accepted=True)
+    assert [(p.time - NOON).total_seconds() for p in seen] == [60, 120, 150, 210]
+    newest = archive.sun_points("roof", newest_first=True, limit=2)
+    assert [(p.time - NOON).total_seconds() for p in newest] == [270, 240]
+    assert archive.sun_points("roof", pose_epoch="other") == archive.sun_points("attic") == ()
+
+
+def test_columns_hold_the_accepted_sightings_in_the_order_of_time(archive: Archive) -> None:
+    points = [later(SEEN, 30), SEEN, later(HIDDEN, 60), later(SEEN, 90, sigma_px=None), later(SEEN, 99, body="moon")]
+    archive.add_sun_points(points)
+    columns = archive.sun_point_columns("roof")
+    np.testing.assert_array_equal(columns.unix_s - NOON.timestamp(), [0, 30, 90])
+    np.testing.assert_array_equal(columns.pixels, [[SEEN.x_px, SEEN.y_px]] * 3)
+    np.testing.assert_array_equal(columns.sigma_px, [0.03, 0.03, math.nan])
+    np.testing.assert_array_equal(columns.clock_error_s, [0.01] * 3)
+    assert columns.epoch_ids == ("roof-1",)
+
+
+def test_columns_without_a_sighting_are_empty(archive: Archive) -> None:
+    columns = archive.sun_point_columns("roof")
+    assert (columns.unix_s.shape, columns.pixels.shape, columns.epoch_ids) == ((0,), (0, 2), ())
+
+
+def test_a_new_epoch_ends_the_one_before_and_takes_the_sightings_since_then(archive: Archive) -> None:
+    archive.add_sun_points(later(SEEN, 30.0 * i) for i in range(4))
+    change = NOON + timedelta(seconds=45)
+    epoch = archive.open_epoch("roof", at=change, reason="bumped")
+    assert epoch == PoseEpoch(id="roof-2", camera="roof", started_at=change, reason="bumped")
+    assert archive.epochs("roof")[0].ended_at == change
+    assert archive.current_epoch("roof") == epoch
+    before = archive.current_epoch("roof", at=NOON)
+    assert before is not None
+    assert before.id == "roof-1"
+    columns = archive.sun_point_columns("roof")
+    assert [columns.epoch_ids[i] for i in columns.epoch] == ["roof-1", "roof-1", "roof-2", "roof-2"]
+    assert archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size == 2
+
+
+def test_an_epoch_cannot_begin_before_the_one_that_goes_on(archive: Archive) -> None:
+    with pytest.raises(InputError, match="began at that time or later"):
+        archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="twice")
+    assert len(archive.epochs("roof")) == 1
+
+
+def test_there_is_no_epoch_before_the_first(archive: Archive) -> None:
+    assert archive.current_epoch("roof", at=datetime(2013, 4, 1, tzinfo=UTC)) is None
+    assert archive.current_epoch("attic") is None
+
+
+def test_an_unknown_camera_has_no_epochs(archive: Archive) -> None:
+    with pytest.raises(InputError, match="write the camera"):
+        archive.open_epoch("attic", at=NOON, reason="installed")
+
+
+@pytest.mark.parametrize(
+    ("longitude", "expected"),
+    [
+        (-97.485, [date(2013, 5, 13), date(2013, 5, 15)]),
+        (175.0, [date(2013, 5, 14), date(2013, 5, 16)]),
+        (-175.0, [date(2013, 5, 13), date(2013, 5, 15)]),
+    ],
+)
+def test_dates_with_points_are_solar_dates(archive: Archive, longitude: float, expected: list[date]) -> None:
+    archive.add_sun_points([SEEN, later(HIDDEN, 600), later(HIDDEN, 48 * 3600)])
+    assert archive.dates_with_points("roof", longitude=longitude) == tuple(expected)
+    assert archive.dates_with_points("roof", longitude=longitude, since=expected[1]) == (expected[1],)
+
+
+def test_a_camera_may_be_described_anew(archive: Archive) -> None:
+    changed = replace(archive.cameras()[0], serial="42")
+    archive.save_camera(changed)
+    assert archive.cameras() == (changed,)
