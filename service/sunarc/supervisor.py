@@ -1,0 +1,255 @@
+"""Keeps named workers alive: threads, heartbeats, restarts, and one way to stop them all."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from sunarc.board import Reason, StatusBoard, WorkerState, WorkerStatus
+from sunarc.clock import Clock
+
+_log = logging.getLogger(__name__)
+
+_FIRST_BACK_OFF_S = 1.0
+_LONGEST_BACK_OFF_S = 30.0
+
+
+class Worker(Protocol):
+    """A loop with a thread of its own."""
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Work until `stop` is set, and call `heartbeat` at every turn; to raise or to return earlier is to die."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Supervised:
+    """A worker the supervisor keeps alive.
+
+    Attributes
+    ----------
+    name : of the worker, of its thread and on the board.
+    make_worker : called before every life, in the worker's thread; what it raises is a death too.
+    max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` is given up.
+    stale_after_s : a worker without a heartbeat for longer is stuck.
+    """
+
+    name: str
+    make_worker: Callable[[], Worker]
+    max_restarts: int = 5
+    within_s: float = 600.0
+    stale_after_s: float = 120.0
+
+
+class Supervisor:
+    """Runs workers until `stop`, each in a thread named after it.
+
+    A dead worker is made anew after a back-off. One that keeps dying is given up: the others go on, `failed` is set,
+    and the process should end with an error. A supervisor lives once; `start` and `stop` may be called twice.
+
+    Parameters
+    ----------
+    workers : what to run, names distinct.
+    clock : real time; heartbeats, back-offs and windows are measured by it.
+    board : where states and reasons are written.
+    feed : called from a thread of its own every `check_every_s` while no worker is stuck or given up
+        (the watchdog's keep-alive); None starts no such thread.
+    on_failed : called once, when the first worker is given up, from that worker's thread.
+    """
+
+    def __init__(
+        self,
+        workers: Sequence[Supervised],
+        *,
+        clock: Clock,
+        board: StatusBoard,
+        feed: Callable[[], None] | None = None,
+        check_every_s: float = 5.0,
+        on_failed: Callable[[], None] | None = None,
+    ) -> None:
+        self.failed = threading.Event()
+        self._stop = threading.Event()
+        self._clock = clock
+        self._board = board
+        self._feed = feed
+        self._check_every_s = check_every_s
+        self._on_failed = on_failed
+        self._lives = [_Life(worker, clock=clock, board=board, stop=self._stop) for worker in workers]
+        if len({life.name for life in self._lives}) < len(self._lives):
+            raise ValueError("two workers have the same name")
+        self._threads: list[threading.Thread] = []
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Start every worker; once started or stopped, nothing more happens."""
+        with self._lock:
+            if self._threads or self._stop.is_set():
+                return
+            self._threads = [
+                threading.Thread(target=self._keep, args=(life,), name=life.name, daemon=True) for life in self._lives
+            ]
+            if self._feed is not None:
+                self._threads.append(threading.Thread(target=self._watch, name="watchdog", daemon=True))
+            for thread in self._threads:
+                thread.start()
+
+    def stop(self, *, within_s: float = 5.0) -> tuple[str, ...]:
+        """Ask all workers to stop, and wait for them, `within_s` in all.
+
+        Returns
+        -------
+        The names of the threads that still run, the caller's own left out; empty when all is well.
+        """
+        self._stop.set()
+        with self._lock:
+            others = [thread for thread in self._threads if thread is not threading.current_thread()]
+        deadline = self._clock.monotonic() + within_s
+        for thread in others:
+            thread.join(max(deadline - self._clock.monotonic(), 0.0))
+        late = tuple(thread.name for thread in others if thread.is_alive())
+        if late:
+            _log.error("did not stop within %g s: %s", within_s, ", ".join(late))
+        return late
+
+    def check(self) -> bool:
+        """Look once at all heartbeats, write them on the board, and say whether every worker is alive."""
+        fresh = [life.check() for life in self._lives]
+        return all(fresh)
+
+    def _watch(self) -> None:
+        while not self._stop.is_set():
+            if self.check() and self._feed is not None:
+                self._feed()
+            self._clock.wait(self._stop, self._check_every_s)
+
+    def _keep(self, life: _Life) -> None:
+        life.keep()
+        if not life.given_up:
+            return
+        with self._lock:
+            first = not self.failed.is_set()
+            self.failed.set()
+        if first and self._on_failed is not None:
+            self._on_failed()
+
+
+class _Life:
+    """One worker's births and deaths; `keep` runs in the worker's thread, `check` in any."""
+
+    def __init__(self, worker: Supervised, *, clock: Clock, board: StatusBoard, stop: threading.Event) -> None:
+        self.name = worker.name
+        self.given_up = False
+        self._worker = worker
+        self._clock = clock
+        self._board = board
+        self._stop = stop
+        self._state: WorkerState = "starting"
+        self._beat_at = clock.monotonic()
+        self._deaths: deque[float] = deque()
+        self._restarts = 0
+        self._last_error: str | None = None
+        self._stuck = False
+        self._lock = threading.Lock()
+
+    def keep(self) -> None:
+        """Live, die and live again, until stopped or given up."""
+        while not self._stop.is_set():
+            self._last_error = self._live()
+            if self._stop.is_set():
+                break
+            if self._count_death() > self._worker.max_restarts:
+                self._give_up()
+                return
+            self._enter("restarting")
+            self._clock.wait(self._stop, _back_off_s(len(self._deaths)))
+            self._restarts += 1
+        self._enter("stopped")
+
+    def check(self) -> bool:
+        """Write the heartbeat's age on the board, and return whether it is young enough."""
+        with self._lock:
+            age_s = self._clock.monotonic() - self._beat_at
+            stuck = self._state == "running" and age_s > self._worker.stale_after_s
+            self._write(age_s)
+        if stuck and not self._stuck:
+            _log.error("%s gave no sign of life for %.0f s", self.name, age_s)
+            self._board.set_reason(_stuck_reason(self.name, self._worker.stale_after_s))
+        elif self._stuck and not stuck:
+            self._board.clear_reason(_stuck_code(self.name))
+        self._stuck = stuck
+        return not stuck and not self.given_up
+
+    def _live(self) -> str | None:
+        """Run the worker once; return what it died of, None when it was stopped."""
+        self._enter("running")
+        try:
+            self._worker.make_worker().run(self._stop, self._heartbeat)
+        except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
+            _log.exception("%s died", self.name)
+            return f"{type(error).__name__}: {error}"
+        if self._stop.is_set():
+            return None
+        _log.error("%s returned without being asked to stop", self.name)
+        return "returned without being asked to stop"
+
+    def _heartbeat(self) -> None:
+        self._beat_at = self._clock.monotonic()
+
+    def _count_death(self) -> int:
+        now_s = self._clock.monotonic()
+        self._deaths.append(now_s)
+        while self._deaths[0] < now_s - self._worker.within_s:
+            self._deaths.popleft()
+        return len(self._deaths)
+
+    def _give_up(self) -> None:
+        self.given_up = True
+        self._enter("failed")
+        _log.critical("%s is given up after %d deaths", self.name, len(self._deaths))
+        self._board.set_reason(_given_up_reason(self.name, self._last_error))
+
+    def _enter(self, state: WorkerState) -> None:
+        with self._lock:
+            self._state = state
+            self._heartbeat()
+            self._write(0.0)
+
+    def _write(self, age_s: float) -> None:
+        status = WorkerStatus(
+            name=self.name,
+            state=self._state,
+            heartbeat_age_s=age_s,
+            restarts=self._restarts,
+            last_error=self._last_error,
+        )
+        self._board.set_worker(status)
+
+
+def _back_off_s(deaths: int) -> float:
+    """Twice as long after every death of the window."""
+    return float(min(_FIRST_BACK_OFF_S * 2.0 ** (deaths - 1), _LONGEST_BACK_OFF_S))
+
+
+def _stuck_code(name: str) -> str:
+    return f"worker_stuck_{name}"
+
+
+def _stuck_reason(name: str, stale_after_s: float) -> Reason:
+    return Reason(
+        code=_stuck_code(name),
+        severity="not_ready",
+        text=f"the {name} worker gave no sign of life for more than {stale_after_s:g} s",
+        remedy="systemd restarts the service by its watchdog; without systemd, restart it",
+    )
+
+
+def _given_up_reason(name: str, last_error: str | None) -> Reason:
+    return Reason(
+        code=f"worker_failed_{name}",
+        severity="not_ready",
+        text=f"the {name} worker died too often, at last of: {last_error}",
+        remedy="see the log for its stack, mend the cause and restart the service",
+    )

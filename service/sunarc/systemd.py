@@ -1,0 +1,70 @@
+"""What systemd wants to hear: ready, status, alive, stopping (sd_notify(3), Type=notify)."""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Mapping
+
+_log = logging.getLogger(__name__)
+
+
+class Notifier:
+    """Sends the service's state to its service manager; to nobody where there is none.
+
+    Parameters
+    ----------
+    address : path of the manager's datagram socket, `@name` in the abstract namespace; "" sends nothing.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+
+    def ready(self, status: str) -> None:
+        """Say that the service is up, and one line of how."""
+        self._send(f"READY=1\nSTATUS={_line(status)}")
+
+    def status(self, status: str) -> None:
+        """Say one line of how the service is."""
+        self._send(f"STATUS={_line(status)}")
+
+    def watchdog(self) -> None:
+        """Say that the service is alive."""
+        self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """Say that the service is on its way down."""
+        self._send("STOPPING=1")
+
+    def _send(self, message: str) -> None:
+        if not self._address:
+            return
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as outlet:
+                outlet.setblocking(False)
+                outlet.sendto(message.encode(), self._address)
+        except OSError as error:  # a deaf manager is no reason to stop taking pictures
+            _log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
+
+
+def notifier_from(environment: Mapping[str, str]) -> Notifier:
+    """Return the notifier that the process's environment asks for (NOTIFY_SOCKET)."""
+    return Notifier(environment.get("NOTIFY_SOCKET", ""))
+
+
+def watchdog_interval_s(environment: Mapping[str, str], *, pid: int) -> float | None:
+    """Return within how many seconds systemd must hear of this process (WATCHDOG_USEC), None when it does not care.
+
+    Parameters
+    ----------
+    environment : of the process.
+    pid : of the process; a watchdog set for another one (WATCHDOG_PID) is not ours.
+    """
+    microseconds = environment.get("WATCHDOG_USEC", "")
+    if environment.get("WATCHDOG_PID", str(pid)) != str(pid) or not microseconds.isdecimal() or not int(microseconds):
+        return None
+    return int(microseconds) / 1e6
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+
+import pytest
+
+from sunarc.board import StatusBoard
+from sunarc.clock import SystemClock
+from sunarc.schedule import Schedule
+
+PATIENCE_S = 20.0  # only a failing test waits as long
+SOON_S = 0.01
+NEVER_S = 1e6
+
+
+@pytest.fixture
+def board() -> StatusBoard:
+    return StatusBoard(version="0.1", started_at=datetime(2026, 5, 1, tzinfo=UTC), monotonic=SystemClock().monotonic)
+
+
+MakeSchedule = Callable[[Callable[[], None], float], Schedule]
+
+
+@pytest.fixture
+def make_schedule(board: StatusBoard) -> Iterator[MakeSchedule]:
+    made: list[Schedule] = []
+
+    def make(job: Callable[[], None], every_s: float) -> Schedule:
+        made.append(Schedule(job, every_s=every_s, clock=SystemClock(), board=board))
+        return made[-1]
+
+    yield make
+    for schedule in made:
+        schedule.stop()
+
+
+def test_the_job_is_called_at_once(make_schedule: MakeSchedule) -> None:
+    called = threading.Event()
+    make_schedule(called.set, NEVER_S).start()
+    assert called.wait(PATIENCE_S)
+
+
+def test_the_job_is_called_again_and_again(make_schedule: MakeSchedule) -> None:
+    calls = threading.Semaphore(0)
+    make_schedule(calls.release, SOON_S).start()
+    for _ in range(5):
+        assert calls.acquire(timeout=PATIENCE_S)
+
+
+def test_starting_twice_does_not_call_twice(make_schedule: MakeSchedule) -> None:
+    calls = threading.Semaphore(0)
+    schedule = make_schedule(calls.release, NEVER_S)
+    schedule.start()
+    schedule.start()
+    assert calls.acquire(timeout=PATIENCE_S)
+    assert schedule.stop()
+    assert not calls.acquire(blocking=False)
+
+
+def test_stopping_twice_and_stopping_what_never_began_is_allowed(make_schedule: MakeSchedule) -> None:
+    schedule = make_schedule(lambda: None, NEVER_S)
+    assert schedule.stop()
+    schedule.start()
+    assert schedule.stop()
+    assert schedule.stop()
+
+
+def test_a_stopped_schedule_may_begin_again(make_schedule: MakeSchedule) -> None:
+    calls = threading.Semaphore(0)
+    schedule = make_schedule(calls.release, NEVER_S)
+    for _ in range(2):
+        schedule.start()
+        assert calls.acquire(timeout=PATIENCE_S)
+        schedule.stop()
+
+
+def test_a_job_that_fails_is_a_reason_until_it_succeeds(
+    make_schedule: MakeSchedule, board: StatusBoard, caplog: pytest.LogCaptureFixture
+) -> None:
+    reasons: list[tuple[str, ...]] = []
+    third_call = threading.Event()
+
+    def job() -> None:
+        reasons.append(tuple(reason.text for reason in board.snapshot().reasons))
+        if len(reasons) == 1:
+            raise OSError("disk full")
+        if len(reasons) == 3:
+            third_call.set()
+
+    with caplog.at_level(logging.ERROR):
+        make_schedule(job, SOON_S).start()
+        assert third_call.wait(PATIENCE_S)
+    assert reasons[:3] == [(), ("the look for ended days failed: OSError: disk full",), ()]
+    assert caplog.text.count("Traceback") == 1
+
+
+def test_a_slow_job_is_never_called_twice_at_a_time(make_schedule: MakeSchedule, board: StatusBoard) -> None:
+    running, most, calls = 0, 0, threading.Semaphore(0)
+
+    def job() -> None:
+        nonlocal running, most
+        running += 1
+        most = max(most, running)
+        threading.Event().wait(5 * SOON_S)  # several calls fall due meanwhile
+        running -= 1
+        calls.release()
+
+    make_schedule(job, SOON_S).start()
+    for _ in range(3):
+        assert calls.acquire(timeout=PATIENCE_S)
+    assert most == 1
+    assert board.snapshot().reasons == ()
+
+
+def test_a_blocked_job_does_not_hold_up_the_stop(make_schedule: MakeSchedule) -> None:
+    begun, release = threading.Event(), threading.Event()
+
+    def job() -> None:
+        begun.set()
+        release.wait(PATIENCE_S)
+
+    schedule = make_schedule(job, NEVER_S)
+    schedule.start()
+    assert begun.wait(PATIENCE_S)
+    clock = SystemClock()
+    before_s = clock.monotonic()
+    assert not schedule.stop(within_s=0.1)
+    assert clock.monotonic() - before_s < 2.0
+    release.set()
+    assert schedule.stop()
+
+
+def test_nothing_is_called_after_the_stop(make_schedule: MakeSchedule) -> None:
+    schedule = make_schedule(lambda: pytest.fail("called"), NEVER_S)
+    schedule._call()  # a call that stood in the queue when the schedule was stopped

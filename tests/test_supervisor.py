@@ -1,0 +1,429 @@
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import pairwise
+
+import pytest
+
+from sunarc.board import StatusBoard, WorkerStatus
+from sunarc.clock import SystemClock, VirtualClock
+from sunarc.supervisor import Supervised, Supervisor, Worker
+
+START = datetime(2026, 5, 1, 12, tzinfo=UTC)
+PATIENCE_S = 20.0  # only a failing test waits as long
+
+Deed = Callable[[threading.Event, Callable[[], None]], None]
+
+
+@dataclass
+class Doer:
+    """A worker that does what it is given."""
+
+    deed: Deed
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        self.deed(stop, heartbeat)
+
+
+@dataclass
+class Factory:
+    """Makes one worker for each of the deeds, the last one for ever after."""
+
+    deeds: list[Deed]
+    made: list[Worker] = field(default_factory=list)
+
+    def __call__(self) -> Worker:
+        worker = Doer(self.deeds[min(len(self.made), len(self.deeds) - 1)])
+        self.made.append(worker)
+        return worker
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock(START)
+
+
+@pytest.fixture
+def board(clock: VirtualClock) -> StatusBoard:
+    return StatusBoard(version="0.1", started_at=START, monotonic=clock.monotonic)
+
+
+@pytest.fixture
+def release() -> Iterator[threading.Event]:
+    """Let a worker that ignores `stop` go, whatever the test came to."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def die(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+    raise OSError("the cable fell out")
+
+
+def obey(stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+    assert stop.wait(PATIENCE_S)
+
+
+def obey_and_tell(started: threading.Event) -> Deed:
+    def deed(stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        started.set()
+        assert stop.wait(PATIENCE_S)
+
+    return deed
+
+
+def on_board(board: StatusBoard, name: str) -> WorkerStatus:
+    return next(worker for worker in board.snapshot().workers if worker.name == name)
+
+
+def test_each_worker_runs_in_a_thread_of_its_name(clock: VirtualClock, board: StatusBoard) -> None:
+    names: list[str] = []
+    started = threading.Event()
+
+    def deed(stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        names.append(threading.current_thread().name)
+        started.set()
+        stop.wait(PATIENCE_S)
+
+    supervisor = Supervisor([Supervised(name="capture", make_worker=lambda: Doer(deed))], clock=clock, board=board)
+    supervisor.start()
+    assert started.wait(PATIENCE_S)
+    assert on_board(board, "capture").state == "running"
+    assert supervisor.stop() == ()
+    assert names == ["capture"]
+    assert on_board(board, "capture").state == "stopped"
+
+
+def test_starting_and_stopping_twice_is_starting_and_stopping_once(clock: VirtualClock, board: StatusBoard) -> None:
+    started = threading.Event()
+    factory = Factory([obey_and_tell(started)])
+    supervisor = Supervisor([Supervised(name="detect", make_worker=factory)], clock=clock, board=board)
+    supervisor.start()
+    supervisor.start()
+    assert started.wait(PATIENCE_S)
+    assert supervisor.stop() == ()
+    assert supervisor.stop() == ()
+    supervisor.start()
+    assert len(factory.made) == 1
+
+
+def test_stopping_before_starting_is_allowed(clock: VirtualClock, board: StatusBoard) -> None:
+    supervisor = Supervisor([Supervised(name="detect", make_worker=Factory([obey]))], clock=clock, board=board)
+    assert supervisor.stop() == ()
+
+
+def test_a_dead_worker_is_made_anew_and_the_others_notice_nothing(clock: VirtualClock, board: StatusBoard) -> None:
+    again, neighbour_runs = threading.Event(), threading.Event()
+    mortal, neighbour = Factory([die, obey_and_tell(again)]), Factory([obey_and_tell(neighbour_runs)])
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=mortal), Supervised(name="detect", make_worker=neighbour)],
+        clock=clock,
+        board=board,
+    )
+    supervisor.start()
+    assert again.wait(PATIENCE_S)
+    assert neighbour_runs.wait(PATIENCE_S)
+    assert mortal.made[0] is not mortal.made[1]
+    assert len(neighbour.made) == 1
+    status = on_board(board, "capture")
+    assert (status.state, status.restarts, status.last_error) == ("running", 1, "OSError: the cable fell out")
+    assert not supervisor.failed.is_set()
+    assert supervisor.stop() == ()
+
+
+def test_a_death_is_logged_once_with_its_stack(
+    clock: VirtualClock, board: StatusBoard, caplog: pytest.LogCaptureFixture
+) -> None:
+    again = threading.Event()
+    factory = Factory([die, obey_and_tell(again)])
+    supervisor = Supervisor([Supervised(name="capture", make_worker=factory)], clock=clock, board=board)
+    with caplog.at_level(logging.ERROR):
+        supervisor.start()
+        assert again.wait(PATIENCE_S)
+        supervisor.stop()
+    assert [record.getMessage() for record in caplog.records] == ["capture died"]
+    assert "the cable fell out" in caplog.text
+    assert "in die" in caplog.text
+
+
+def fail_to_make() -> Worker:
+    raise OSError("no camera")
+
+
+@pytest.mark.parametrize(
+    ("make_worker", "last_error"),
+    [
+        (Factory([die]), "OSError: the cable fell out"),
+        (Factory([lambda *_: None]), "returned without being asked to stop"),
+        (Factory([lambda *_: sys.exit(7)]), "SystemExit: 7"),
+        (fail_to_make, "OSError: no camera"),
+    ],
+    ids=["raises", "returns", "exits", "cannot be made"],
+)
+def test_a_worker_that_keeps_dying_is_given_up_with_a_reason(
+    clock: VirtualClock, board: StatusBoard, make_worker: Callable[[], Worker], last_error: str
+) -> None:
+    told = threading.Event()
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=make_worker, max_restarts=3)],
+        clock=clock,
+        board=board,
+        on_failed=told.set,
+    )
+    supervisor.start()
+    assert told.wait(PATIENCE_S)
+    assert supervisor.failed.is_set()
+    status = on_board(board, "capture")
+    assert (status.state, status.restarts, status.last_error) == ("failed", 3, last_error)
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("worker_failed_capture", "not_ready")
+    assert last_error in reason.text
+    assert not supervisor.check()
+    assert supervisor.stop() == ()
+    assert on_board(board, "capture").state == "failed"
+
+
+def test_the_end_of_one_worker_leaves_the_others_running(clock: VirtualClock, board: StatusBoard) -> None:
+    told, runs = threading.Event(), threading.Event()
+    supervisor = Supervisor(
+        [
+            Supervised(name="capture", make_worker=Factory([die]), max_restarts=0),
+            Supervised(name="detect", make_worker=Factory([obey_and_tell(runs)])),
+        ],
+        clock=clock,
+        board=board,
+        on_failed=told.set,
+    )
+    supervisor.start()
+    assert told.wait(PATIENCE_S)
+    assert runs.wait(PATIENCE_S)
+    assert on_board(board, "detect").state == "running"
+    assert supervisor.stop() == ()
+
+
+def test_the_process_is_told_once_however_many_workers_are_given_up(clock: VirtualClock, board: StatusBoard) -> None:
+    tellings: list[str] = []
+    workers = [Supervised(name=name, make_worker=Factory([die]), max_restarts=0) for name in ("capture", "detect")]
+    supervisor = Supervisor(workers, clock=clock, board=board, on_failed=lambda: tellings.append("failed"))
+    supervisor.start()
+    for thread in supervisor._threads:
+        thread.join(PATIENCE_S)
+    assert tellings == ["failed"]
+    assert {reason.code for reason in board.snapshot().reasons} == {"worker_failed_capture", "worker_failed_detect"}
+
+
+def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: StatusBoard) -> None:
+    births: list[float] = []
+
+    def make_worker() -> Worker:
+        births.append(clock.monotonic())
+        return Doer(die)
+
+    told = threading.Event()
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=make_worker, max_restarts=7, within_s=1e6)],
+        clock=clock,
+        board=board,
+        on_failed=told.set,
+    )
+    supervisor.start()
+    assert told.wait(PATIENCE_S)
+    assert [after - before for before, after in pairwise(births)] == [1, 2, 4, 8, 16, 30, 30]
+
+
+def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusBoard) -> None:
+    def die_late(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        clock.advance(601.0)
+        raise OSError("the cable fell out")
+
+    runs = threading.Event()
+    factory = Factory([die_late] * 20 + [obey_and_tell(runs)])
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=factory, max_restarts=1, within_s=600.0)], clock=clock, board=board
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert not supervisor.failed.is_set()
+    assert on_board(board, "capture").restarts == 20
+    assert supervisor.stop() == ()
+
+
+def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock, board: StatusBoard) -> None:
+    runs, beat, beaten = threading.Event(), threading.Event(), threading.Event()
+
+    def deed(stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        runs.set()
+        assert beat.wait(PATIENCE_S)
+        heartbeat()
+        beaten.set()
+        stop.wait(PATIENCE_S)
+
+    supervisor = Supervisor(
+        [Supervised(name="detect", make_worker=Factory([deed]), stale_after_s=60.0)], clock=clock, board=board
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    clock.advance(60.0)
+    assert supervisor.check()
+    clock.advance(1.0)
+    assert not supervisor.check()
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("worker_stuck_detect", "not_ready")
+    assert on_board(board, "detect").heartbeat_age_s == 61.0
+    beat.set()
+    assert beaten.wait(PATIENCE_S)
+    assert supervisor.check()
+    assert board.snapshot().reasons == ()
+    assert supervisor.stop() == ()
+
+
+def test_being_stuck_is_logged_once(
+    clock: VirtualClock, board: StatusBoard, caplog: pytest.LogCaptureFixture, release: threading.Event
+) -> None:
+    runs = threading.Event()
+
+    def deed(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        runs.set()
+        release.wait(PATIENCE_S)
+
+    supervisor = Supervisor(
+        [Supervised(name="detect", make_worker=Factory([deed]), stale_after_s=60.0)], clock=clock, board=board
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    clock.advance(61.0)
+    with caplog.at_level(logging.ERROR):
+        assert not supervisor.check()
+        assert not supervisor.check()
+    assert [record.getMessage() for record in caplog.records] == ["detect gave no sign of life for 61 s"]
+
+
+def test_a_blocked_worker_does_not_hold_up_the_stop(
+    board: StatusBoard, release: threading.Event, caplog: pytest.LogCaptureFixture
+) -> None:
+    runs, obedient_runs = threading.Event(), threading.Event()
+
+    def deaf(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        runs.set()
+        release.wait(PATIENCE_S)
+
+    clock = SystemClock()
+    supervisor = Supervisor(
+        [
+            Supervised(name="deaf", make_worker=Factory([deaf])),
+            Supervised(name="deaf too", make_worker=Factory([deaf])),
+            Supervised(name="obedient", make_worker=Factory([obey_and_tell(obedient_runs)])),
+        ],
+        clock=clock,
+        board=board,
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert obedient_runs.wait(PATIENCE_S)
+    with caplog.at_level(logging.ERROR):
+        before_s = clock.monotonic()
+        late = supervisor.stop(within_s=0.2)
+        took_s = clock.monotonic() - before_s
+    assert set(late) >= {"deaf", "deaf too"}
+    assert 0.15 < took_s < 2.0
+    assert "did not stop within 0.2 s" in caplog.text
+
+
+def test_a_stop_interrupts_the_back_off(board: StatusBoard) -> None:
+    died = threading.Event()
+
+    def deed(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        died.set()
+        raise OSError("the cable fell out")
+
+    clock = SystemClock()
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=Factory([deed]), max_restarts=100)], clock=clock, board=board
+    )
+    supervisor.start()
+    assert died.wait(PATIENCE_S)
+    before_s = clock.monotonic()
+    assert supervisor.stop() == ()
+    assert clock.monotonic() - before_s < 0.9  # the shortest back-off is 1 s
+
+
+def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: StatusBoard) -> None:
+    late: list[tuple[str, ...]] = []
+    done = threading.Event()
+
+    def stop_all() -> None:
+        late.append(supervisor.stop())
+        done.set()
+
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=Factory([die]), max_restarts=0)],
+        clock=clock,
+        board=board,
+        on_failed=stop_all,
+    )
+    supervisor.start()
+    assert done.wait(PATIENCE_S)
+    assert late == [()]
+
+
+def test_the_watchdog_is_fed_while_all_are_alive(board: StatusBoard) -> None:
+    fed, runs = threading.Semaphore(0), threading.Event()
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=Factory([obey_and_tell(runs)]))],
+        clock=SystemClock(),
+        board=board,
+        feed=fed.release,
+        check_every_s=0.001,
+    )
+    supervisor.start()
+    for _ in range(5):
+        assert fed.acquire(timeout=PATIENCE_S)
+    assert runs.wait(PATIENCE_S)
+    assert supervisor.stop() == ()
+
+
+class Turns(VirtualClock):
+    """A clock on which the watchdog takes one turn for every `turn.release`."""
+
+    def __init__(self) -> None:
+        super().__init__(START)
+        self.turn = threading.Semaphore(0)
+        self.turned = threading.Semaphore(0)
+
+    def wait(self, stop: threading.Event, seconds: float) -> bool:
+        del seconds
+        self.turned.release()
+        self.turn.acquire(timeout=PATIENCE_S)
+        return stop.is_set()
+
+
+def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusBoard) -> None:
+    clock, runs, meals = Turns(), threading.Event(), list[float]()
+    supervisor = Supervisor(
+        [Supervised(name="capture", make_worker=Factory([obey_and_tell(runs)]), stale_after_s=60.0)],
+        clock=clock,
+        board=board,
+        feed=lambda: meals.append(clock.monotonic()),
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert clock.turned.acquire(timeout=PATIENCE_S)
+    for _ in range(4):
+        clock.advance(25.0)
+        clock.turn.release()
+        assert clock.turned.acquire(timeout=PATIENCE_S)
+    assert meals == [0.0, 25.0, 50.0]
+    supervisor._stop.set()
+    clock.turn.release()
+    assert supervisor.stop() == ()
+
+
+def test_two_workers_of_one_name_are_refused(clock: VirtualClock, board: StatusBoard) -> None:
+    twins = [Supervised(name="capture", make_worker=Factory([obey])) for _ in range(2)]
+    with pytest.raises(ValueError, match="same name"):
+        Supervisor(twins, clock=clock, board=board)
