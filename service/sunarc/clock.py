@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import time
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
@@ -69,3 +71,43 @@ class VirtualClock:
         if not stop.is_set():
             self.advance(max(seconds, 0.0))
         return stop.is_set()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockState:
+    """How far the host's clock can be trusted.
+
+    Attributes
+    ----------
+    synchronised : whether the kernel's clock is disciplined by a time service.
+    error_bound_s : the kernel's bound on its error, seconds.
+    """
+
+    synchronised: bool
+    error_bound_s: float
+
+
+class _Timex(ctypes.Structure):
+    """`struct timex` of adjtimex(2) on 64-bit Linux, up to the fields read here; the rest is room for the kernel."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_long * 32),
+    )
+
+
+_STA_UNSYNC = 0x0040
+_TIME_ERROR = 5
+
+
+def host_clock_state() -> ClockState:
+    """Ask the kernel whether its clock is synchronised, and to within what (adjtimex(2), reading only)."""
+    timex = _Timex(modes=0)
+    answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
+    synchronised = answer not in {-1, _TIME_ERROR} and not timex.status & _STA_UNSYNC
+    return ClockState(synchronised=synchronised, error_bound_s=timex.maxerror * 1e-6)

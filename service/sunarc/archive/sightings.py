@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, date, datetime, timedelta
 from typing import Any, cast
 
@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column,
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
-from sunarc.archive.store import Store, given
+from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.errors import InputError
@@ -53,6 +53,10 @@ class Sightings(Store):
             connection.execute(moving.values(pose_epoch=epoch.id))
         return epoch
 
+    def epoch_at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
+        """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
+        return self.current_epoch(camera, at=at) or self._first_epoch(camera, at, reason)
+
     def current_epoch(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
         """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
         epochs = tables.pose_epoch.c
@@ -60,27 +64,25 @@ class Sightings(Store):
         found = self._values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
         return found[0] if found else None
 
-    def epoch_at(self, camera: str, moment: datetime, *, reason: str) -> PoseEpoch:
-        """Return the pose epoch of a moment; where there is none yet, open one that ends where the first begins."""
-        found = self.current_epoch(camera, at=moment)
-        if found is not None:
-            return found
-        with self._writing() as connection:
-            epochs = tables.pose_epoch.c
-            known = connection.execute(select(tables.pose_epoch).where(epochs.camera == camera)).all()
-            first = min((row.started_at for row in known), default=None)
-            epoch = PoseEpoch(
-                id=f"{camera}-{len(known) + 1}", camera=camera, started_at=moment, ended_at=first, reason=reason
-            )
-            connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
-        return epoch
-
     def epochs(self, camera: str) -> tuple[PoseEpoch, ...]:
         """Return a camera's pose epochs, the first one first."""
         epochs = tables.pose_epoch.c
         return self._values(
             select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at), PoseEpoch
         )
+
+    def _first_epoch(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
+        epochs = tables.pose_epoch.c
+        with self._writing() as connection:
+            known = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at).limit(1)
+            first = values_of(connection, known, PoseEpoch)
+            if not first:
+                epoch = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
+                connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
+                return epoch
+            earlier = min(at, first[0].started_at)
+            connection.execute(update(tables.pose_epoch).where(epochs.id == first[0].id).values(started_at=earlier))
+            return replace(first[0], started_at=earlier)
 
     def add_sun_points(self, points: Iterable[SunPoint]) -> int:
         """Store sightings and return how many were new; one that is there already is left as it is."""

@@ -1,0 +1,266 @@
+"""The whole chain on one machine: a simulated GigE Vision imager on loopback, the service, an embedded database."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+SITE = {"latitude": 36.604043, "longitude": -97.484856, "altitude": 318.0}  # ARM SGP, as in the paper
+FIRST_DAY = "2013-05-13"
+GVCP_PORT = 3956
+CADENCE_S = 120.0
+POLL_S = 0.5
+START_WITHIN_S = 60.0
+
+
+class DemoError(Exception):
+    """Ends the demo with one line."""
+
+
+def main() -> int:
+    """Run the demo and return its exit code: 0 done, 1 not calibrated, 2 usage, 3 something outside failed."""
+    options = parse_arguments()
+    try:
+        return run(options)
+    except DemoError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:
+        return 0
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="deploy/demo", description=__doc__)
+    parser.add_argument("--headless", action="store_true", help="end by itself once the days are over")
+    parser.add_argument("--days", type=int, default=1, metavar="N", help="simulated days (default 1)")
+    parser.add_argument("--speed", type=float, default=300.0, metavar="X", help="times faster than real (default 300)")
+    parser.add_argument("--port", type=int, default=8080, metavar="P", help="of the dashboard (default 8080)")
+    parser.add_argument("--state", type=Path, metavar="DIR", help="an empty folder (default: a new one)")
+    parser.add_argument("--until-calibrated", action="store_true", help="exit 0 only when a calibration is current")
+    parser.add_argument("--lens-seed", type=int, default=0, metavar="N", help="draw another true camera")
+    parser.add_argument("--clouds", choices=["clear", "broken", "overcast"], default="clear", help="the sky's weather")
+    parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
+    parser.add_argument("--setup-only", action="store_true", help="set up and stop")
+    options = parser.parse_args()
+    if options.days < 1 or not 1.0 <= options.speed <= 2000.0 or not 0 < options.port < 65536:
+        parser.error("--days must be 1 or more, --speed 1 to 2000, --port 1 to 65535")
+    return options
+
+
+def run(options: argparse.Namespace) -> int:
+    """Start the imager and the service, follow them, and leave the results in the state folder."""
+    state = prepare_state(options.state)
+    address = free_camera_address()
+    config = write_config(state, address=address, options=options)
+    with ExitStack() as stack:
+        print(f"demo: simulated imager at {address}, {options.speed:g} times faster than real; state in {state}")
+        stack.enter_context(running("imager", simulate_command(state, address, options), log=state / "imager.log"))
+        wait_for((state / "truth.json").exists, what="the simulated imager", log=state / "imager.log")
+        stack.enter_context(running("service", serve_command(config), log=state / "service.log"))
+        url = f"http://127.0.0.1:{options.port}"
+        wait_for(lambda: answers(f"{url}/healthz"), what="the service", log=state / "service.log")
+        print(f"demo: dashboard at {url}/")
+        code = follow(url, state, options)
+        if not options.headless or options.keep:
+            print(f"demo: goes on serving at {url}/ until Ctrl-C")
+            signal.pause()
+    return code
+
+
+def prepare_state(folder: Path | None) -> Path:
+    """Return a folder that holds no earlier state."""
+    state = Path(tempfile.mkdtemp(prefix="sunarc-demo-")) if folder is None else folder.resolve()
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        if any(state.iterdir()):
+            raise DemoError(f"{state} is not empty; give --state an empty folder")
+        (state / "writable").touch()
+        (state / "writable").unlink()
+    except OSError as error:
+        raise DemoError(f"{state} cannot be used: {error.strerror}; give --state a folder you may write to") from None
+    return state
+
+
+def free_camera_address() -> str:
+    """Return a loopback address whose GigE Vision control port is free."""
+    for last in range(1, 33):
+        address = f"127.0.0.{last}"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+            try:
+                trial.bind((address, GVCP_PORT))
+            except OSError:
+                continue
+            return address
+    raise DemoError(f"UDP port {GVCP_PORT} is taken on every loopback address tried; end other simulated imagers")
+
+
+def write_config(state: Path, *, address: str, options: argparse.Namespace) -> Path:
+    """Write the service's settings."""
+    config = state / "sunarc.toml"
+    config.write_text(
+        f"""\
+name = "demo"
+state = "{state}"
+
+[site]
+latitude = {SITE["latitude"]}
+longitude = {SITE["longitude"]}
+altitude = {SITE["altitude"]}
+
+[camera]
+address = "{address}"
+pixel_format = "Mono12"
+packet_size = 8000
+packet_socket = false
+timestamps = "camera"
+
+[capture]
+cadence_s = {CADENCE_S}
+night_cadence_s = {CADENCE_S}
+speed = {options.speed}
+
+[refit]
+check_every_s = 1.0
+
+[api]
+port = {options.port}
+"""
+    )
+    return config
+
+
+def simulate_command(state: Path, address: str, options: argparse.Namespace) -> list[str]:
+    """Return the command line of the simulated imager."""
+    return [
+        *("simulate", "--address", address, "--start", f"{FIRST_DAY}T12:00:00Z"),
+        *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
+        *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
+        *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),
+    ]
+
+
+def serve_command(config: Path) -> list[str]:
+    """Return the command line of the service."""
+    return ["serve", "--config", str(config)]
+
+
+@contextmanager
+def running(name: str, arguments: list[str], *, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a sunarc command in the background; end it on the way out."""
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sunarc", *arguments], stdout=output, stderr=output, env=environment
+        )
+    CHILDREN[name] = process
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+CHILDREN: dict[str, subprocess.Popen[bytes]] = {}
+
+
+def wait_for(ready: Callable[[], bool], *, what: str, log: Path) -> None:
+    """Wait until something is ready, watching over the processes."""
+    end = time.monotonic() + START_WITHIN_S
+    while not ready():
+        watch(log.parent)
+        if time.monotonic() > end:
+            raise DemoError(f"{what} did not start within {START_WITHIN_S:g} s; see {log}")
+        time.sleep(POLL_S / 5)
+
+
+def watch(state: Path) -> None:
+    """Raise when a process has ended by itself."""
+    for name, process in CHILDREN.items():
+        if process.poll() is not None:
+            log = state / f"{name}.log"
+            lines = log.read_text(errors="replace").strip().splitlines() or ["it said nothing"]
+            raise DemoError(f"the {name} ended with code {process.returncode}: {lines[-1]} (see {log})")
+
+
+def answers(url: str) -> bool:
+    """Return whether a URL answers at all."""
+    try:
+        get(url)
+    except (OSError, urllib.error.URLError):
+        return False
+    return True
+
+
+def get(url: str) -> Any:
+    """Return a URL's JSON."""
+    with urllib.request.urlopen(url, timeout=10.0) as response:
+        return json.load(response)
+
+
+def get_or_none(url: str) -> Any:
+    """Return a URL's JSON, or None when it answers with an error."""
+    try:
+        return get(url)
+    except urllib.error.HTTPError:
+        return None
+
+
+def follow(url: str, state: Path, options: argparse.Namespace) -> int:
+    """Show the progress until the days are over, save what is served, and return the exit code."""
+    shown = ""
+    while True:
+        watch(state)
+        days = get(f"{url}/v1/days")["days"]
+        calibration = get_or_none(f"{url}/v1/calibration")
+        line = describe(days, calibration, get(f"{url}/v1/status"))
+        if line != shown:
+            print(f"demo: {line}", flush=True)
+            shown = line
+        if len(days) >= options.days and not refit_under_way(url):
+            break
+        time.sleep(POLL_S)
+    calibration = get_or_none(f"{url}/v1/calibration")
+    if calibration is None:
+        print("demo: the days are over and no calibration is current; see the dashboard's reasons")
+        return 1 if options.until_calibrated else 0
+    (state / "calibration.json").write_text(json.dumps(calibration, indent=1))
+    print(f"demo: served calibration and true camera stand in {state}/calibration.json and truth.json")
+    return 0
+
+
+def refit_under_way(url: str) -> bool:
+    """Return whether a refit waits or runs."""
+    refits = get(f"{url}/v1/refits")["refits"]
+    return any(refit["state"] in {"requested", "running"} for refit in refits)
+
+
+def describe(days: list[Any], calibration: Any, status: Any) -> str:
+    """Say in one line how far things are."""
+    told = [f"{day['date']} {day['verdict']}" for day in days]
+    seen = status.get("last_frame_at") or "no frame yet"
+    fit = "no calibration yet"
+    if calibration is not None:
+        fit = f"calibration {calibration['id']}, {calibration['metrics']['rmse_px']:.3f} px RMSE"
+    return f"{seen[:13].replace('T', ' ')} h; days judged: {', '.join(told) or 'none'}; {fit}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

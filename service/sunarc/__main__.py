@@ -1,0 +1,309 @@
+"""The command line: parse, call, print. Exit codes: 0 done, 1 the answer is no, 2 usage, 3 something outside failed."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from sunarc import __version__, app, offline
+from sunarc.archive import parse_time
+from sunarc.calibration import CalibrationOptions
+from sunarc.errors import ConfigurationError, InputError, SunarcError
+from sunarc.settings import load_settings
+from sunarc.sky import Site
+
+_SITE = "Where the camera stands"
+
+cli = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Keeps the geometric calibration of an all-sky imager right, from the sun.",
+)
+points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
+db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
+cli.add_typer(points_cli, name="points")
+cli.add_typer(db_cli, name="db")
+
+Config = Annotated[
+    Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
+]
+State = Annotated[Path, typer.Option("--state", help="The service's state folder.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)]
+Longitude = Annotated[float, typer.Option(help="Degrees, east positive.", rich_help_panel=_SITE)]
+Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=_SITE)]
+CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
+
+_out = Console(soft_wrap=True)
+_err = Console(stderr=True, soft_wrap=True)
+
+
+def main() -> None:
+    """Run the command line; every expected failure is one line on standard error."""
+    try:
+        cli(standalone_mode=True)
+    except (InputError, ConfigurationError) as error:
+        _fail(error, 2)
+    except SunarcError as error:
+        _fail(error, 3)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(3)
+
+
+def _fail(error: Exception, code: int) -> None:
+    print(f"sunarc: {error}", file=sys.stderr)
+    sys.exit(code)
+
+
+@cli.callback(invoke_without_command=True)
+def version(*, show: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    """Print the version when asked."""
+    if show:
+        print(f"sunarc {__version__}")
+        raise typer.Exit
+
+
+@cli.command()
+def serve(config: Config = None) -> None:
+    """Run the service until it is told to stop.
+
+    Example: sunarc serve --config /etc/sunarc/sunarc.toml
+    """
+    _log_to_standard_error()
+    sys.exit(app.serve(load_settings(config)))
+
+
+@cli.command()
+def simulate(
+    *,
+    address: Annotated[str, typer.Option(help="Loopback address to answer at.")] = "127.0.0.1",
+    start: Annotated[str, typer.Option(help="First simulated time, ISO 8601.")] = "2013-05-13T12:00:00Z",
+    speed: Annotated[float, typer.Option(help="Times faster than real.")] = 1.0,
+    latitude: Latitude = 36.604043,
+    longitude: Longitude = -97.484856,
+    altitude: Altitude = 318.0,
+    lens_seed: Annotated[int, typer.Option(help="Draws another true camera; 0 is the paper's.")] = 0,
+    clouds: Annotated[str, typer.Option(help="clear, broken or overcast.")] = "clear",
+    truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
+) -> None:
+    """Run a simulated imager that speaks GigE Vision on loopback.
+
+    Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
+    """
+    _log_to_standard_error()
+    app.simulate(
+        address=address,
+        start=parse_time(start, where="--start"),
+        speed=speed,
+        site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
+        lens_seed=lens_seed,
+        clouds=clouds,
+        truth=truth,
+    )
+
+
+@cli.command()
+def detect(
+    images: Annotated[list[Path], typer.Argument(help="Image files.")],
+    *,
+    method: Annotated[str, typer.Option(help="auto, disc or paper.")] = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Find the sun in images; exit 1 when none shows it.
+
+    Example: sunarc detect noon.png --json
+    """
+    found = offline.detect_in_files(images, method=method)
+    if as_json:
+        _print_json(found)
+    else:
+        columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
+        _out.print(_table(columns, [[row[column] for column in columns] for row in found]))
+    if not any(row["accepted"] for row in found):
+        raise typer.Exit(1)
+
+
+@cli.command()
+def calibrate(
+    points: Annotated[Path, typer.Argument(help="Sightings: time_utc,x_px,y_px[,sigma_px][,body].")],
+    *,
+    latitude: Latitude,
+    longitude: Longitude,
+    image_size: Annotated[str, typer.Option(help="W,H in px.")],
+    altitude: Altitude = 0.0,
+    pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
+    temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
+    projection: Annotated[str, typer.Option(help="The lens's ideal projection.")] = "equisolid",
+    method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
+    mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
+    level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the camera to sightings; exit 1 when the fit is refused.
+
+    Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
+    """
+    document = offline.calibrate_file(
+        points,
+        site=Site(
+            latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
+        ),
+        image_size=_image_size(image_size),
+        options=CalibrationOptions(
+            method=method,  # type: ignore[arg-type]
+            projection=projection,  # type: ignore[arg-type]
+            mirrored=mirrored,  # type: ignore[arg-type]
+            level_within_deg=level_within,
+        ),
+    )
+    if as_json:
+        _print_json(document)
+    else:
+        _print_calibration(document)
+    if not document["verdict"]["accepted"]:
+        raise typer.Exit(1)
+
+
+@cli.command()
+def project(calibration: CalibrationFile) -> None:
+    """Read zenith_deg,azimuth_deg from standard input and write where they land in the image.
+
+    Example: sunarc project --calibration calibration.json < directions.csv
+    """
+    offline.project_csv(calibration, sys.stdin, sys.stdout)
+
+
+@cli.command()
+def unproject(calibration: CalibrationFile) -> None:
+    """Read x_px,y_px from standard input and write the directions that they look at.
+
+    Example: sunarc unproject --calibration calibration.json < pixels.csv
+    """
+    offline.unproject_csv(calibration, sys.stdin, sys.stdout)
+
+
+@points_cli.command("import")
+def import_points(file: Annotated[Path, typer.Argument(help="CSV of sightings.")], config: Config = None) -> None:
+    """Add sightings from a CSV file to the archive; what it has already is skipped.
+
+    Example: sunarc points import points.csv --config sunarc.toml
+    """
+    added, total = offline.import_points(load_settings(config), file)
+    print(f"{added} of {total} sightings added, {total - added} were there already")
+
+
+@points_cli.command("export")
+def export_points(
+    config: Config = None,
+    since: Annotated[str | None, typer.Option(help="First time, ISO 8601.")] = None,
+    until: Annotated[str | None, typer.Option(help="End, ISO 8601, exclusive.")] = None,
+) -> None:
+    """Write the accepted sightings of the archive as CSV to standard output.
+
+    Example: sunarc points export --config sunarc.toml > points.csv
+    """
+    offline.export_points(
+        load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until")
+    )
+
+
+@db_cli.command()
+def upgrade(state: State) -> None:
+    """Create the database, or bring it to this version's revision; a copy is kept.
+
+    Example: sunarc db upgrade --state /var/lib/sunarc
+    """
+    print(offline.upgrade_database(state))
+
+
+@db_cli.command()
+def check(state: State, *, as_json: AsJson = False) -> None:
+    """Check the database's revision and integrity; exit 1 when something is wrong.
+
+    Example: sunarc db check --state /var/lib/sunarc
+    """
+    found = offline.check_database(state)
+    if as_json:
+        _print_json(found)
+    else:
+        _out.print(_table(("what", "value"), [[key, str(value)] for key, value in found.items()]))
+    if not found["sound"]:
+        raise typer.Exit(1)
+
+
+@db_cli.command()
+def backup(target: Annotated[Path, typer.Argument(help="File to write.")], *, state: State) -> None:
+    """Copy the database, consistently, while the service runs.
+
+    Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
+    """
+    print(offline.backup_database(state, target))
+
+
+def _log_to_standard_error() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    logging.getLogger("apscheduler").setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+
+
+def _moment(text: str | None, option: str) -> datetime | None:
+    return None if text is None else parse_time(text, where=option)
+
+
+def _image_size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
+        ) from None
+    return width, height
+
+
+def _print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
+    print(json.dumps(value, indent=1, allow_nan=False))
+
+
+def _table(columns: tuple[str, ...], rows: list[list[Any]]) -> Table:
+    table = Table(*columns)
+    for row in rows:
+        table.add_row(
+            *("" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row)
+        )
+    return table
+
+
+def _print_calibration(document: dict[str, Any]) -> None:
+    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
+    rows: list[list[Any]] = [
+        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
+        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
+        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
+        ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
+        ["RMSE", f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"],
+        [
+            "1-sigma over the sky",
+            "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
+        ],
+        ["verdict", "accepted" if verdict["accepted"] else "refused"],
+        *(["", reason] for reason in verdict["reasons"]),
+    ]
+    _out.print(_table(("", ""), rows))
+
+
+if __name__ == "__main__":
+    main()

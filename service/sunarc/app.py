@@ -1,0 +1,303 @@
+"""The composition root: the only place where parts are chosen and joined."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import threading
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import uvicorn
+
+import sunarc
+from sunarc.api import create_app
+from sunarc.archive import Archive, CameraRecord, ImageStore, Refit, open_archive, upgrade
+from sunarc.board import ClockStatus, Reason, StatusBoard
+from sunarc.cameras import Frame, SkyCamera, open_aravis, open_replay
+from sunarc.clock import Clock, SystemClock, host_clock_state
+from sunarc.errors import ConfigurationError, OutsideError
+from sunarc.schedule import Schedule
+from sunarc.settings import Settings
+from sunarc.simulation import ImagerOptions, run_imager
+from sunarc.supervisor import Supervised, Supervisor
+from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
+from sunarc.workers import (
+    CaptureWorker,
+    ComposeWorker,
+    DayJudge,
+    DetectWorker,
+    FrameTime,
+    Handover,
+    RefitWorker,
+    SunExposures,
+    SunPredictor,
+)
+
+_log = logging.getLogger(__name__)
+_STOP_WITHIN_S = 4.0
+_WAITING_CYCLES = 4
+_WAITING_SUN_FRAMES = 8
+
+
+class Service:
+    """The parts of a running imager, joined.
+
+    Parameters
+    ----------
+    settings : what was set.
+    archive : open, of this version's revision.
+    clock : real time.
+    open_camera : opens the camera that the settings name.
+    """
+
+    def __init__(
+        self, settings: Settings, *, archive: Archive, clock: Clock, open_camera: Callable[[], SkyCamera]
+    ) -> None:
+        self.settings = settings
+        self.archive = archive
+        self.clock = clock
+        self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
+        self.frame_time = FrameTime(
+            clock, follows_camera=settings.camera.timestamps == "camera", speed=settings.capture.speed
+        )
+        self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
+        self.exposures = SunExposures(settings.sun_exposure)
+        self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
+        self.sun_frames: Handover[Frame] = Handover(capacity=_WAITING_SUN_FRAMES)
+        self.days = DayJudge(
+            archive=archive,
+            camera=settings.name,
+            site=settings.site,
+            cadence_s=settings.capture.cadence_s,
+            sun_zenith_deg=settings.capture.sun_zenith_deg,
+            options=settings.days,
+            now=self.frame_time.now,
+            request_refit=self.request_refit,
+        )
+        self._open_camera = open_camera
+
+    def workers(self) -> tuple[Supervised, ...]:
+        """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
+        return (
+            Supervised(name="refit", make_worker=self._refit_worker),
+            Supervised(name="detect", make_worker=self._detect_worker),
+            Supervised(name="compose", make_worker=self._compose_worker),
+            Supervised(name="capture", make_worker=self._capture_worker),
+        )
+
+    def request_refit(self, reason: str) -> Refit:
+        """Ask for a refit; the refit worker finds it in the archive."""
+        return self.archive.add_refit(
+            Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
+        )
+
+    def look_around(self) -> None:
+        """Judge the days that have ended, and look at the host's clock."""
+        state = host_clock_state()
+        self.board.note(clock=ClockStatus(synchronised=state.synchronised, max_error_s=state.error_bound_s))
+        if self.settings.camera.timestamps == "host" and not state.synchronised:
+            self.board.set_reason(_unsynchronised())
+        else:
+            self.board.clear_reason("clock_unsynchronised")
+        if self.frame_time.known:
+            self.days.judge_ended_days()
+
+    def clock_error_s(self) -> float:
+        """Return the bound of the error of the frames' times."""
+        if self.settings.camera.timestamps == "camera":
+            return self.settings.capture.camera_clock_error_s
+        return host_clock_state().error_bound_s
+
+    def _open_and_remember(self) -> SkyCamera:
+        camera = self._open_camera()
+        info, site = camera.info, self.settings.site
+        self.archive.save_camera(
+            CameraRecord(
+                name=self.settings.name,
+                latitude=site.latitude,
+                longitude=site.longitude,
+                altitude=site.altitude,
+                width=info.width,
+                height=info.height,
+                model=f"{info.vendor} {info.model}".strip(),
+                serial=info.serial,
+            )
+        )
+        return camera
+
+    def _capture_worker(self) -> CaptureWorker:
+        return CaptureWorker(
+            open_camera=self._open_and_remember,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            options=self.settings.capture,
+            name=self.settings.name,
+            apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
+            sun_exposures=self.exposures,
+            cycles=self.cycles,
+            sun_frames=self.sun_frames,
+            board=self.board,
+        )
+
+    def _compose_worker(self) -> ComposeWorker:
+        return ComposeWorker(self.cycles, store=ImageStore(self.settings.images), board=self.board)
+
+    def _detect_worker(self) -> DetectWorker:
+        return DetectWorker(
+            self.sun_frames,
+            archive=self.archive,
+            camera=self.settings.name,
+            predictor=self.predictor,
+            options=self.settings.sensor,
+            disc=self.settings.detection,
+            clock_error_s=self.clock_error_s,
+            report=self.exposures.report,
+            board=self.board,
+        )
+
+    def _refit_worker(self) -> RefitWorker:
+        return RefitWorker(
+            archive=self.archive,
+            camera=self.settings.name,
+            site=self.settings.site,
+            options=self.settings.refit,
+            calibration=self.settings.calibration,
+            clock=self.clock,
+            now=self.frame_time.now,
+            board=self.board,
+        )
+
+
+def serve(settings: Settings) -> int:
+    """Run the service until SIGTERM or SIGINT; return the process's exit code."""
+    clock = SystemClock()
+    listening = listen(settings.api.host, settings.api.port)
+    prepare_state(settings.state)
+    upgrade(settings.database)
+    service = Service(
+        settings,
+        archive=open_archive(settings.database),
+        clock=clock,
+        open_camera=camera_opener(settings, clock),
+    )
+    notifier = notifier_from(os.environ)
+    server = _web_server(service)
+    with ExitStack() as stack:
+        stack.enter_context(listening)
+        stack.callback(service.archive.close)
+        supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
+        stack.enter_context(_scheduled(service))
+        notifier.ready(f"serving at http://{settings.api.host}:{settings.api.port}/")
+        server.run(sockets=[listening])
+        notifier.stopping()
+    return 3 if supervisor.failed.is_set() else 0
+
+
+def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
+    """Return what opens the camera that the settings name."""
+    if settings.source == "aravis":
+        return lambda: open_aravis(settings.camera, clock)
+    replay = settings.replay
+    if replay is None:
+        raise ConfigurationError('setting replay is missing; add a [replay] section, or set source = "aravis"')
+    return lambda: open_replay(replay)
+
+
+def prepare_state(folder: Path) -> None:
+    """Make the state folder; one that cannot be written to is told in one line."""
+    trial = folder / f".{uuid.uuid4().hex}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        trial.touch()
+        trial.unlink()
+    except OSError as error:
+        raise OutsideError(
+            f"state folder {folder}: {error.strerror or error}; make it writable, or set `state` to another"
+        ) from None
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket bound to the address that is to be served."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        raise OutsideError(
+            f"port {port} at {host}: {error.strerror or error}; end what uses it, or set api.port to another"
+        ) from None
+    return listening
+
+
+def simulate(options: ImagerOptions) -> None:
+    """Run a simulated imager until SIGTERM or SIGINT."""
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    run_imager(options, stop)
+
+
+def _web_server(service: Service) -> uvicorn.Server:
+    app = create_app(
+        archive=service.archive,
+        status=service.board.snapshot,
+        request_refit=service.request_refit,
+        frame_clock=service.frame_time.now,
+        options=service.settings.api,
+    )
+    return uvicorn.Server(
+        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False)
+    )
+
+
+def _stop_serving(server: uvicorn.Server) -> None:
+    server.should_exit = True
+
+
+@contextmanager
+def _supervised(service: Service, notifier: Notifier, *, on_failed: Callable[[], None]) -> Iterator[Supervisor]:
+    interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
+    supervisor = Supervisor(
+        service.workers(),
+        clock=service.clock,
+        board=service.board,
+        feed=notifier.watchdog,
+        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
+        on_failed=on_failed,
+    )
+    supervisor.start()
+    try:
+        yield supervisor
+    finally:
+        supervisor.stop(within_s=_STOP_WITHIN_S)
+
+
+@contextmanager
+def _scheduled(service: Service) -> Iterator[None]:
+    schedule = Schedule(
+        service.look_around,
+        every_s=service.settings.refit.check_every_s,
+        clock=service.clock,
+        board=service.board,
+    )
+    schedule.start()
+    try:
+        yield
+    finally:
+        schedule.stop(within_s=1.0)
+
+
+def _unsynchronised() -> Reason:
+    return Reason(
+        code="clock_unsynchronised",
+        severity="degraded",
+        text="the host's clock is not synchronised; an error of 1 s turns the sky by 0.004 degrees",
+        remedy="start a time service (systemd-timesyncd or chrony) and let it reach its servers",
+    )

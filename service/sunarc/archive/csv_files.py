@@ -1,0 +1,153 @@
+"""The CSV files that people hand us and get back: sightings, directions and pixels, one clear error a bad row."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
+_REQUIRED = ("time_utc", "x_px", "y_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SightingTable:
+    """Sun sightings as they stand in a file.
+
+    Attributes
+    ----------
+    unix_s : (n,) mid-exposure, seconds since 1970-01-01 UTC.
+    pixels : (n, 2) px.
+    sigma_px : (n,) 1-sigma per axis; NaN where the file states none.
+    """
+
+    unix_s: FloatArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+
+
+def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
+    """Read `time_utc,x_px,y_px[,sigma_px][,body]` (ISO 8601 with Z, header required; other columns are ignored).
+
+    Parameters
+    ----------
+    lines : the file, or any lines.
+    name : what to call it in an error.
+
+    Raises
+    ------
+    InputError : naming the line and column, the problem and the remedy.
+    """
+    rows: list[tuple[float, float, float, float]] = []
+    for where, row in _rows(lines, name=name, required=_REQUIRED):
+        body = row.get("body") or "sun"
+        if body != "sun":
+            raise InputError(field=f"{where}, body", problem=f"{body!r} is not known", remedy="give only sun sightings")
+        rows.append(
+            (
+                parse_time(row["time_utc"], where=f"{where}, time_utc").timestamp(),
+                _number(row["x_px"], where=f"{where}, x_px"),
+                _number(row["y_px"], where=f"{where}, y_px"),
+                _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
+            )
+        )
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    return SightingTable(unix_s=columns[:, 0], pixels=columns[:, 1:3], sigma_px=columns[:, 3])
+
+
+def write_sightings(target: TextIO, rows: Iterable[tuple[datetime, float, float, float | None, str]]) -> int:
+    """Write sightings (time, x, y, sigma, body) as `read_sightings` reads them, and return how many."""
+    writer = csv.writer(target, lineterminator="\n")
+    writer.writerow(SIGHTING_COLUMNS)
+    count = 0
+    for time, x, y, sigma, body in rows:
+        stamp = time.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+        writer.writerow([stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body])
+        count += 1
+    return count
+
+
+def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> FloatArray:
+    """Read two columns of numbers, (n, 2); `InputError` names line and column."""
+    rows = [
+        tuple(_number(row[column], where=f"{where}, {column}") for column in columns)
+        for where, row in _rows(lines, name=name, required=columns)
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:
+    """Write columns of numbers with so many decimal places; NaN is an empty cell."""
+    writer = csv.writer(target, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(
+            "" if math.isnan(value) else f"{value:.{places[column]}f}"
+            for column, value in zip(columns, row, strict=True)
+        )
+
+
+def parse_time(text: str, *, where: str) -> datetime:
+    """Return an aware UTC time from ISO 8601 that states its zone."""
+    try:
+        moment = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise InputError(
+            field=where, problem=f"{text!r} is no time", remedy="write ISO 8601, as 2013-05-13T18:30:00Z"
+        ) from None
+    if moment.tzinfo is None:
+        raise InputError(field=where, problem=f"{text!r} has no time zone", remedy="end it with Z for UTC")
+    return moment.astimezone(UTC)
+
+
+def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
+    reader = csv.reader(lines)
+    header = next((row for row in reader if row), None)
+    if header is None:
+        raise InputError(field=name, problem="is empty", remedy=f"give a header with {','.join(required)}")
+    names = [cell.strip().lstrip("\ufeff") for cell in header]
+    missing = [column for column in required if column not in names]
+    if missing:
+        raise InputError(
+            field=f"{name}, line {reader.line_num}",
+            problem=f"no column {', '.join(missing)} in the header",
+            remedy=f"the header must name {','.join(required)}",
+        )
+    for row in reader:
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{name}, line {reader.line_num}"
+        if len(row) != len(names):
+            raise InputError(
+                field=where, problem=f"{len(row)} cells for {len(names)} columns", remedy="write one cell a column"
+            )
+        yield where, dict(zip(names, row, strict=True))
+
+
+def _number(text: str, *, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(field=where, problem=f"{text!r} is not a finite number", remedy="write a decimal number")
+    return value
+
+
+def _sigma(text: str | None, *, where: str) -> float:
+    if text is None or not text.strip():
+        return math.nan
+    value = _number(text, where=where)
+    if value <= 0.0:
+        raise InputError(field=where, problem=f"{text!r} is not positive", remedy="give the 1-sigma per axis in px")
+    return value

@@ -1,0 +1,24 @@
+"""The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
+
+from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.days import DayJudge
+from sunarc.workers.detect import DetectOptions, DetectWorker
+from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.handover import Handover
+from sunarc.workers.predictor import SunPredictor
+from sunarc.workers.refit import RefitOptions, RefitWorker
+
+__all__ = [
+    "CaptureOptions",
+    "CaptureWorker",
+    "ComposeWorker",
+    "DayJudge",
+    "DetectOptions",
+    "DetectWorker",
+    "FrameTime",
+    "Handover",
+    "RefitOptions",
+    "RefitWorker",
+    "SunPredictor",
+]

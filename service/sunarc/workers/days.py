@@ -1,0 +1,106 @@
+"""Which solar days have ended without a verdict? Idempotent, so that a missed night and a simulated year are alike."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, date, datetime
+
+from sunarc.archive import Archive, Day, Event, Refit
+from sunarc.calibration import DayOptions, SunPoints, decide_day, measure_day
+from sunarc.sky import Site, day_bounds_unix_s, solar_date
+
+_log = logging.getLogger(__name__)
+_WORTH_A_REFIT = frozenset({"clear", "partly"})
+
+
+class DayJudge:
+    """Gives each ended day its verdict, and asks for a refit after one that shows the sun.
+
+    Parameters
+    ----------
+    archive, camera, site : whose days, and where.
+    cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
+    options : what makes a day clear.
+    now : frame time.
+    request_refit : asks for a refit, with the reason.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        camera: str,
+        site: Site,
+        cadence_s: float,
+        sun_zenith_deg: float,
+        options: DayOptions,
+        now: Callable[[], datetime],
+        request_refit: Callable[[str], Refit],
+    ) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._cadence_s = cadence_s
+        self._sun_zenith_deg = sun_zenith_deg
+        self._options = options
+        self._now = now
+        self._request_refit = request_refit
+        self._judged_before: date | None = None
+
+    def judge_ended_days(self) -> list[Day]:
+        """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
+        longitude = self._site.longitude
+        today = solar_date(self._now().timestamp(), longitude=longitude)
+        judged = {day.date for day in self._archive.days(self._camera, since=self._judged_before)}
+        seen = self._archive.dates_with_points(self._camera, longitude=longitude, since=self._judged_before)
+        verdicts = [self._measure(day) for day in seen if day < today and day not in judged]
+        worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
+        if worth:
+            self._request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
+        for day in verdicts:
+            self._remember(day)
+        self._judged_before = today
+        return verdicts
+
+    def _measure(self, date_: date) -> Day:
+        start, end = day_bounds_unix_s(date_, longitude=self._site.longitude)
+        columns = self._archive.sun_point_columns(
+            self._camera, since=datetime.fromtimestamp(start, UTC), until=datetime.fromtimestamp(end, UTC)
+        )
+        measure = measure_day(
+            SunPoints(
+                unix_s=columns.unix_s,
+                pixels=columns.pixels,
+                sigma_px=columns.sigma_px,
+                epoch=columns.epoch,
+                clock_error_s=columns.clock_error_s,
+            ),
+            site=self._site,
+            day=date_,
+            cadence_s=self._cadence_s,
+            sun_zenith_deg=self._sun_zenith_deg,
+        )
+        decided = decide_day(measure, options=self._options)
+        return Day(
+            camera=self._camera,
+            date=date_,
+            verdict=decided.verdict,
+            reasons=decided.reasons,
+            n=measure.n,
+            n_possible=measure.n_possible,
+            decided_at=self._now(),
+            arc_deg=measure.arc_deg,
+            sd_px=measure.sd_px,
+            rmsd_px=measure.rmsd_px,
+        )
+
+    def _remember(self, day: Day) -> None:
+        self._archive.save_day(day)
+        text = f"{day.date} was {day.verdict}: {'; '.join(day.reasons)}"
+        details = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
+        self._archive.add_event(
+            Event(time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera, details=details)
+        )
+        _log.info("%s", text)

@@ -1,0 +1,136 @@
+"""From sun exposures to sightings in the archive."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sunarc.archive import Archive, SunPoint
+from sunarc.board import StatusBoard
+from sunarc.cameras import Frame
+from sunarc.detection import Detection, DiscOptions, Sensor, bayer_of, detect_sun
+from sunarc.errors import InputError
+from sunarc.workers.handover import Handover
+from sunarc.workers.predictor import SunPredictor
+
+_POLL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectOptions:
+    """What the detector is told about the sensor.
+
+    Attributes
+    ----------
+    full_well_e : electrons at full scale.
+    read_noise_e : electrons.
+    black_level_fraction : of full scale.
+    """
+
+    full_well_e: float = 20_000.0
+    read_noise_e: float = 12.0
+    black_level_fraction: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor has."""
+        if self.full_well_e <= 0.0 or self.read_noise_e < 0.0 or not 0.0 <= self.black_level_fraction < 1.0:
+            raise InputError(
+                field="sensor", problem="a value is out of bounds", remedy="give electrons, and a fraction below 1"
+            )
+
+
+class DetectWorker:
+    """Looks for the sun in each frame handed over and stores what it saw, rejected or not.
+
+    Parameters
+    ----------
+    frames : the sun exposures, oldest first.
+    archive, camera : where sightings go, and under which name.
+    predictor : where the sun should be.
+    options, disc : the sensor, and the detector's settings.
+    clock_error_s : bound of the error of the frames' times, seconds.
+    report : told of every detection (the exposure controller listens).
+    board : told when the sun was last seen.
+    """
+
+    def __init__(
+        self,
+        frames: Handover[Frame],
+        *,
+        archive: Archive,
+        camera: str,
+        predictor: SunPredictor,
+        options: DetectOptions,
+        disc: DiscOptions,
+        clock_error_s: Callable[[], float],
+        report: Callable[[Frame, Detection], None],
+        board: StatusBoard,
+    ) -> None:
+        self._frames = frames
+        self._archive = archive
+        self._camera = camera
+        self._predictor = predictor
+        self._options = options
+        self._disc = disc
+        self._clock_error_s = clock_error_s
+        self._report = report
+        self._board = board
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Work until stopped, and then until nothing waits."""
+        while True:
+            heartbeat()
+            frame = self._frames.get(timeout_s=_POLL_S)
+            if frame is not None:
+                self.look_at(frame)
+            elif stop.is_set():
+                return
+
+    def look_at(self, frame: Frame) -> Detection:
+        """Detect, store and report one frame."""
+        detection = detect_sun(
+            frame.image,
+            sensor=self._sensor(frame),
+            expectation=self._predictor.expectation(frame.time),
+            options=self._disc,
+            exposure_us=frame.exposure_us,
+        )
+        self._archive.add_sun_points([self._sun_point(frame, detection)])
+        self._report(frame, detection)
+        if detection.accepted:
+            self._board.note(last_sighting_at=frame.time)
+        return detection
+
+    def _sensor(self, frame: Frame) -> Sensor:
+        return Sensor(
+            full_scale=frame.full_scale,
+            gain_e_per_count=self._options.full_well_e / frame.full_scale,
+            read_noise_e=self._options.read_noise_e,
+            black_level=self._options.black_level_fraction * frame.full_scale,
+            bayer=bayer_of(frame.pixel_format),
+        )
+
+    def _sun_point(self, frame: Frame, detection: Detection) -> SunPoint:
+        return SunPoint(
+            camera=self._camera,
+            pose_epoch=self._archive.epoch_at(self._camera, frame.time, reason="first frame").id,
+            time=frame.time,
+            method=detection.method,
+            accepted=detection.accepted,
+            verdict=detection.verdict,
+            reason=detection.reason,
+            exposure_us=frame.exposure_us,
+            x_px=detection.x_px,
+            y_px=detection.y_px,
+            sigma_px=detection.sigma_px,
+            peak_fraction=detection.peak_fraction,
+            background_fraction=detection.background_fraction,
+            radius_px=detection.radius_px,
+            ellipticity=detection.ellipticity,
+            residual_chi2=detection.residual_chi2,
+            snr=detection.snr,
+            saturated_px=detection.saturated_px,
+            clock_error_s=self._clock_error_s(),
+        )
+

@@ -1,0 +1,60 @@
+"""What time the frames say it is; dates sightings and days, never a timeout."""
+
+from __future__ import annotations
+
+import math
+import threading
+from datetime import UTC, datetime, timedelta
+
+from sunarc.clock import Clock
+from sunarc.errors import InputError
+
+
+class FrameTime:
+    """The host's wall clock, or the camera's disciplined clock carried on between its frames.
+
+    Parameters
+    ----------
+    clock : the host's clocks.
+    follows_camera : take the time from the frames.
+    speed : seconds of frame time in a real second; other than 1 only for a simulated camera.
+    """
+
+    def __init__(self, clock: Clock, *, follows_camera: bool, speed: float = 1.0) -> None:
+        if not follows_camera and speed != 1.0:
+            raise InputError(
+                field="capture.speed", problem="the host's clock runs at speed 1", remedy='set timestamps = "camera"'
+            )
+        self._clock = clock
+        self._follows_camera = follows_camera
+        self._speed = speed
+        self._lock = threading.Lock()
+        self._last: tuple[datetime, float] | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether a time can be told: at once from the host, after the first frame from a camera."""
+        return not self._follows_camera or self._last is not None
+
+    def note(self, captured_at: datetime) -> None:
+        """Take the time from a frame just received."""
+        with self._lock:
+            self._last = (captured_at, self._clock.monotonic())
+
+    def now(self) -> datetime:
+        """Return the frame time, aware, UTC; the host's until a camera has told its own."""
+        with self._lock:
+            last = self._last
+        if not self._follows_camera or last is None:
+            return self._clock.now()
+        captured_at, at = last
+        return captured_at + timedelta(seconds=(self._clock.monotonic() - at) * self._speed)
+
+    def real_seconds_until(self, moment: datetime) -> float:
+        """Return how long to wait for a moment in frame time; negative when it is past."""
+        return (moment - self.now()).total_seconds() / self._speed
+
+    def next_slot(self, *, every_s: float) -> datetime:
+        """Return the next moment that is a whole multiple of `every_s` since 1970-01-01 UTC."""
+        slots = math.floor(self.now().timestamp() / every_s) + 1
+        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=slots * every_s)

@@ -1,0 +1,67 @@
+"""Where the sun should be in the image, from the calibration that is current."""
+
+from __future__ import annotations
+
+import math
+import threading
+from datetime import datetime
+
+import numpy as np
+
+from sunarc.archive import Archive
+from sunarc.calibration import Calibration, from_document, project_with_covariance
+from sunarc.detection import Expectation
+from sunarc.optics import local_stretch
+from sunarc.sky import Site, sun_angles, sun_directions
+
+_LEAST_UNCERTAINTY_PX = 2.0
+
+
+class SunPredictor:
+    """Answers where the sun is in the sky and on the sensor.
+
+    Parameters
+    ----------
+    archive : where the calibrations are.
+    camera : the camera's name.
+    site : where it stands.
+    """
+
+    def __init__(self, archive: Archive, *, camera: str, site: Site) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._lock = threading.Lock()
+        self._known: tuple[str, Calibration] | None = None
+
+    def apparent_zenith(self, moment: datetime) -> float:
+        """Return the sun's apparent zenith angle in degrees."""
+        return float(sun_angles(moment.timestamp(), self._site).apparent_zenith)
+
+    def expectation(self, moment: datetime) -> Expectation | None:
+        """Return where the sun should be; None before there is a calibration, or outside its field."""
+        calibration = self._current()
+        if calibration is None:
+            return None
+        direction = sun_directions(moment.timestamp(), self._site)
+        pixel, covariance = project_with_covariance(calibration, direction)
+        if not np.all(np.isfinite(pixel)):
+            return None
+        (a, b), (c, d) = local_stretch(calibration.camera, direction).tolist()
+        uncertainty = math.sqrt(float(np.trace(covariance)) / 2.0)
+        return Expectation(
+            x_px=float(pixel[0]),
+            y_px=float(pixel[1]),
+            uncertainty_px=max(uncertainty, _LEAST_UNCERTAINTY_PX),
+            stretch_px_per_rad=((a, b), (c, d)),
+            apparent_zenith=math.radians(self.apparent_zenith(moment)),
+        )
+
+    def _current(self) -> Calibration | None:
+        record = self._archive.current_calibration(self._camera)
+        if record is None:
+            return None
+        with self._lock:
+            if self._known is None or self._known[0] != record.id:
+                self._known = (record.id, from_document(record.document))
+            return self._known[1]

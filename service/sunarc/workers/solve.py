@@ -1,0 +1,97 @@
+"""A solve in a process of its own, so that a night's fit never delays a frame."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
+from sunarc.clock import Clock
+from sunarc.sky import Site
+
+_POLL_S = 0.25
+_NICENESS = 10
+
+
+class SolveFailedError(Exception):
+    """The child process ended without an answer, or took too long."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """What `sunarc.calibration.calibrate` is given."""
+
+    points: SunPoints
+    site: Site
+    image_size: tuple[int, int]
+    options: CalibrationOptions
+
+
+def solve_in_child(
+    problem: Problem,
+    *,
+    clock: Clock,
+    time_limit_s: float,
+    stop: threading.Event,
+    heartbeat: Callable[[], None],
+) -> Calibration | None:
+    """Solve in a fresh process (spawned, never forked: the camera library has threads).
+
+    Returns
+    -------
+    The calibration; None when `stop` was set before it was there.
+
+    Raises
+    ------
+    SolveFailedError : when the process died or took longer than `time_limit_s`.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(target=_solve, args=(sending, problem), name="solve", daemon=True)
+    process.start()
+    sending.close()
+    try:
+        return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    finally:
+        receiving.close()
+        process.kill()
+        process.join()
+
+
+def _answer(
+    receiving: Connection[object, object],
+    monotonic: Callable[[], float],
+    *,
+    time_limit_s: float,
+    stop: threading.Event,
+    heartbeat: Callable[[], None],
+) -> Calibration | None:
+    end = monotonic() + time_limit_s
+    while not stop.is_set():
+        heartbeat()
+        if receiving.poll(_POLL_S):
+            try:
+                answer = receiving.recv()
+            except EOFError:
+                raise SolveFailedError("the solving process died; see the log") from None
+            if not isinstance(answer, Calibration):
+                raise SolveFailedError(f"the solve failed: {answer}")
+            return answer
+        if monotonic() > end:
+            raise SolveFailedError(f"the solve took longer than {time_limit_s:g} s")
+    return None
+
+
+def _solve(sending: Connection[object, object], problem: Problem) -> None:
+    os.nice(_NICENESS)
+    try:
+        answer: object = calibrate(
+            problem.points, site=problem.site, image_size=problem.image_size, options=problem.options
+        )
+    except Exception as error:  # noqa: BLE001 - the parent tells it; the process ends anyway
+        answer = f"{type(error).__name__}: {error}"
+    sending.send(answer)

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import io
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from sunarc.archive import read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.errors import InputError
+
+HEADER = "time_utc,x_px,y_px,sigma_px,body"
+ROW = "2013-05-13T18:30:00Z,871.5,883.25,0.01,sun"
+
+
+def test_a_table_is_read_as_it_was_written() -> None:
+    moment = datetime(2013, 5, 13, 18, 30, 0, 250_000, tzinfo=UTC)
+    file = io.StringIO()
+    assert write_sightings(file, [(moment, 871.5, 883.25, 0.01, "sun"), (moment, 1.0, 2.0, None, "sun")]) == 2
+    table = read_sightings(file.getvalue().splitlines(), name="points.csv")
+    assert table.unix_s.tolist() == [moment.timestamp()] * 2
+    assert table.pixels.tolist() == [[871.5, 883.25], [1.0, 2.0]]
+    assert table.sigma_px[0] == 0.01
+    assert np.isnan(table.sigma_px[1])
+
+
+def test_sigma_and_body_may_be_left_out_and_columns_may_stand_in_any_order() -> None:
+    table = read_sightings(["y_px,time_utc,x_px", "2,2013-05-13T13:30:00-05:00,1"], name="points.csv")
+    assert table.pixels.tolist() == [[1.0, 2.0]]
+    assert table.unix_s.tolist() == [datetime(2013, 5, 13, 18, 30, tzinfo=UTC).timestamp()]
+
+
+def test_empty_lines_and_a_byte_order_mark_do_no_harm() -> None:
+    assert read_sightings(["\ufeff" + HEADER, "", ROW, " "], name="points.csv").unix_s.size == 1
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("2013-05-13T18:30:00Z,871.5", "line 3: 2 cells for 5 columns"),
+        ("yesterday,871.5,883.25,0.01,sun", "line 3, time_utc: 'yesterday' is no time"),
+        ("2013-05-13T18:30:00,871.5,883.25,0.01,sun", "line 3, time_utc: .* has no time zone"),
+        ("2013-05-13T18:30:00Z,nan,883.25,0.01,sun", "line 3, x_px: 'nan' is not a finite number"),
+        ("2013-05-13T18:30:00Z,871.5,inf,0.01,sun", "line 3, y_px: 'inf' is not a finite number"),
+        ("2013-05-13T18:30:00Z,871.5,883.25,-1,sun", "line 3, sigma_px: '-1' is not positive"),
+        ("2013-05-13T18:30:00Z,871.5,883.25,0.01,moon", "line 3, body: 'moon' is not known"),
+    ],
+)
+def test_a_bad_row_is_named_by_line_and_column(row: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        read_sightings([HEADER, ROW, row], name="points.csv")
+
+
+def test_a_missing_column_and_an_empty_file_are_named() -> None:
+    with pytest.raises(InputError, match="no column y_px"):
+        read_sightings(["time_utc,x_px"], name="points.csv")
+    with pytest.raises(InputError, match="is empty"):
+        read_sightings([], name="points.csv")
+
+
+def test_pairs_are_read_by_their_names() -> None:
+    assert read_pairs(["a,y_px,x_px", "0,2,1"], columns=("x_px", "y_px"), name="stdin").tolist() == [[1.0, 2.0]]
+
+
+def test_a_number_that_is_not_known_is_an_empty_cell() -> None:
+    file = io.StringIO()
+    write_columns(
+        file, {"x_px": np.array([1.5, np.nan]), "inside": np.array([1.0, 0.0])}, places={"x_px": 3, "inside": 0}
+    )
+    assert file.getvalue() == "x_px,inside\n1.500,1\n,0\n"

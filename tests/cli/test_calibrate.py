@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sunarc.archive import write_sightings
+from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
+from sunarc.sky import Site, sun_angles, sun_directions
+
+if TYPE_CHECKING:
+    from .conftest import Sunarc
+
+REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
+SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
+AT_SGP = ("--latitude", "36.604043", "--longitude", "-97.484856", "--altitude", "318", "--image-size", "1748,1748")
+CAMERA = Camera(
+    width=1748,
+    height=1748,
+    projection="equisolid",
+    focal_length_px=(601.32, 601.32),
+    principal_point_px=(871.96, 883.0),
+    rotation_cam_enu=rotation_from_pose_angles(PoseAngles(47.91, 2.46, 140.16)),
+)
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    """Write a clear day of sightings, one every four minutes, with 0.02 px of noise."""
+    times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 240.0)
+    times = times[sun_angles(times, SITE).apparent_zenith < 88.0]
+    pixels = project(CAMERA, sun_directions(times, SITE)) + np.random.default_rng(1).normal(0.0, 0.02, (times.size, 2))
+    path = tmp_path / "points.csv"
+    with path.open("w") as file:
+        write_sightings(
+            file,
+            [
+                (datetime.fromtimestamp(t, UTC), x, y, 0.02, "sun")
+                for t, (x, y) in zip(times.tolist(), pixels.tolist(), strict=True)
+            ],
+        )
+    return path
+
+
+def test_a_clear_day_is_accepted_and_its_document_answers_for_pixels_and_directions(
+    sunarc: Sunarc, points: Path, tmp_path: Path
+) -> None:
+    answer = sunarc("calibrate", str(points), *AT_SGP, "--json")
+    assert answer.code == 0, answer.err
+    document = json.loads(answer.out)
+    assert document["schema"] == "sunarc.calibration/1"
+    assert document["metrics"]["rmse_px"] < 0.05
+    file = tmp_path / "calibration.json"
+    file.write_text(answer.out)
+    placed = sunarc("project", "--calibration", str(file), stdin="zenith_deg,azimuth_deg\n40,135\n170,10\n")
+    rows = placed.out.splitlines()
+    assert rows[0] == "x_px,y_px,sigma_px,cov_xx,cov_xy,cov_yy,inside"
+    assert rows[2] == ",,,,,,0"
+    x, y, sigma, *_, inside = rows[1].split(",")
+    assert inside == "1"
+    back = sunarc("unproject", "--calibration", str(file), stdin=f"x_px,y_px\n{x},{y}\n-500,-500\n")
+    header, found, outside = back.out.splitlines()
+    assert header == "zenith_deg,azimuth_deg,sigma_deg,inside"
+    zenith, azimuth, sigma_deg, inside = found.split(",")
+    assert (float(zenith), float(azimuth), inside) == (
+        pytest.approx(40.0, abs=1e-7),
+        pytest.approx(135.0, abs=1e-7),
+        "1",
+    )
+    assert 0.0 < float(sigma_deg) < 0.1
+    assert 0.0 < float(sigma) < 1.0
+    assert outside.endswith(",0")
+
+
+def test_a_readable_summary_is_printed_without_json(sunarc: Sunarc, points: Path) -> None:
+    answer = sunarc("calibrate", str(points), *AT_SGP)
+    assert answer.code == 0
+    assert "equisolid" in answer.out
+    assert "accepted" in answer.out
+
+
+def test_a_refused_fit_exits_1_and_still_prints_its_document(sunarc: Sunarc, points: Path) -> None:
+    lines = points.read_text().splitlines()
+    points.write_text("\n".join(lines[:4]))
+    answer = sunarc("calibrate", str(points), *AT_SGP, "--json")
+    assert answer.code == 1
+    verdict = json.loads(answer.out)["verdict"]
+    assert not verdict["accepted"]
+    assert verdict["reasons"]
+
+
+@pytest.mark.real
+@pytest.mark.skipif(not REAL.exists(), reason="the real sun tracks are not beside the repository")
+def test_real_detections_of_a_consumer_fisheye_fit_to_less_than_a_pixel(sunarc: Sunarc) -> None:
+    place = ("--latitude", "54.495866", "--longitude", "11.237683", "--altitude", "9")
+    answer = sunarc(
+        "calibrate", str(REAL), *place, "--image-size", "1920,1920", "--projection", "equidistant", "--json"
+    )
+    metrics = json.loads(answer.out)["metrics"]
+    assert metrics["rmse_px"] <= 0.95
+    assert math.isfinite(metrics["rmse_all_px"])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("--image-size", "big"), "--image-size: 'big' is not W,H"),
+        (("--projection", "mercator"), "projection: 'mercator' is unknown"),
+        (("--latitude", "136"), "latitude: 136.0 is not within -90 to 90"),
+        (("--mirrored", "perhaps"), "mirrored: 'perhaps' is unknown"),
+        (("--image-size", "500,500"), "is outside the 500x500 image"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_exit_2(
+    sunarc: Sunarc, points: Path, change: tuple[str, str], told: str
+) -> None:
+    answer = sunarc("calibrate", str(points), *AT_SGP, *change)
+    assert answer.code == 2
+    assert told in answer.err
+    assert answer.err.count("\n") == 1
+
+
+def test_a_malformed_row_is_named_by_its_line(sunarc: Sunarc, points: Path) -> None:
+    points.write_text(points.read_text() + "2013-05-14T18:30:00Z,oops,3,0.02,sun\n")
+    answer = sunarc("calibrate", str(points), *AT_SGP)
+    assert answer.code == 2
+    assert "x_px: 'oops' is not a finite number" in answer.err
+
+
+def test_a_document_that_is_none_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path: Path) -> None:
+    file = tmp_path / "calibration.json"
+    for text in ("{", "{}", '{"schema": "other/1"}'):
+        file.write_text(text)
+        answer = sunarc("project", "--calibration", str(file), stdin="zenith_deg,azimuth_deg\n1,2\n")
+        assert answer.code == 2
+        assert answer.err.count("\n") == 1

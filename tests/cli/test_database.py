@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.archive import CameraRecord, open_archive
+
+if TYPE_CHECKING:
+    from .conftest import Sunarc
+
+POINTS = (
+    "time_utc,x_px,y_px,sigma_px,body\n2013-05-13T18:30:00Z,871.5,883.25,0.01,sun\n2013-05-13T18:31:00Z,870,880,,sun\n"
+)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "sunarc.toml"
+    path.write_text(f'name = "roof"\nstate = "{tmp_path}/state"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n')
+    return path
+
+
+@pytest.fixture
+def with_camera(sunarc: Sunarc, config: Path) -> Path:
+    state = config.parent / "state"
+    assert sunarc("db", "upgrade", "--state", str(state)).code == 0
+    archive = open_archive(state / "sunarc.sqlite")
+    archive.save_camera(
+        CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=0.0, width=1748, height=1748)
+    )
+    archive.close()
+    return config
+
+
+def test_a_database_is_made_checked_and_copied(sunarc: Sunarc, tmp_path: Path) -> None:
+    state = str(tmp_path / "state")
+    assert sunarc("db", "upgrade", "--state", state).code == 0
+    assert "up to date" in sunarc("db", "upgrade", "--state", state).out
+    checked = sunarc("db", "check", "--state", state, "--json")
+    assert checked.code == 0
+    assert json.loads(checked.out)["sound"] is True
+    copy = tmp_path / "copy.sqlite"
+    assert sunarc("db", "backup", str(copy), "--state", state).code == 0
+    assert copy.stat().st_size > 0
+
+
+def test_a_database_that_is_missing_is_refused_with_the_command_to_run(sunarc: Sunarc, config: Path) -> None:
+    answer = sunarc("points", "export", "--config", str(config))
+    assert answer.code == 2
+    assert f"sunarc db upgrade --state {config.parent}/state" in answer.err
+
+
+def test_imported_sightings_come_out_again_and_are_not_doubled(sunarc: Sunarc, with_camera: Path) -> None:
+    file = with_camera.parent / "points.csv"
+    file.write_text(POINTS)
+    first = sunarc("points", "import", str(file), "--config", str(with_camera))
+    assert "2 of 2 sightings added" in first.out
+    second = sunarc("points", "import", str(file), "--config", str(with_camera))
+    assert "0 of 2 sightings added, 2 were there already" in second.out
+    exported = sunarc("points", "export", "--config", str(with_camera)).out.splitlines()
+    assert exported[1:] == [
+        "2013-05-13T18:30:00.000000Z,871.500000,883.250000,0.010000,sun",
+        "2013-05-13T18:31:00.000000Z,870.000000,880.000000,,sun",
+    ]
+    since = sunarc("points", "export", "--config", str(with_camera), "--since", "2013-05-13T18:31:00Z")
+    assert len(since.out.splitlines()) == 2
+
+
+def test_a_bad_row_changes_nothing(sunarc: Sunarc, with_camera: Path) -> None:
+    file = with_camera.parent / "points.csv"
+    file.write_text(POINTS + "2013-05-13T18:32:00Z,99999,880,,sun\n")
+    answer = sunarc("points", "import", str(file), "--config", str(with_camera))
+    assert answer.code == 2
+    assert "pixel (99999, 880) is outside the 1748x1748 image" in answer.err
+    assert sunarc("points", "export", "--config", str(with_camera)).out.count("\n") == 1
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to_is_one_line_and_exit_3(sunarc: Sunarc, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    answer = sunarc("db", "upgrade", "--state", str(tmp_path / "state"))
+    assert answer.code == 3
+    assert answer.err.count("\n") == 1
