@@ -150,3 +150,19 @@ def test_a_camera_may_be_described_anew(archive: Archive) -> None:
     changed = replace(archive.cameras()[0], serial="42")
     archive.save_camera(changed)
     assert archive.cameras() == (changed,)
+
+
+def test_the_epoch_of_a_moment_is_opened_when_there_is_none(archive: Archive) -> None:
+    archive.save_camera(replace(archive.cameras()[0], name="attic"))
+    first = archive.epoch_at("attic", NOON, reason="first frame")
+    assert first == PoseEpoch(id="attic-1", camera="attic", started_at=NOON, reason="first frame")
+    assert archive.epoch_at("attic", NOON + timedelta(days=9), reason="another") == first
+
+
+def test_the_first_epoch_reaches_back_to_earlier_sightings_and_no_other_does(archive: Archive) -> None:
+    archive.open_epoch("roof", at=NOON, reason="bumped")
+    assert archive.epoch_at("roof", NOON - timedelta(seconds=1), reason="import").id == "roof-1"
+    early = datetime(2012, 1, 1, tzinfo=UTC)
+    reaching = archive.epoch_at("roof", early, reason="import")
+    assert (reaching.id, reaching.started_at) == ("roof-1", early)
+    assert archive.epochs("roof") == (reaching, archive.current_epoch("roof"))
