@@ -1,0 +1,175 @@
+"""The sun in one microsecond frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sunarc.detection.fit import fit_disc
+from sunarc.detection.frames import require_raw
+from sunarc.detection.judge import detection_of, verdict_of
+from sunarc.detection.model import Prior
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.search import Spot, brightest_spots, symmetric_root
+from sunarc.detection.template import disc_sources
+from sunarc.detection.values import Detection, Expectation, FloatArray, Image, Sensor, Verdict
+from sunarc.detection.window import Window, cut
+
+_CANDIDATES = 3
+_MARGIN_PX = 5.0
+_DEFAULT_OPTIONS = DiscOptions()
+
+
+def detect_sun(
+    image: Image,
+    *,
+    sensor: Sensor,
+    expectation: Expectation | None = None,
+    options: DiscOptions = _DEFAULT_OPTIONS,
+    exposure_us: float | None = None,
+) -> Detection:
+    """Find the sun's disc in a raw frame.
+
+    Parameters
+    ----------
+    image : (rows, columns) uint8 or uint16 counts; a Bayer mosaic as it comes from the sensor.
+    sensor : full scale, noise, colours.
+    expectation : where to look; without one the whole frame is searched, and the disc's size is free.
+    options : the search's and the verdict's.
+    exposure_us : told on in the answer.
+
+    Returns
+    -------
+    What was seen; "no sun" is an answer with its reason. Positions in px, (0, 0) the centre of the top-left pixel.
+
+    Raises
+    ------
+    InputError : the array is no image of this sensor.
+    """
+    require_raw(image, sensor)
+    limit = math.radians(options.max_apparent_zenith_deg)
+    if expectation is not None and expectation.apparent_zenith is not None and expectation.apparent_zenith > limit:
+        zenith = math.degrees(expectation.apparent_zenith)
+        found = _none("below_horizon", f"the sun is at {zenith:.2f} degrees from the zenith")
+    elif expectation is None:
+        found = _search(image, sensor=sensor, options=options)
+    else:
+        found = _look(image, sensor=sensor, expectation=expectation, options=options)
+    return replace(found, exposure_us=exposure_us)
+
+
+def _none(verdict: Verdict, reason: str) -> Detection:
+    return Detection(method="disc", accepted=False, verdict=verdict, reason=reason)
+
+
+def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: DiscOptions) -> Detection:
+    """Look around the expected pixel."""
+    height, width = image.shape
+    if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
+        return _none("hidden", "the sun is outside the image")
+    axes = _expected_axes(expectation, options)
+    reach = 2.0 + 5.0 * expectation.uncertainty_px + 2.0 * (options.max_radius_px if axes is None else _major(axes))
+    x0, y0 = max(0, round(expectation.x_px - reach)), max(0, round(expectation.y_px - reach))
+    part = image[y0 : round(expectation.y_px + reach) + 1, x0 : round(expectation.x_px + reach) + 1]
+    spots = brightest_spots(part, count=1, reach=max(part.shape), floor=_floor(sensor, options))
+    if not spots:
+        return _dark(part, sensor, options)
+    spot = spots[0]._replace(x=spots[0].x + x0, y=spots[0].y + y0)
+    return _fitted(image, spot, axes, sensor=sensor, expectation=expectation, options=options)
+
+
+def _search(image: Image, *, sensor: Sensor, options: DiscOptions) -> Detection:
+    """Search the whole frame; of several discs the brightest must stand alone."""
+    reach = math.ceil(1.5 * options.max_radius_px)
+    spots = brightest_spots(image, count=_CANDIDATES, reach=reach, floor=_floor(sensor, options))
+    if not spots:
+        return _dark(image, sensor, options)
+    found = [_fitted(image, spot, None, sensor=sensor, expectation=None, options=options) for spot in spots]
+    believed = sorted((d for d in found if d.accepted), key=_flux, reverse=True)
+    if len(believed) > 1 and _flux(believed[1]) > 0.5 * _flux(believed[0]):
+        return replace(
+            believed[0],
+            accepted=False,
+            verdict="reflection",
+            reason="two discs of like brightness, one is a reflection",
+        )
+    return believed[0] if believed else found[0]
+
+
+def _flux(detection: Detection) -> float:
+    return (detection.peak_fraction or 0.0) * (detection.radius_px or 0.0) ** 2
+
+
+def _floor(sensor: Sensor, options: DiscOptions) -> float:
+    """Return the counts that a disc's core exceeds, noise allowed for; a Bayer mosaic's weakest colour has fewest."""
+    share = 0.3 if sensor.bayer else 0.5
+    noise = 2.0 * sensor.read_noise_e / sensor.gain_e_per_count
+    return sensor.black_level + max(share * options.min_peak_fraction * sensor.full_scale - noise, 0.0)
+
+
+def _expected_axes(expectation: Expectation, options: DiscOptions) -> FloatArray | None:
+    if expectation.stretch_px_per_rad is None:
+        return None
+    stretch = np.array(expectation.stretch_px_per_rad) * math.radians(options.solar_radius_deg)
+    return symmetric_root(stretch @ stretch.T)
+
+
+def _major(axes: FloatArray) -> float:
+    return float(np.linalg.eigvalsh(axes)[-1])
+
+
+def _dark(part: Image, sensor: Sensor, options: DiscOptions) -> Detection:
+    top = float(part.max()) if part.size else 0.0
+    peak = max(top - sensor.black_level, 0.0) / sensor.full_scale
+    reason = f"nothing brighter than {options.min_peak_fraction:g} of full scale but single pixels"
+    return replace(_none("hidden", reason), peak_fraction=peak)
+
+
+def _fitted(
+    image: Image,
+    spot: Spot,
+    axes: FloatArray | None,
+    *,
+    sensor: Sensor,
+    expectation: Expectation | None,
+    options: DiscOptions,
+) -> Detection:
+    """Fit and judge the disc at a spot; `axes` None: the disc's shape is fitted too."""
+    start = _first_axes(spot, options) if axes is None else axes
+    half = math.ceil(max(_major(start), spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
+    if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
+        return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
+    window = cut(
+        image,
+        center=(spot.x, spot.y),
+        half=half,
+        sensor=sensor,
+        saturation_fraction=options.saturation_fraction,
+    )
+    if _all_saturated(window):
+        return replace(
+            _none("saturated", f"{window.saturated_px} pixels around the sun are saturated"),
+            saturated_px=window.saturated_px,
+            peak_fraction=1.0,
+        )
+    sources = disc_sources(
+        radius_px=math.sqrt(np.linalg.det(start)), psf_px=options.psf_px, limb_darkening=options.limb_darkening
+    )
+    prior = Prior(math.log(options.psf_px), options.psf_tolerance, free_stretch=axes is None)
+    fit = fit_disc(window, start=(spot.x, spot.y), stretch=start, sources=sources, sensor=sensor, prior=prior)
+    if fit is None:
+        return _none("hidden", "too few pixels for a fit")
+    verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
+    return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
+
+
+def _first_axes(spot: Spot, options: DiscOptions) -> FloatArray:
+    values, vectors = np.linalg.eigh(spot.axes)
+    values = np.clip(values, options.min_radius_px, options.max_radius_px)
+    return np.asarray((vectors * values) @ vectors.T)
+
+
+def _all_saturated(window: Window) -> bool:
+    return bool(np.count_nonzero(window.usable) < 0.3 * window.usable.size)

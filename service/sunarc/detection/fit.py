@@ -1,0 +1,198 @@
+"""The least-squares fit of the sun's disc, saturated pixels left out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.detection import template
+from sunarc.detection.model import (
+    NONLINEAR,
+    Evaluation,
+    Prior,
+    Problem,
+    State,
+    evaluate,
+    make_problem,
+    normal_equations,
+    with_levels,
+    without,
+)
+from sunarc.detection.template import Sources
+from sunarc.detection.values import FloatArray, Sensor
+from sunarc.detection.window import Window
+
+_STEPS = 25
+_CONVERGED_PX = 2e-4
+_OUTLIER = 6.0
+_OUTLIER_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DiscFit:
+    """The fitted disc; positions in the image, levels in counts above black.
+
+    Attributes
+    ----------
+    x_px, y_px, sigma_px : centre and its 1-sigma per axis, scaled by the reduced chi².
+    psf_px : point spread. stretch : (2, 2) px, from the unit disc.
+    level : the brightest colour's level of the disc's centre. background : that colour's level around it.
+    snr : flux over its standard deviation, the shape given. chi2 : reduced chi².
+    residual : rms of what noise does not explain, over the level (at most full scale).
+    shift_px, shift_sigma_px : how far the centre moves when the disc's brightness may slope.
+    used_px, converged : pixels that took part; whether the steps became small.
+    """
+
+    x_px: float
+    y_px: float
+    sigma_px: float
+    psf_px: float
+    stretch: FloatArray
+    level: float
+    background: float
+    snr: float
+    chi2: float
+    residual: float
+    shift_px: float
+    shift_sigma_px: float
+    used_px: int
+    converged: bool
+
+
+def fit_disc(
+    window: Window, *, start: tuple[float, float], stretch: FloatArray, sources: Sources, sensor: Sensor, prior: Prior
+) -> DiscFit | None:
+    """Fit the disc in a window.
+
+    Parameters
+    ----------
+    window : the pixels.
+    start : first guess of the centre in the image, px.
+    stretch : (2, 2) symmetric, px, takes the unit disc to the sun's image (a first guess where it is free).
+    sources : the unit disc.
+    sensor, prior : noise, and what is known of the disc.
+
+    Returns
+    -------
+    The fit, or None where too few pixels can be used.
+    """
+    position = np.array([start[0] - window.first[0], start[1] - window.first[1], prior.log_psf])
+    nonlinear = np.concatenate([position, stretch[[0, 0, 1], [0, 1, 1]]])
+    problem = make_problem(
+        window, usable=window.usable, origin=nonlinear[:2], sensor=sensor, sources=sources, prior=prior
+    )
+    if problem.counts.size < 30 + 4 * window.colours:
+        return None
+    state, evaluation, converged = _solve(problem, with_levels(problem, nonlinear))
+    bad = _outliers(evaluation)
+    if bad.any():
+        problem = without(problem, bad)
+        state, evaluation, converged = _solve(problem, state)
+    return _summary(problem, state, evaluation, converged=converged)
+
+
+def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
+    nonlinear, colours = state.nonlinear.copy(), problem.window.colours
+    count = NONLINEAR if problem.prior.free_stretch else 3
+    nonlinear[:count] += np.clip(step[:count], -2.0, 2.0)
+    nonlinear[2] = np.clip(nonlinear[2], problem.prior.log_psf - 1.5, problem.prior.log_psf + 1.5)
+    flux, background, slope = np.split(step[count:], [colours, 2 * colours])
+    return State(nonlinear, state.flux + flux, state.background + background, state.slope + slope)
+
+
+def _solve(problem: Problem, state: State) -> tuple[State, Evaluation, bool]:
+    """Minimise by Levenberg and Marquardt's method."""
+    evaluation, damping = evaluate(problem, state), 1e-6
+    for _ in range(_STEPS):
+        matrix, gradient = normal_equations(problem, state, evaluation)
+        scale = np.maximum(np.diag(matrix), 1e-12)
+        step = np.asarray(np.linalg.solve(matrix + np.diag(scale * damping + 1e-12), gradient), dtype=np.float64)
+        following = _stepped(problem, state, step)
+        tried = evaluate(problem, following)
+        if tried.cost < evaluation.cost + 1e-3:
+            moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
+            small = moved < _CONVERGED_PX or (moved < 10.0 * _CONVERGED_PX and gained < 0.01)
+            state, evaluation, damping = following, tried, damping * 0.1
+            if small:
+                return state, evaluation, True
+        else:
+            damping = max(damping, 1e-5) * 100.0
+        if damping > 1e8:
+            break
+    return state, evaluation, False
+
+
+def _outliers(evaluation: Evaluation) -> NDArray[np.bool_]:
+    """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
+    deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
+    typical = 1.4826 * float(np.median(deviation))
+    bad = deviation > _OUTLIER * max(1.0, typical)
+    few = np.count_nonzero(bad) <= max(3, _OUTLIER_SHARE * bad.size)
+    return bad if few else np.zeros_like(bad)
+
+
+def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converged: bool) -> DiscFit:
+    matrix, _ = normal_equations(problem, state, evaluation)
+    covariance = _inverse(matrix)
+    count = evaluation.residual.size
+    chi2 = float(evaluation.weight @ evaluation.residual**2) / max(count - matrix.shape[0], 1)
+    first_flux = matrix.shape[0] - 2 - 2 * problem.window.colours
+    levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
+    best = int(np.argmax(levels))
+    flux_sigma = math.sqrt(max(float(_inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
+    level = float(levels[best]) / (math.pi * problem.sources.mean_level)
+    shift, shift_sigma = _shift(problem, state, evaluation, covariance)
+    excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
+    top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
+    return DiscFit(
+        x_px=float(state.nonlinear[0]) + problem.window.first[0],
+        y_px=float(state.nonlinear[1]) + problem.window.first[1],
+        sigma_px=math.sqrt(max(0.5 * float(np.trace(covariance[:2, :2])) * _local_chi2(evaluation, covariance), 0.0)),
+        psf_px=math.exp(float(state.nonlinear[2])),
+        stretch=state.stretch,
+        level=level,
+        background=float(state.background[best]),
+        snr=float(state.flux[best]) / flux_sigma,
+        chi2=chi2,
+        residual=math.sqrt(max(excess, 0.0)) / top,
+        shift_px=shift,
+        shift_sigma_px=shift_sigma * math.sqrt(max(chi2, 1.0)),
+        used_px=count,
+        converged=converged,
+    )
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a normal matrix; what the data do not tell becomes a large finite variance."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+    scaled = matrix / np.outer(scale, scale) + 1e-11 * np.eye(scale.size)
+    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
+
+
+def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
+    """Return the reduced chi² of the pixels that tell the position, each counting as much as it tells.
+
+    It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
+    """
+    tells = covariance[:2] @ (evaluation.jacobian * evaluation.weight[:, None]).T
+    weight = np.sum(tells**2, axis=0) / evaluation.weight
+    leverage = np.sum((evaluation.jacobian @ covariance) * evaluation.jacobian, axis=1) * evaluation.weight
+    square = evaluation.weight * evaluation.residual**2 / np.maximum(1.0 - leverage, 0.05)
+    total = max(float(weight.sum()), 1e-300)
+    freedom = max(total**2 / max(float(weight @ weight), 1e-300), 4.0)
+    return float(weight @ square) / total * freedom / (freedom - 2.0)
+
+
+def _shift(problem: Problem, state: State, evaluation: Evaluation, covariance: FloatArray) -> tuple[float, float]:
+    """Return how far one Gauss-Newton step moves the centre once the disc's brightness may slope, and its 1-sigma."""
+    flux = state.flux[problem.colour]
+    sloping = flux[:, None] * evaluation.planes[[template.SLOPE_U, template.SLOPE_V]].T
+    wider = evaluation._replace(jacobian=np.concatenate([evaluation.jacobian, sloping], axis=1))
+    matrix_wider, gradient_wider = normal_equations(problem, state, wider)
+    covariance_wider = _inverse(matrix_wider)
+    step = covariance_wider @ gradient_wider
+    gained = np.trace(covariance_wider[:2, :2]) - np.trace(covariance[:2, :2])
+    return float(np.hypot(step[0], step[1])), math.sqrt(max(0.5 * float(gained), 0.0))

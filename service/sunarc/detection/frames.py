@@ -1,0 +1,24 @@
+"""Whether an array can be an image of this sensor at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sunarc.detection.values import Image, Sensor
+from sunarc.errors import InputError
+
+
+def require_raw(image: Image, sensor: Sensor) -> None:
+    """Raise InputError unless the image is a (rows, columns) array of the sensor's counts."""
+    if image.ndim != 2 or min(image.shape) < 1:
+        raise InputError(
+            field="image", problem=f"its shape is {image.shape}", remedy="give one raw plane: rows and columns"
+        )
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(field="image", problem=f"its type is {image.dtype}", remedy="give uint8 or uint16")
+    if image.dtype == np.uint8 and sensor.full_scale > 255:
+        raise InputError(
+            field="image",
+            problem=f"8 bits cannot hold a full scale of {sensor.full_scale}",
+            remedy="correct full_scale",
+        )

@@ -1,0 +1,121 @@
+"""From the numbers of a fit to a verdict."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sunarc.detection.fit import DiscFit
+from sunarc.detection.options import DiscOptions
+from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
+
+_MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
+_TIGHT_PX = 1.0
+_SIGNIFICANT = 4.0
+
+
+def verdict_of(
+    fit: DiscFit, *, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
+) -> tuple[Verdict, bool, str]:
+    """Return the verdict, whether the position can be believed, and why, with the numbers it rests on."""
+    for check in (_no_disc, _elsewhere, _covered, _uncertain):
+        found = check(fit, expectation, options, sensor)
+        if found is not None:
+            return found[0], False, found[1]
+    veil = _veil(fit, expectation, options, sensor)
+    return ("veiled", True, veil) if veil else ("clear", True, f"a disc, reduced chi² {fit.chi2:.2f}")
+
+
+def _no_disc(
+    fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
+) -> tuple[Verdict, str] | None:
+    numbers = (fit.x_px, fit.y_px, fit.sigma_px, fit.level, fit.chi2, fit.snr)
+    if not all(math.isfinite(number) for number in numbers) or not fit.converged:
+        return "hidden", "no disc fits what is there"
+    if fit.snr < options.min_snr or fit.level < options.min_peak_fraction * sensor.full_scale:
+        return (
+            "hidden",
+            f"no disc: signal-to-noise {fit.snr:.1f}, level {fit.level / sensor.full_scale:.4f} of full scale",
+        )
+    if fit.level < _MIN_CONTRAST * fit.background:
+        return "hidden", f"no disc: only {fit.level / max(fit.background, 1e-9):.2f} of its surroundings' level"
+    deviation = abs(math.log(fit.psf_px / options.psf_px))
+    if deviation > 4.0 * options.psf_tolerance:
+        return "hidden", f"no disc: its edge is {fit.psf_px:.2f} px wide, not {options.psf_px:.2f}"
+    return _odd_size(fit, options) if expectation is None or expectation.stretch_px_per_rad is None else None
+
+
+def _odd_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
+    minor, major = np.abs(np.linalg.eigvalsh(fit.stretch))
+    minor, major = min(minor, major), max(minor, major)
+    if not options.min_radius_px <= minor <= major <= options.max_radius_px:
+        return "hidden", f"no disc of the sun's size: semi-axes {minor:.2f} and {major:.2f} px"
+    if 1.0 - minor / major > options.max_ellipticity:
+        return "partly_covered", f"semi-axes {minor:.2f} and {major:.2f} px"
+    return None
+
+
+def _elsewhere(
+    fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
+) -> tuple[Verdict, str] | None:
+    del options, sensor
+    if expectation is None:
+        return None
+    distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
+    if distance > _TIGHT_PX + 5.0 * expectation.uncertainty_px:
+        return "reflection", f"a disc {distance:.1f} px from where the sun should be"
+    return None
+
+
+def _covered(
+    fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
+) -> tuple[Verdict, str] | None:
+    del expectation, sensor
+    if fit.shift_px > options.max_shift_px and fit.shift_px > _SIGNIFICANT * fit.shift_sigma_px:
+        return "partly_covered", f"the brightness slopes across the disc: {fit.shift_px:.2f} px of its centre"
+    if fit.residual > options.max_residual_fraction:
+        return "partly_covered", f"residuals {fit.residual:.3f} of the disc's level, reduced chi² {fit.chi2:.1f}"
+    return None
+
+
+def _uncertain(
+    fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
+) -> tuple[Verdict, str] | None:
+    del expectation, sensor
+    if fit.sigma_px > options.max_sigma_px:
+        return "veiled", f"known to {fit.sigma_px:.3f} px only"
+    return None
+
+
+def _veil(fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor) -> str:
+    if expectation is not None and expectation.clear_peak_fraction:
+        share = fit.level / sensor.full_scale / expectation.clear_peak_fraction
+        if share < options.veiled_below:
+            return f"{share:.2f} of the clear sun's brightness"
+    contrast = fit.level / max(fit.level + fit.background, 1e-9)
+    return f"{contrast:.2f} of the light is the disc's own" if contrast < options.veiled_below else ""
+
+
+def detection_of(fit: DiscFit, verdict: tuple[Verdict, bool, str], *, sensor: Sensor, saturated_px: int) -> Detection:
+    """Return the detection that a judged fit amounts to."""
+    name, accepted, reason = verdict
+    axes = np.sort(np.abs(np.linalg.eigvalsh(fit.stretch)))
+    if accepted and saturated_px:
+        reason += f", {saturated_px} saturated pixels left out"
+    return Detection(
+        method="disc",
+        accepted=accepted,
+        verdict=name,
+        reason=reason,
+        x_px=fit.x_px,
+        y_px=fit.y_px,
+        sigma_px=fit.sigma_px,
+        peak_fraction=(fit.level + max(fit.background, 0.0)) / sensor.full_scale,
+        background_fraction=fit.background / sensor.full_scale,
+        radius_px=float(math.sqrt(axes[0] * axes[1])),
+        ellipticity=float(1.0 - axes[0] / max(axes[1], 1e-9)),
+        residual_chi2=fit.chi2,
+        snr=fit.snr,
+        saturated_px=saturated_px,
+    )

@@ -1,0 +1,59 @@
+"""Options of the two methods, with their bounds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from sunarc.errors import InputError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiscOptions:
+    """How microsecond frames are searched and judged.
+
+    Attributes
+    ----------
+    psf_px : standard deviation of the lens's point spread, px.
+    psf_tolerance : 1-sigma of its logarithm; the fit moves it that far.
+    limb_darkening : u of 1 - u (1 - cos) across the sun's disc.
+    solar_radius_deg : the sun's angular radius.
+    saturation_fraction : counts from this fraction of full scale on are saturated.
+    min_peak_fraction : a fainter disc is not looked for.
+    min_snr : a disc with less signal-to-noise is hidden.
+    min_radius_px, max_radius_px : semi-axes that a disc without an expectation may have.
+    max_ellipticity : 1 - minor/major semi-axis that it may have.
+    max_shift_px : a disc whose centre moves further when its brightness may slope is partly covered.
+    max_residual_fraction : so is a disc with larger residuals over its level.
+    max_sigma_px : a less certain position is not accepted.
+    veiled_below : a disc below this fraction of the clear sky's is veiled; so is one below this contrast.
+    max_apparent_zenith_deg : a lower sun is below the horizon.
+    """
+
+    psf_px: float = 0.7
+    psf_tolerance: float = 0.3
+    limb_darkening: float = 0.6
+    solar_radius_deg: float = 0.2666
+    saturation_fraction: float = 0.98
+    min_peak_fraction: float = 0.01
+    min_snr: float = 12.0
+    min_radius_px: float = 1.2
+    max_radius_px: float = 30.0
+    max_ellipticity: float = 0.6
+    max_shift_px: float = 0.05
+    max_residual_fraction: float = 0.06
+    max_sigma_px: float = 0.1
+    veiled_below: float = 0.5
+    max_apparent_zenith_deg: float = 89.6
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require_positive(self, self.psf_px, self.solar_radius_deg, self.min_radius_px, self.max_radius_px)
+
+
+def require_positive(options: object, *numbers: float) -> None:
+    """Raise InputError unless the numbers are positive and all of the options' own are finite."""
+    name = type(options).__name__
+    own = [getattr(options, field.name) for field in fields(options)]  # type: ignore[arg-type]
+    if not all(math.isfinite(value) for value in own if isinstance(value, float)) or min(numbers) <= 0.0:
+        raise InputError(field=name, problem="a number is not positive or not finite", remedy="give positive numbers")

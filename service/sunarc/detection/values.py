@@ -1,0 +1,137 @@
+"""What goes into a detection and what comes out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.errors import InputError
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+Method = Literal["disc", "paper"]
+Verdict = Literal[
+    "clear", "veiled", "partly_covered", "hidden", "obstructed", "saturated", "below_horizon", "reflection", "no_frame"
+]
+Bayer = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detection:
+    """One look for the sun in one image.
+
+    Attributes
+    ----------
+    method : which method looked.
+    accepted : whether the position can be believed.
+    verdict : what was seen.
+    reason : why, one sentence, with the numbers it rests on.
+    x_px, y_px : the sun's centre; None where none was found. A position that is not accepted may still stand here.
+    sigma_px : 1-sigma per axis.
+    peak_fraction : level of the disc's centre over full scale; above 1 where it is extrapolated from masked saturation.
+    background_fraction : level around the disc over full scale.
+    radius_px : geometric mean of the disc's (`paper`: the saturated blob's) semi-axes.
+    ellipticity : 1 - minor/major semi-axis.
+    residual_chi2 : reduced chi² of the fit (`disc`), None else.
+    snr : the disc's flux over its standard deviation (`disc`), None else.
+    saturated_px : number of saturated pixels in the window.
+    spread_px : rms distance of the single estimators from their median (`paper`), None else.
+    radial_bias_px : what the saturated blob's centre is expected to be off along the radius, negative towards the
+        axis, not subtracted (`paper` with a lens given), None else.
+    exposure_us : the exposure as told by the caller.
+    """
+
+    method: Method
+    accepted: bool
+    verdict: Verdict
+    reason: str
+    x_px: float | None = None
+    y_px: float | None = None
+    sigma_px: float | None = None
+    peak_fraction: float | None = None
+    background_fraction: float | None = None
+    radius_px: float | None = None
+    ellipticity: float | None = None
+    residual_chi2: float | None = None
+    snr: float | None = None
+    saturated_px: int = 0
+    spread_px: float | None = None
+    radial_bias_px: float | None = None
+    exposure_us: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """What the detector must know of the sensor.
+
+    Attributes
+    ----------
+    full_scale : the largest count (255, 1023, 4095, 65535).
+    gain_e_per_count : electrons per count.
+    read_noise_e : electrons, rms.
+    black_level : counts without light.
+    bayer : colours of the top-left 2×2 pixels, row by row; None for mono.
+    blooming : a saturated pixel spills into its neighbours, so that they are masked too.
+    """
+
+    full_scale: int
+    gain_e_per_count: float
+    read_noise_e: float = 12.0
+    black_level: float = 0.0
+    bayer: Bayer | None = None
+    blooming: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what is no sensor."""
+        numbers = (self.gain_e_per_count, self.read_noise_e, self.black_level)
+        if not all(math.isfinite(number) for number in numbers) or self.gain_e_per_count <= 0.0:
+            raise InputError(field="sensor", problem="gain or noise is not a positive number", remedy="give electrons")
+        if not 0.0 <= self.black_level < self.full_scale <= 65535 or self.read_noise_e < 0.0:
+            raise InputError(
+                field="sensor",
+                problem="black level, full scale or noise out of range",
+                remedy="give counts up to 65535",
+            )
+
+    @classmethod
+    def from_full_well(cls, *, full_scale: int, full_well_e: float = 20_000.0, bayer: Bayer | None = None) -> Sensor:
+        """Return a sensor whose full scale is `full_well_e` electrons."""
+        return cls(full_scale=full_scale, gain_e_per_count=full_well_e / full_scale, bayer=bayer)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expectation:
+    """Where the sun should be, and what it should look like there.
+
+    Attributes
+    ----------
+    x_px, y_px : the expected pixel.
+    uncertainty_px : its 1-sigma per axis.
+    stretch_px_per_rad : the lens's local 2×2 matrix, from small angles on the sphere to pixels; None where unknown.
+    apparent_zenith : radians; None where unknown.
+    clear_peak_fraction : the clear-sky sun's level at this exposure over full scale; None where unknown.
+    """
+
+    x_px: float
+    y_px: float
+    uncertainty_px: float = 2.0
+    stretch_px_per_rad: tuple[tuple[float, float], tuple[float, float]] | None = None
+    apparent_zenith: float | None = None
+    clear_peak_fraction: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no expectation."""
+        stretch = self.stretch_px_per_rad or ((1.0, 0.0), (0.0, 1.0))
+        numbers = (self.x_px, self.y_px, self.uncertainty_px, *stretch[0], *stretch[1])
+        if not all(math.isfinite(number) for number in numbers) or self.uncertainty_px < 0.0:
+            raise InputError(field="expectation", problem="not finite", remedy="give none where there is none")
+
+
+def bayer_of(pixel_format: str) -> Bayer | None:
+    """Return the colours of a GenICam pixel format ("BayerRG8", …); None for mono."""
+    patterns: dict[str, Bayer] = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}
+    return patterns.get(pixel_format[5:7]) if pixel_format.startswith("Bayer") else None

@@ -1,0 +1,41 @@
+"""An 8-bit image for people to look at."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.detection import Bayer, Image
+
+_KNEE = 300.0  # how strongly the logarithm lifts the dark
+
+# OpenCV names a mosaic by the second row's second and third pixel
+_CODES: dict[Bayer, int] = {
+    "RGGB": cv2.COLOR_BayerRGGB2BGR,
+    "BGGR": cv2.COLOR_BayerBGGR2BGR,
+    "GRBG": cv2.COLOR_BayerGRBG2BGR,
+    "GBRG": cv2.COLOR_BayerGBRG2BGR,
+}
+
+
+def preview(image: Image, *, bayer: Bayer | None = None, white_percentile: float = 99.5) -> NDArray[np.uint8]:
+    """Return a tone-mapped 8-bit image.
+
+    Parameters
+    ----------
+    image : (rows, columns) uint8 or uint16, linear.
+    bayer : its mosaic; the answer is then (rows, columns, 3) in OpenCV's order blue, green, red.
+    white_percentile : the level shown white.
+
+    Returns
+    -------
+    uint8, logarithmic between black and white. An image without light stays black.
+    """
+    light = image if bayer is None else np.asarray(cv2.cvtColor(image, _CODES[bayer]))
+    white = float(np.percentile(light[::4, ::4], white_percentile))
+    if white <= 0.0:
+        return np.zeros(light.shape, dtype=np.uint8)
+    levels = np.arange(np.iinfo(image.dtype).max + 1, dtype=np.float64)
+    table = 255.0 * np.log1p(_KNEE * np.minimum(levels / white, 1.0)) / np.log1p(_KNEE)
+    return np.asarray(np.rint(table).astype(np.uint8)[light])
