@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from time import perf_counter
+
+import pytest
+
+pytestmark = [pytest.mark.system, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def fresh(checkout: Path) -> Path:
+    """Return a checkout that was set up."""
+    assert "is ready" in set_up(checkout / "deploy" / "demo")
+    return checkout
+
+
+def set_up(command: Path) -> str:
+    """Run a command as far as its set-up, from a folder that is not the checkout."""
+    answer = subprocess.run([command, "--setup-only"], cwd="/", capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout
+
+
+def ask(checkout: Path, code: str) -> str:
+    python = checkout / ".venv" / "bin" / "python"
+    answer = subprocess.run([python, "-c", code], cwd="/", capture_output=True, text=True, check=True)
+    return answer.stdout.strip()
+
+
+def test_the_venv_is_on_debians_python_and_sees_only_gi_of_its_packages(fresh: Path) -> None:
+    assert ask(fresh, "import sys; print(sys.base_prefix)") == "/usr"
+    assert ask(fresh, "import sys; print([p for p in sys.path if 'dist-packages' in p])") == "[]"
+    assert ask(fresh, "import gi; gi.require_version('Aravis', '0.8'); from gi.repository import Aravis") == ""
+
+
+def test_the_package_is_the_checkouts_own(fresh: Path) -> None:
+    assert ask(fresh, "import sunarc; print(sunarc.__file__)") == str(fresh / "service" / "sunarc" / "__init__.py")
+
+
+@pytest.mark.parametrize("command", ["deploy/demo", "tests/run", ".ci/run"])
+def test_a_second_run_finds_everything_done(fresh: Path, command: str) -> None:
+    before_s = perf_counter()
+    said = set_up(fresh / command)
+    assert perf_counter() - before_s < 3.0
+    assert said == f"set-up: {fresh}/.venv is ready\n"
+
+
+def test_a_venv_that_was_left_half_way_or_is_anothers_is_made_anew(fresh: Path) -> None:
+    venv = fresh / ".venv"
+    (venv / ".set-up").unlink()
+    (venv / "bin" / "python").unlink()
+    assert "making" in set_up(fresh / "deploy" / "demo")
+    python = venv / "bin" / "python"
+    python.unlink()
+    python.write_text("#!/bin/sh\necho /opt/other 3.99\n")
+    python.chmod(0o755)
+    assert "making" in set_up(fresh / "deploy" / "demo")
+    assert ask(fresh, "import sunarc; print('here')") == "here"
+
+
+def test_a_checkout_without_its_lock_is_told_so_in_one_line(checkout: Path, tmp_path: Path) -> None:
+    script = tmp_path / "deploy" / "setup"
+    script.parent.mkdir()
+    script.write_bytes((checkout / "deploy" / "setup").read_bytes())
+    answer = subprocess.run(["sh", script], capture_output=True, text=True, check=False)
+    assert answer.returncode == 1
+    assert answer.stderr == f"set-up: {tmp_path}/requirements.lock is missing; is this a whole checkout?\n"

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DRAWERS = {"util", "utils", "helper", "helpers", "manager", "base", "common", "misc", "processor"}
+# folders of a person or of this machine; those of an installed system (/usr, /etc, /var) are the product's own
+A_PLACE = re.compile(r"/(?:root|home|Users|work)/")
+A_REGISTRY = re.compile(
+    r"python[h]osted|[p]ypi\.org|deb\.[d]ebian|registry\.[n]pmjs|--(?:extra-)?[i]ndex-url|--[f]ind-links"
+)
+A_HOST = re.compile(r"://(?:[^/@\s]*@)?([\w.-]+\.[a-z]+)")
+
+
+@pytest.fixture(scope="module")
+def sources(root: Path) -> list[Path]:
+    return sorted((root / "service" / "sunarc").rglob("*.py"))
+
+
+@pytest.fixture(scope="module")
+def texts(root: Path, tracked_files: list[Path]) -> dict[str, str]:
+    """Return every tracked text file."""
+    contents = {str(name): (root / name).read_bytes() for name in tracked_files}
+    return {name: content.decode() for name, content in contents.items() if b"\0" not in content}
+
+
+def test_no_file_is_longer_than_one_sitting(sources: list[Path]) -> None:
+    assert [path.name for path in sources if len(path.read_text().splitlines()) > 350] == []
+
+
+def test_no_function_is_longer_than_a_screen(sources: list[Path]) -> None:
+    functions = [
+        (f"{path.name}: {node.name}", node)
+        for path in sources
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    assert [name for name, node in functions if lines_of_code(node) > 50] == []
+
+
+def lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Count the lines of a function's body, its docstring apart."""
+    body = function.body[1:] if ast.get_docstring(function) else function.body
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def test_there_are_no_drawers(tracked_files: list[Path]) -> None:
+    assert [name for name in tracked_files if DRAWERS & {part.partition(".")[0] for part in name.parts}] == []
+
+
+def test_gi_is_imported_in_one_file(root: Path, sources: list[Path]) -> None:
+    importers = {path.relative_to(root).as_posix() for path in sources if "gi" in imported(path)}
+    assert importers == {"service/sunarc/cameras/aravis.py"}
+
+
+def imported(path: Path) -> set[str]:
+    """Return the top-level names that a file imports, and those it could import by name."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module or "")
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in {
+            "__import__",
+            "import_module",
+            "importlib.import_module",
+        }:
+            names |= {arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)}
+    return {name.partition(".")[0] for name in names}
+
+
+def test_no_tracked_file_names_a_place_on_somebodys_machine(root: Path, texts: dict[str, str]) -> None:
+    assert [name for name, text in texts.items() if A_PLACE.search(text) or f"{root}/" in text] == []
+
+
+def test_no_tracked_file_names_a_registry(texts: dict[str, str]) -> None:
+    assert [name for name, text in texts.items() if A_REGISTRY.search(text)] == []
+
+
+def test_no_tracked_file_names_the_hosts_that_this_machine_installs_from(texts: dict[str, str]) -> None:
+    pip = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=True)
+    apt = [path.read_text() for path in Path("/etc/apt").glob("sources.list*/*.sources")]
+    hosts = set(A_HOST.findall("\n".join([pip.stdout, *apt])))
+    assert [(name, host) for name, text in texts.items() for host in hosts if host in text] == []
+
+
+def test_links_in_the_documents_lead_somewhere(root: Path, texts: dict[str, str]) -> None:
+    links = [
+        (name, link)
+        for name, text in texts.items()
+        if name.endswith(".md")
+        for link in re.findall(r"\]\((?!\w+:)([^)#]+)", text)
+    ]
+    assert [(name, link) for name, link in links if not (root / name).parent.joinpath(link).exists()] == []
