@@ -4,7 +4,7 @@ from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.forward import project, project_with_jacobian
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
-from sunarc.optics.projections import PROJECTIONS, Projection
+from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit, ideal_angle, ideal_radius
 from sunarc.optics.stretch import local_stretch, rising_limit
 
 __all__ = [
@@ -13,6 +13,9 @@ __all__ = [
     "Camera",
     "PoseAngles",
     "Projection",
+    "angle_limit",
+    "ideal_angle",
+    "ideal_radius",
     "local_stretch",
     "pose_angles",
     "project",

@@ -1,0 +1,61 @@
+"""Which camera explains the sun: sightings in, a calibration with its uncertainty and a verdict out.
+
+Map: `points` what is given · `options` what may be chosen · `calibrate` the way through · `start`, `initial` the first
+camera · `priors`, `problem`, `solve` the most probable one · `loss`, `noise`, `bins` how much a sighting counts ·
+`field`, `evidence`, `scales`, `robust` the service's method · `covariance` how sure one is · `metrics`, `backward`,
+`verdict`, `acceptance` what it is worth · `days` what a day is worth · `circle` the image circle · `document` its JSON.
+"""
+
+from sunarc.calibration.acceptance import accept, disagreement
+from sunarc.calibration.backward import BackwardModel, back_project, fit_backward
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.circle import find_image_circle
+from sunarc.calibration.covariance import (
+    hemisphere,
+    project_with_covariance,
+    sigma_deg,
+    sigma_px,
+    unproject_with_sigma,
+)
+from sunarc.calibration.days import DayMeasure, DayOptions, DayVerdict, decide_day, measure_day, smooth_arc
+from sunarc.calibration.document import SCHEMA, from_document, to_document
+from sunarc.calibration.field import Field, WaveBasis
+from sunarc.calibration.metrics import Metrics
+from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
+from sunarc.calibration.points import SunPoints
+from sunarc.calibration.result import Calibration, Evidence, Verdict
+
+__all__ = [
+    "SCHEMA",
+    "BackwardModel",
+    "Calibration",
+    "CalibrationOptions",
+    "DayMeasure",
+    "DayOptions",
+    "DayVerdict",
+    "Evidence",
+    "Field",
+    "ImageCircle",
+    "LensTolerances",
+    "Metrics",
+    "PaperOptions",
+    "SunPoints",
+    "Verdict",
+    "WaveBasis",
+    "accept",
+    "back_project",
+    "calibrate",
+    "decide_day",
+    "disagreement",
+    "find_image_circle",
+    "fit_backward",
+    "from_document",
+    "hemisphere",
+    "measure_day",
+    "project_with_covariance",
+    "sigma_deg",
+    "sigma_px",
+    "smooth_arc",
+    "to_document",
+    "unproject_with_sigma",
+]

@@ -1,0 +1,142 @@
+"""The paper's backward model (Eqs. 14 to 18), fitted to the forward model over the whole image (Appendix B)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from sunarc.optics import Camera, ideal_angle, ideal_radius, project, rising_limit, rotation_matrix
+from sunarc.optics.forward import decentering_shift
+
+FloatArray = NDArray[np.float64]
+
+_ORDERS = np.arange(2, 10)
+_ANGLES = 46
+_AZIMUTHS = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BackwardModel:
+    """Closed-form coefficients from pixels to directions.
+
+    Attributes
+    ----------
+    radial : b2 … b9; b_n multiplies r^n, r in focal lengths (Eq. 16).
+    decentering : q1 … q5.
+    max_error_px : the largest distance, over the image, between a pixel and where its back-projection lands.
+    """
+
+    radial: tuple[float, ...]
+    decentering: tuple[float, ...]
+    max_error_px: float
+
+
+NO_BACKWARD = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=math.nan)
+
+
+def fit_backward(camera: Camera) -> BackwardModel:
+    """Return the backward model of a camera, with its largest error inside the image and 90 degrees off the axis."""
+    rays, pixels = _synthetic(camera)
+    if pixels.shape[0] < 40:
+        return NO_BACKWARD
+    x_hat, y_hat = _calibrated(camera, pixels)
+    target = ideal_radius(camera.projection, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+    wanted = np.stack([target * np.cos(azimuth), target * np.sin(azimuth)], axis=-1)
+    focal = camera.focal_length_px[0]
+
+    def misfit(coefficients: FloatArray) -> FloatArray:
+        return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - wanted)).ravel()
+
+    found = least_squares(misfit, _first(camera), method="lm", x_scale=np.r_[np.full(10, 1e-3), np.full(3, 0.1)]).x
+    worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
+    radial = found[2:10] / _scale(camera) ** _ORDERS
+    return BackwardModel(radial=tuple(map(float, radial)), decentering=_decentering(found), max_error_px=worst)
+
+
+def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> FloatArray:
+    """Return the directions of pixels by Eq. 18 and 19.
+
+    Parameters
+    ----------
+    camera : gives K, R and the projection.
+    model : the coefficients.
+    pixels : (..., 2) px.
+
+    Returns
+    -------
+    (..., 3) unit vectors, east-north-up; NaN where the projection has no angle for the radius.
+    """
+    pixel = np.asarray(pixels, dtype=np.float64)
+    x_hat, y_hat = _calibrated(camera, pixel)
+    radial = np.array(model.radial) * _scale(camera) ** _ORDERS
+    coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])
+    point = _ideal_point(camera, coefficients, x_hat, y_hat)
+    radius = np.hypot(point[..., 0], point[..., 1])
+    theta = ideal_angle(camera.projection, radius)
+    safe = np.where(radius > 0.0, radius, 1.0)
+    horizontal = np.sin(theta)[..., None] * point / safe[..., None]
+    return np.asarray(
+        np.concatenate([horizontal, np.cos(theta)[..., None]], axis=-1) @ rotation_matrix(camera.rotation_cam_enu)
+    )
+
+
+def _first(camera: Camera) -> FloatArray:
+    """Start from the forward model's own decentering, for p3 and p4 have no effect where p1 = p2 = 0."""
+    p1, p2 = camera.decentering[:2]
+    return np.array([p1 or 1e-6, p2 or 1e-6, *([0.0] * 8), 0.0, 0.0, 0.0])
+
+
+def _decentering(found: FloatArray) -> tuple[float, ...]:
+    return float(found[0]), float(found[1]), *(float(q) for q in found[10:])
+
+
+def _scale(camera: Camera) -> float:
+    """Return the radius that the fit counts in, so that its coefficients are of one size."""
+    return float(ideal_radius(camera.projection, math.pi / 4 if camera.projection == "perspective" else math.pi / 2))
+
+
+def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
+    """Return (..., 2): where the ideal projection would have put the ray (Eqs. 14 to 17)."""
+    radius = np.hypot(x_hat, y_hat)
+    safe = np.where(radius > 0.0, radius, 1.0)
+    shift_x, shift_y = decentering_shift(np.r_[coefficients[:2], coefficients[10:]], radius, x_hat / safe, y_hat / safe)
+    point = np.stack([x_hat - shift_x, y_hat - shift_y], axis=-1)
+    adjusted = np.linalg.norm(point, axis=-1)
+    polynomial = np.polynomial.polynomial.polyval(radius / _scale(camera), np.r_[0.0, 0.0, coefficients[2:10]])
+    factor = 1.0 - polynomial / np.where(adjusted > 0.0, adjusted, 1.0)
+    return np.asarray(point * factor[..., None])
+
+
+def _calibrated(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    x, y = pixels[..., 0], pixels[..., 1]
+    if camera.mirrored:
+        x = camera.width - 1.0 - x
+    y_hat = (y - camera.principal_point_px[1]) / camera.focal_length_px[1]
+    return (x - camera.principal_point_px[0] - camera.skew_px * y_hat) / camera.focal_length_px[0], y_hat
+
+
+def _synthetic(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return rays in the camera frame and their pixels, over the part of the image that is seen."""
+    limit = math.radians(80.0) if camera.projection == "perspective" else math.pi / 2
+    limit = rising_limit(camera, up_to=min(limit, camera.max_angle))
+    theta, azimuth = np.meshgrid(
+        np.linspace(0.0, limit, _ANGLES), np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)
+    )
+    sine = np.sin(theta)
+    rays = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(theta)], axis=-1).reshape(-1, 3)
+    pixels = project(replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)), rays)
+    inside = camera_sees(camera, pixels)
+    return rays[inside], pixels[inside]
+
+
+def camera_sees(camera: Camera, pixels: FloatArray) -> NDArray[np.bool_]:
+    """Return (...): whether pixels lie within the image."""
+    x, y = pixels[..., 0], pixels[..., 1]
+    with np.errstate(invalid="ignore"):
+        inside = (x >= -0.5) & (x <= camera.width - 0.5) & (y >= -0.5) & (y <= camera.height - 0.5)
+    return np.asarray(inside)

@@ -1,0 +1,66 @@
+"""Neighbouring sightings taken together: the solve sees their mean residual, at their mean direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.points import Usable
+from sunarc.calibration.problem import Observations
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_MOST = 16
+_SECONDS = 360.0
+"""A bin spans at most 6 minutes, in which the sun moves 1.5 degrees."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bins:
+    """Which sightings go together.
+
+    Attributes
+    ----------
+    member : (n,) the bin of each sighting; bins are runs in time.
+    count : the number of bins.
+    """
+
+    member: IntArray
+    count: int
+
+    def gathered(
+        self, seen: Observations, residual: FloatArray, information: FloatArray
+    ) -> tuple[Observations, FloatArray]:
+        """Return one observation a bin (its pixels: those of the heaviest share) and the mean residuals (bins, 2)."""
+        total = self._sums(information)
+        safe = np.where(total > 0.0, total, 1.0)
+        share = information / safe[self.member]
+        direction = np.stack([self._sums(share * seen.directions[:, i]) for i in range(3)], axis=-1)
+        norm = np.linalg.norm(direction, axis=-1, keepdims=True)
+        pixels = np.stack([self._sums(share * seen.pixels[:, i]) for i in range(2)], axis=-1)
+        mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
+        first = np.searchsorted(self.member, np.arange(self.count))
+        empty = total <= 0.0
+        direction[empty], norm[empty], pixels[empty] = seen.directions[first[empty]], 1.0, seen.pixels[first[empty]]
+        gathered = Observations(directions=direction / norm, pixels=pixels, information=total, epoch=seen.epoch[first])
+        return gathered, mean
+
+    def _sums(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
+
+
+def time_bins(usable: Usable) -> Bins:
+    """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each."""
+    n = len(usable)
+    if n == 0:
+        return Bins(member=np.zeros(0, dtype=np.int64), count=0)
+    run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0)]
+    start_of_run = np.maximum.accumulate(np.where(run, np.arange(n), 0))
+    slot = np.floor((usable.unix_s - usable.unix_s[start_of_run]) / _SECONDS).astype(np.int64)
+    place = (np.arange(n) - start_of_run) // _MOST
+    fresh = run | np.r_[True, (np.diff(slot) != 0) | (np.diff(place) != 0)]
+    member = np.cumsum(fresh) - 1
+    return Bins(member=member, count=int(member[-1]) + 1)

@@ -1,0 +1,98 @@
+"""From sightings to a calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from sunarc.calibration.assemble import Job, finished, refused
+from sunarc.calibration.initial import first_cameras, single_problem
+from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.problem import Observations, observations
+from sunarc.calibration.result import Calibration
+from sunarc.calibration.robust import fit_robustly
+from sunarc.calibration.verdict import Handedness, before_fit
+from sunarc.errors import InputError
+from sunarc.optics import Camera
+from sunarc.sky import Site
+
+_AMBIGUOUS = 3.0
+"""Half squares by which one hand must be the more plausible one."""
+
+
+class _Chosen(NamedTuple):
+    cameras: list[Camera]
+    handedness: Handedness
+
+
+def calibrate(
+    points: SunPoints,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions | None = None,
+    circle: ImageCircle | None = None,
+    start: Camera | None = None,
+) -> Calibration:
+    """Fit a camera to sightings of the sun.
+
+    Poor data give a calibration whose verdict is refused and says why; they never raise.
+
+    Parameters
+    ----------
+    points : the sightings; several pose epochs share the lens, and the calibration is of the latest.
+    site : where the camera stands.
+    image_size : width and height, px.
+    options : how to fit; the defaults are the service's.
+    circle : the image circle, where it is known.
+    start : a camera to start from, in place of a search.
+
+    Raises
+    ------
+    InputError
+        Where the image size is none.
+    """
+    if min(image_size) < 16:
+        raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
+    chosen = CalibrationOptions() if options is None else options
+    if start is not None:
+        chosen = replace(chosen, projection=start.projection)
+    usable = usable_points(points, site=site)
+    job = Job(points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle)
+    problems = before_fit(usable, site=site)
+    if problems:
+        return refused(job, problems)
+    seen = observations(usable)
+    picked = _choose_hand(seen, job, start)
+    if picked is None:
+        return refused(job, ("no camera of this projection fits",))
+    problem = single_problem(seen, picked.cameras[0], chosen, circle, n_epochs=len(picked.cameras))
+    fit = fit_robustly(problem, seen, usable, problem.unknowns(picked.cameras), options=chosen)
+    return finished(fit, job, picked.handedness)
+
+
+def _choose_hand(
+    seen: Observations,
+    job: Job,
+    start: Camera | None,
+) -> _Chosen | None:
+    """Return the start for the handedness that is set, or for the more plausible of both."""
+    options = job.options
+    both: tuple[Mirrored, Mirrored] = ("no", "yes")
+    hands: tuple[Mirrored, ...] = both if options.mirrored == "auto" else (options.mirrored,)
+    found = []
+    for hand in hands:
+        told = replace(options, mirrored=hand)
+        from_start = None if start is None or start.mirrored != (hand == "yes") else start
+        cameras, cost = first_cameras(
+            seen, image_size=job.image_size, options=told, circle=job.circle, start=from_start
+        )
+        found.append((cost, told, cameras))
+    found.sort(key=lambda item: item[0])
+    cost, told, cameras = found[0]
+    if not math.isfinite(cost):
+        return None
+    ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
+    return _Chosen(cameras, Handedness(mirrored=told.mirrored == "yes", ambiguous=ambiguous))

@@ -1,0 +1,170 @@
+"""How sure one is of a direction or a pixel.
+
+The truth is camera plus field, the prediction the camera alone. Before the sightings are looked at their errors are
+jointly Gaussian; the covariance of the prediction's error is J C J' + (cross terms) + A², where C and the cross terms
+are those of the fit with the field marginalised (the estimate's error is uncorrelated with the data, so only the
+field's own block stays the prior's).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sunarc.calibration.backward import camera_sees
+from sunarc.calibration.field import Field
+from sunarc.optics import PARAMETER_NAMES, Camera, pose, project, project_with_jacobian, rising_limit, unproject
+from sunarc.optics.stretch import local_stretch
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_CHUNK = 4096
+_EARTH_RADIUS_M = 6_371_000.0
+_EARTH_RATE = 7.292e-5
+"""Radians a second."""
+_HEMISPHERE = 1500
+_POLAR = 1.55
+"""Latitude in radians beyond which east has no meaning."""
+
+
+class _Uncertain(Protocol):
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def parameter_names(self) -> tuple[str, ...]: ...
+    @property
+    def covariance(self) -> FloatArray: ...
+    @property
+    def field(self) -> Field: ...
+
+
+def project_with_covariance(calibration: _Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Project directions and say how sure one is of the pixels.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    directions : (..., 3) unit vectors, east-north-up.
+
+    Returns
+    -------
+    pixels : (..., 2) px; NaN beyond the camera's field.
+    covariance : (..., 2, 2) px²; NaN there too.
+    """
+    direction = np.asarray(directions, dtype=np.float64)
+    flat = direction.reshape(-1, 3)
+    parts = [_chunk(calibration, flat[i : i + _CHUNK]) for i in range(0, flat.shape[0], _CHUNK)]
+    pixels = np.concatenate([p for p, _ in parts]) if parts else np.zeros((0, 2))
+    covariance = np.concatenate([c for _, c in parts]) if parts else np.zeros((0, 2, 2))
+    shape = direction.shape[:-1]
+    return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
+
+
+def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    pixels, by_parameters, _ = project_with_jacobian(calibration.camera, directions)
+    chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
+    rows = by_parameters[..., chosen]
+    covariance = rows @ calibration.covariance @ np.swapaxes(rows, -1, -2)
+    field = calibration.field
+    seen = np.all(np.isfinite(pixels), axis=-1)
+    if field.amplitude_px > 0.0 and np.any(seen):
+        waves = field.basis.values(np.where(seen[:, None], pixels, 0.0))
+        with_field = np.stack([waves @ field.cross[a].T for a in (0, 1)], axis=-1)
+        mixed = rows @ with_field
+        covariance += mixed + np.swapaxes(mixed, -1, -2) + field.amplitude_px**2 * np.eye(2)
+    covariance[~seen] = np.nan
+    return pixels, covariance
+
+
+def unproject_with_sigma(calibration: _Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Say where pixels look, and how sure one is.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    pixels : (..., 2) px.
+
+    Returns
+    -------
+    directions : (..., 3) unit vectors, east-north-up; NaN where no direction lands on the pixel.
+    sigma_deg : (...) 1-sigma per axis on the sphere: the root of half the trace of the 2×2 covariance, degrees.
+    inside : (...) whether the pixel lies within the image and the camera's field.
+    """
+    pixel = np.asarray(pixels, dtype=np.float64)
+    directions = unproject(calibration.camera, pixel)
+    inside = np.all(np.isfinite(directions), axis=-1) & camera_sees(calibration.camera, pixel)
+    sigma = np.full(pixel.shape[:-1], np.nan)
+    known = np.all(np.isfinite(directions), axis=-1)
+    if np.any(known):
+        sigma[known] = sigma_deg(calibration, directions[known])
+    return directions, sigma, inside
+
+
+def sigma_deg(calibration: _Uncertain, directions: FloatArray) -> FloatArray:
+    """Return (n,): 1-sigma per axis on the sphere of directions (n, 3), degrees."""
+    _, covariance = project_with_covariance(calibration, directions)
+    stretch = local_stretch(calibration.camera, directions)
+    with np.errstate(invalid="ignore"):
+        usable = np.abs(np.linalg.det(stretch)) > 1e-9
+    inverse = np.linalg.inv(np.where(usable[:, None, None], stretch, np.eye(2)))
+    on_sphere = inverse @ covariance @ np.swapaxes(inverse, -1, -2)
+    half_trace = 0.5 * np.trace(on_sphere, axis1=-2, axis2=-1)
+    return np.where(usable, np.degrees(np.sqrt(np.maximum(half_trace, 0.0))), np.nan)
+
+
+def sigma_px(covariance: FloatArray) -> FloatArray:
+    """Return (...): 1-sigma per axis, the root of half the trace of covariances (..., 2, 2)."""
+    return np.asarray(np.sqrt(np.maximum(0.5 * np.trace(covariance, axis1=-2, axis2=-1), 0.0)))
+
+
+def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
+    """Return directions spread evenly over the upper hemisphere, (count, 3)."""
+    i = np.arange(count) + 0.5
+    up = 1.0 - i / count
+    azimuth = math.pi * (1.0 + math.sqrt(5.0)) * i
+    horizontal = np.sqrt(1.0 - up**2)
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), up], axis=-1)
+
+
+def sky_sigma_deg(calibration: _Uncertain) -> tuple[float, float]:
+    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees."""
+    directions = hemisphere()
+    pixels = project(calibration.camera, directions)
+    seen = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
+    sigma = sigma_deg(calibration, directions[seen]) if np.any(seen) else np.array([np.nan])
+    sigma = sigma[np.isfinite(sigma)]
+    if sigma.size == 0:
+        return math.nan, math.nan
+    return float(np.sqrt(np.mean(sigma**2))), float(np.max(sigma))
+
+
+def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m: float) -> FloatArray:
+    """Return (3, 3): covariance of the rotation vector from errors that no residual shows.
+
+    A clock that is wrong turns the sky about the pole; a position that is wrong tilts the ground. Both are taken up
+    by the pose without trace.
+
+    Parameters
+    ----------
+    camera : gives the pose.
+    site : where it stands.
+    clock_error_s : 1-sigma of the clock, s.
+    site_error_m : 1-sigma of the position along each axis, m.
+    """
+    latitude = math.radians(site.latitude)
+    pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
+    turn = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
+    eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
+    turn += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
+    to_vector = np.linalg.inv(pose.right_jacobian(camera.rotation_cam_enu))
+    return np.asarray(to_vector @ turn @ to_vector.T)
+
+
+def last_angle(camera: Camera, *, wanted: float) -> float:
+    """Return the angle in radians up to which a camera may answer: as wanted, less where its radius stops rising."""
+    return rising_limit(camera, up_to=wanted)

@@ -1,0 +1,190 @@
+"""How smooth a day's arc is (Eq. 20), how much of it was seen, and what kind of day that makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.loss import core_sigma, tukey_weights
+from sunarc.calibration.metrics import measures
+from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.errors import InputError
+from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles, sun_directions
+
+FloatArray = NDArray[np.float64]
+DayKind = Literal["clear", "partly", "cloudy", "unusable"]
+
+_ORDER = 9
+_ROUNDS = 12
+_HORIZON_DEG = 89.6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayOptions:
+    """What makes a day clear, and what still makes it useful.
+
+    Attributes
+    ----------
+    clear_share, partly_share : smallest share of the possible sightings that lie on the arc.
+    clear_sd_px : largest scatter of all sightings about the arc on a clear day, px.
+    smallest_count : fewer sightings on the arc make a day unusable.
+    smallest_arc_deg : a shorter arc makes a day unusable.
+    """
+
+    clear_share: float = 0.8
+    partly_share: float = 0.3
+    clear_sd_px: float = 1.5
+    smallest_count: int = 20
+    smallest_arc_deg: float = 15.0
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are none."""
+        if not 0.0 <= self.partly_share <= self.clear_share <= 1.0:
+            raise InputError(field="partly_share, clear_share", problem="not rising from 0 to 1", remedy="mend them")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayMeasure:
+    """What a day's sightings show.
+
+    Attributes
+    ----------
+    date : local mean solar date, ISO 8601; "" without sightings.
+    n : sightings usable; n_on_arc: those on the smooth arc; n_possible: frames with the sun above the horizon.
+    sd_px : standard deviation of the distances from the arc (Eq. 27c as the paper's Table 1 has it), all sightings.
+    rmsd_px : root of the mean square distance from the arc, all sightings.
+    core_sd_px : 1-sigma per axis of the sightings on the arc.
+    arc_deg : length of the sun's way between the first and the last sighting on the arc, gaps above 5 degrees left out.
+    largest_gap_s : longest time between sightings on the arc.
+    """
+
+    date: str
+    n: int
+    n_on_arc: int
+    n_possible: int
+    sd_px: float
+    rmsd_px: float
+    core_sd_px: float
+    arc_deg: float
+    largest_gap_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayVerdict:
+    """What kind of day it was, and why."""
+
+    kind: DayKind
+    reasons: tuple[str, ...]
+
+
+def measure_day(points: SunPoints, *, site: Site, n_possible: int | None = None, cadence_s: float = 30.0) -> DayMeasure:
+    """Return what one day's sightings show.
+
+    Parameters
+    ----------
+    points : sightings of one solar day.
+    site : where the camera stands.
+    n_possible : how many frames could have shown the sun; None counts one every `cadence_s` while it is up.
+    cadence_s : seconds between frames.
+    """
+    usable = usable_points(points, site=site)
+    possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
+    if len(usable) < 2:
+        return _nothing(len(usable), possible)
+    _, residual, weight = smooth_arc(usable.pixels, hour_angle(usable.unix_s, site))
+    on_arc = weight > 0.0
+    rmsd, _, _, sd = measures(residual)
+    core = measures(residual[on_arc])[0] / math.sqrt(2.0)
+    times = usable.unix_s[on_arc]
+    step = angular_distance(usable.directions[on_arc][1:], usable.directions[on_arc][:-1])
+    return DayMeasure(
+        date=(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=int(usable.day[0]))).date().isoformat(),
+        n=len(usable),
+        n_on_arc=int(on_arc.sum()),
+        n_possible=possible,
+        sd_px=sd,
+        rmsd_px=rmsd,
+        core_sd_px=core,
+        arc_deg=math.degrees(float(np.sum(step[step < math.radians(5.0)]))),
+        largest_gap_s=float(np.max(np.diff(times), initial=0.0)),
+    )
+
+
+def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit Eq. 20 robustly: polynomials of 9th order in the hour angle.
+
+    Parameters
+    ----------
+    pixels : (n, 2) px.
+    angle : (n,) hour angles, radians; a day across the date line of the hour angle is unwrapped.
+
+    Returns
+    -------
+    arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
+    """
+    order = min(_ORDER, max(1, pixels.shape[0] // 3))
+    unwrapped = np.unwrap(angle)
+    middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
+    waves = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
+    weight = np.ones(pixels.shape[0])
+    for number in range(_ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        arc = waves @ np.linalg.lstsq(waves * root, pixels * root)[0]
+        distance = np.linalg.norm(pixels - arc, axis=-1)
+        sigma = core_sigma(distance, share=0.5 if number < 4 else 0.3, floor=1e-6)
+        weight = 1.0 / (1.0 + (distance / sigma) ** 2) if number < 6 else tukey_weights(distance, sigma=sigma)
+    return arc, pixels - arc, weight
+
+
+def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVerdict:
+    """Return what kind of day it was, with reasons."""
+    wanted = DayOptions() if options is None else options
+    if measure.n_on_arc < wanted.smallest_count:
+        return DayVerdict(kind="unusable", reasons=(f"{measure.n_on_arc} sightings on a smooth arc",))
+    if measure.arc_deg < wanted.smallest_arc_deg:
+        return DayVerdict(kind="unusable", reasons=(f"only {measure.arc_deg:.0f} degrees of arc seen",))
+    share = measure.n_on_arc / max(measure.n_possible, measure.n, 1)
+    seen = f"{100.0 * share:.0f} % of the possible sightings lie on the arc"
+    scatter = f"they scatter by {measure.sd_px:.2f} px about it"
+    if share < wanted.partly_share:
+        return DayVerdict(kind="cloudy", reasons=(seen,))
+    if share < wanted.clear_share or measure.sd_px > wanted.clear_sd_px:
+        return DayVerdict(kind="partly", reasons=(seen, scatter))
+    return DayVerdict(kind="clear", reasons=(seen, scatter))
+
+
+def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
+    finite = points.unix_s[np.isfinite(points.unix_s)]
+    if finite.size == 0:
+        return 0
+    middle = float(np.median(finite)) + site.longitude * 240.0
+    day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=middle)).date()
+    begin, end = day_bounds_unix_s(day, longitude=site.longitude)
+    frames = np.arange(begin, end, cadence_s)
+    return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
+
+
+def _nothing(n: int, possible: int) -> DayMeasure:
+    return DayMeasure(
+        date="",
+        n=n,
+        n_on_arc=0,
+        n_possible=possible,
+        sd_px=math.nan,
+        rmsd_px=math.nan,
+        core_sd_px=math.nan,
+        arc_deg=0.0,
+        largest_gap_s=0.0,
+    )
+
+
+def arc_length_deg(unix_s: FloatArray, site: Site) -> float:
+    """Return the length of the sun's way through these moments in degrees, gaps above 5 degrees left out."""
+    directions = sun_directions(np.sort(unix_s), site)
+    step = angular_distance(directions[1:], directions[:-1])
+    return math.degrees(float(np.sum(step[step < math.radians(5.0)])))

@@ -1,0 +1,308 @@
+"""The calibration document: what is served, stored and printed; it alone suffices to project and to unproject."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.backward import BackwardModel
+from sunarc.calibration.field import Field, WaveBasis
+from sunarc.calibration.metrics import Metrics
+from sunarc.calibration.result import Calibration, Evidence, Verdict
+from sunarc.errors import InputError
+from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
+from sunarc.sky import Site
+
+SCHEMA = "sunarc.calibration/1"
+
+FloatArray = NDArray[np.float64]
+Document = dict[str, Any]
+
+_SMALLEST_SHARE = 1e-6
+"""Waves that hold less than this share of the largest one's variance do not travel."""
+
+
+def to_document(
+    calibration: Calibration,
+    *,
+    id: str,  # noqa: A002 - the document's own name for it
+    camera: str,
+    state: str,
+    created_at: datetime,
+    valid_from: datetime | None,
+    valid_until: datetime | None,
+    pose_epoch: str,
+    software_version: str,
+) -> Document:
+    """Return the document of a calibration (DESIGN, section 6): plain values, ready for JSON.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    id, camera, pose_epoch : names.
+    state : candidate, current, retired or refused.
+    created_at, valid_from, valid_until : aware times; None where there is none.
+    software_version : the version that made it.
+    """
+    site = calibration.site
+    return {
+        "schema": SCHEMA,
+        "id": id,
+        "camera": camera,
+        "state": state,
+        "method": calibration.method,
+        "created_at": _time(created_at),
+        "valid_from": _time(valid_from),
+        "valid_until": _time(valid_until),
+        "pose_epoch": pose_epoch,
+        "site": {
+            "latitude": site.latitude,
+            "longitude": site.longitude,
+            "altitude": site.altitude,
+            "pressure": site.pressure,
+            "temperature": site.temperature,
+        },
+        "image": {
+            "width": calibration.camera.width,
+            "height": calibration.camera.height,
+            "mirrored": calibration.camera.mirrored,
+        },
+        "model": _model(calibration.camera),
+        "backward_model": {
+            "radial": list(calibration.backward.radial),
+            "decentering": list(calibration.backward.decentering),
+            "max_error_px": _number(calibration.backward.max_error_px),
+        },
+        "pose": calibration.pose._asdict(),
+        "uncertainty": {
+            "parameters": list(calibration.parameter_names),
+            "covariance": calibration.covariance.tolist(),
+            "field": _field(calibration.field),
+            "sky_rms_deg": _number(calibration.sky_rms_deg),
+            "sky_max_deg": _number(calibration.sky_max_deg),
+        },
+        "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
+        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Evidence)},
+        "verdict": {"accepted": calibration.verdict.accepted, "reasons": list(calibration.verdict.reasons)},
+        "software": {"name": "sunarc", "version": software_version},
+    }
+
+
+def _model(camera: Camera) -> Document:
+    return {
+        "projection": camera.projection,
+        "focal_length_px": list(camera.focal_length_px),
+        "skew_px": camera.skew_px,
+        "principal_point_px": list(camera.principal_point_px),
+        "rotation_cam_enu": list(camera.rotation_cam_enu),
+        "translation": list(camera.translation),
+        "radial": list(camera.radial),
+        "decentering": list(camera.decentering),
+        "max_angle_deg": math.degrees(camera.max_angle),
+    }
+
+
+def _field(field: Field) -> Document:
+    variances = field.basis.variances(length_px=field.length_px) if field.amplitude_px > 0.0 else np.zeros(0)
+    kept = np.flatnonzero(variances > _SMALLEST_SHARE * np.max(variances, initial=0.0))
+    return {
+        "amplitude_px": field.amplitude_px,
+        "length_px": field.length_px,
+        "center_px": list(field.basis.center_px),
+        "half_px": list(field.basis.half_px),
+        "orders": field.basis.orders[kept].tolist(),
+        "cross": [[[float(f"{v:.6g}") for v in row] for row in part] for part in field.cross[:, :, kept]],
+    }
+
+
+def _time(moment: datetime | None) -> str | None:
+    return None if moment is None else moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
+
+
+def _number(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def from_document(document: object) -> Calibration:
+    """Return the calibration that a document holds.
+
+    Raises
+    ------
+    InputError
+        Names the key that is missing or not what it should be.
+    """
+    read = _Reader(document)
+    if read.value("schema") != SCHEMA:
+        raise InputError(field="schema", problem=f"{read.value('schema')!r}", remedy=f"give a {SCHEMA} document")
+    camera = _read_camera(read)
+    names = tuple(str(n) for n in read.items("uncertainty.parameters"))
+    if any(n not in PARAMETER_NAMES for n in names):
+        raise InputError(field="uncertainty.parameters", problem="an unknown name", remedy="use the model's parameters")
+    method = read.value("method")
+    if method not in ("robust", "paper"):
+        raise InputError(field="method", problem=f"{method!r} is unknown", remedy="use robust or paper")
+    return Calibration(
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        parameter_names=names,
+        covariance=read.array("uncertainty.covariance", (len(names), len(names))),
+        field=_read_field(read, len(names)),
+        sky_rms_deg=read.number("uncertainty.sky_rms_deg"),
+        sky_max_deg=read.number("uncertainty.sky_max_deg"),
+        metrics=_read_metrics(read),
+        pose=pose_angles(camera.rotation_cam_enu),
+        backward=BackwardModel(
+            radial=read.numbers("backward_model.radial", 8),
+            decentering=read.numbers("backward_model.decentering", 5),
+            max_error_px=read.number("backward_model.max_error_px"),
+        ),
+        evidence=_read_evidence(read),
+        verdict=Verdict(
+            accepted=bool(read.value("verdict.accepted")),
+            reasons=tuple(str(r) for r in read.items("verdict.reasons")),
+        ),
+        method=method,
+        site=_read_site(read),
+    )
+
+
+def _read_camera(read: _Reader) -> Camera:
+    width, height = read.number("image.width"), read.number("image.height")
+    focal, center = read.numbers("model.focal_length_px", 2), read.numbers("model.principal_point_px", 2)
+    turn, shift = read.numbers("model.rotation_cam_enu", 3), read.numbers("model.translation", 3)
+    return Camera(
+        width=_size("image.width", width),
+        height=_size("image.height", height),
+        projection=read.value("model.projection"),
+        focal_length_px=(focal[0], focal[1]),
+        principal_point_px=(center[0], center[1]),
+        rotation_cam_enu=(turn[0], turn[1], turn[2]),
+        skew_px=read.number("model.skew_px"),
+        translation=(shift[0], shift[1], shift[2]),
+        radial=read.numbers("model.radial", 8),
+        decentering=read.numbers("model.decentering", 4),
+        mirrored=bool(read.value("image.mirrored")),
+        max_angle=math.radians(read.number("model.max_angle_deg")),
+    )
+
+
+def _size(key: str, value: float) -> int:
+    if not (math.isfinite(value) and value >= 1.0):
+        raise InputError(field=key, problem=f"{value} is no size", remedy="give px")
+    return int(value)
+
+
+def _read_field(read: _Reader, size: int) -> Field:
+    key = "uncertainty.field"
+    orders = np.array(read.items(f"{key}.orders"), dtype=np.int64).reshape(-1, 2)
+    center, half = read.numbers(f"{key}.center_px", 2), read.numbers(f"{key}.half_px", 2)
+    return Field(
+        amplitude_px=read.number(f"{key}.amplitude_px"),
+        length_px=read.number(f"{key}.length_px"),
+        basis=WaveBasis(center_px=(center[0], center[1]), half_px=(half[0], half[1]), orders=orders),
+        cross=read.array(f"{key}.cross", (2, size, orders.shape[0])),
+    )
+
+
+def _read_metrics(read: _Reader) -> Metrics:
+    held_out = read.number("metrics.held_out_rmse_px")
+    n = read.number("metrics.n")
+    return Metrics(
+        n=int(n) if math.isfinite(n) else 0,
+        rmse_px=read.number("metrics.rmse_px"),
+        rmse_all_px=read.number("metrics.rmse_all_px"),
+        mae_px=read.number("metrics.mae_px"),
+        sd_px=read.number("metrics.sd_px"),
+        sd_of_distance_px=read.number("metrics.sd_of_distance_px"),
+        rmse_deg=read.number("metrics.rmse_deg"),
+        held_out_rmse_px=held_out if math.isfinite(held_out) else None,
+    )
+
+
+def _read_evidence(read: _Reader) -> Evidence:
+    counts = [read.number(f"evidence.{name}", needed=False) for name in ("n_supplied", "n_used", "n_rejected")]
+    n_supplied, n_used, n_rejected = (int(c) if math.isfinite(c) else 0 for c in counts)
+    options = read.value("evidence.options")
+    return Evidence(
+        days=tuple(str(d) for d in read.items("evidence.days")),
+        n_supplied=n_supplied,
+        n_used=n_used,
+        n_rejected=n_rejected,
+        options=options if isinstance(options, dict) else {},
+        sigma_px=read.number("evidence.sigma_px", needed=False),
+        inflation=read.number("evidence.inflation", needed=False),
+        radial_px=read.number("evidence.radial_px", needed=False),
+        clock_error_s=read.number("evidence.clock_error_s", needed=False),
+    )
+
+
+def _read_site(read: _Reader) -> Site:
+    pressure = read.number("site.pressure", needed=False)
+    temperature = read.number("site.temperature", needed=False)
+    return Site(
+        latitude=read.number("site.latitude"),
+        longitude=read.number("site.longitude"),
+        altitude=read.number("site.altitude"),
+        pressure=pressure if math.isfinite(pressure) else None,
+        temperature=temperature if math.isfinite(temperature) else 12.0,
+    )
+
+
+class _Reader:
+    """Reads values by dotted keys, and names the key where one is wrong."""
+
+    def __init__(self, document: object) -> None:
+        self._document = document
+
+    def value(self, key: str, *, needed: bool = True) -> Any:  # noqa: ANN401 - JSON holds anything
+        found: Any = self._document
+        for part in key.split("."):
+            if not isinstance(found, Mapping) or part not in found:
+                if not needed:
+                    return None
+                raise InputError(field=key, problem="missing", remedy="give a whole calibration document")
+            found = found[part]
+        return found
+
+    def items(self, key: str) -> list[Any]:
+        found = self.value(key)
+        if not isinstance(found, list | tuple):
+            raise InputError(field=key, problem="not a list", remedy="give a list")
+        return list(found)
+
+    def number(self, key: str, *, needed: bool = True) -> float:
+        """Return a number; null is NaN."""
+        found = self.value(key, needed=needed)
+        if found is None:
+            return math.nan
+        if isinstance(found, bool) or not isinstance(found, int | float):
+            raise InputError(field=key, problem=f"{found!r} is no number", remedy="give a number")
+        return float(found)
+
+    def numbers(self, key: str, count: int) -> tuple[float, ...]:
+        return tuple(float(v) for v in self.array(key, (count,)))
+
+    def array(self, key: str, shape: tuple[int, ...]) -> FloatArray:
+        try:
+            found = np.array(self.items(key), dtype=np.float64)
+        except (TypeError, ValueError) as fault:
+            raise InputError(field=key, problem="not an array of numbers", remedy=f"give shape {shape}") from fault
+        if found.size == 0 and 0 in shape:
+            return np.zeros(shape)
+        if found.shape != shape:
+            raise InputError(field=key, problem=f"shape {found.shape}", remedy=f"give shape {shape}")
+        return found

@@ -1,0 +1,40 @@
+"""How well a fit foretells days that it did not see."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.evidence import marginal_fit, normal_sums
+from sunarc.calibration.points import Usable
+from sunarc.calibration.robust import RobustFit
+
+FloatArray = NDArray[np.float64]
+
+_FOLDS = 5
+
+
+def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
+    """Return the root mean square distance on days left out in turn, px; None with fewer than two days.
+
+    Each fold is solved by one linear step from the whole fit, with the same scales and weights.
+    """
+    days = np.unique(usable.day)
+    if days.size < 2:
+        return None
+    fold_of_day = np.arange(days.size) * min(_FOLDS, days.size) // days.size
+    fold = fold_of_day[np.searchsorted(days, usable.day)]
+    system = fit.system
+    total, count = 0.0, 0
+    for left_out in np.unique(fold):
+        mine = fold == left_out
+        inside = np.bincount(system.member[mine], minlength=system.information.size) == 0
+        normal = normal_sums(
+            system.rows[inside], system.waves[inside], system.residual[inside], system.information[inside], system.at
+        )
+        change = marginal_fit(normal, fit.grid.basis, fit.scales).unknowns - system.at
+        counted = mine & (fit.weight > 0.0)
+        foretold = fit.residual[counted] - (system.rows @ change)[system.member[counted]]
+        total += float(np.sum(foretold**2))
+        count += int(counted.sum())
+    return float(np.sqrt(total / count)) if count else None

@@ -1,0 +1,65 @@
+"""How much a sighting counts, by how far it lies off: Tukey's biweight about a scale found in the data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+CUT = 5.0
+"""Distance in sigmas beyond which a sighting counts nothing."""
+
+_ROUNDS = 60
+_KEEP = 2.5
+
+
+def tukey_weights(distance: FloatArray, *, sigma: float, cut: float = CUT) -> FloatArray:
+    """Return weights from 1 (at 0) to 0 (from `cut` sigmas on) for 2-D distances."""
+    ratio = np.minimum(distance / (cut * sigma), 1.0)
+    return np.asarray((1.0 - ratio**2) ** 2)
+
+
+def tukey_loss(distance: FloatArray, *, sigma: float, cut: float = CUT) -> FloatArray:
+    """Return the loss whose weights `tukey_weights` are: d²/2σ² near 0, constant from `cut` sigmas on."""
+    ratio = np.minimum(distance / (cut * sigma), 1.0)
+    return np.asarray(cut**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
+
+
+def core_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-9) -> float:
+    """Return the 1-sigma per axis of the well-behaved sightings among others.
+
+    Starts at the quantile `share` of the 2-D distances and then takes, again and again, those within 2.5 sigma,
+    corrected for what a round Gaussian has beyond.
+
+    Parameters
+    ----------
+    distance : (n,) 2-D distances.
+    share : share of the sightings that is surely well-behaved.
+    floor : smallest answer.
+    """
+    if distance.size == 0:
+        return floor
+    sigma = max(float(np.quantile(distance, share)) / math.sqrt(-2.0 * math.log1p(-share)), floor)
+    tail = math.exp(-0.5 * _KEEP**2)
+    correction = 1.0 - 0.5 * _KEEP**2 * tail / (1.0 - tail)
+    for _ in range(_ROUNDS):
+        inside = distance[distance < _KEEP * sigma]
+        if inside.size == 0:
+            break
+        following = max(math.sqrt(0.5 * float(np.mean(inside**2)) / correction), floor)
+        if abs(following - sigma) < 1e-4 * sigma:
+            return following
+        sigma = following
+    return sigma
+
+
+_GRID = np.linspace(0.0, CUT, 2001)
+_DENSITY = _GRID * np.exp(-0.5 * _GRID**2) * (_GRID[1] - _GRID[0])
+_CORE_WEIGHT = tukey_weights(_GRID, sigma=1.0)
+_EXPECTED_CURVATURE = float(np.sum(_DENSITY * (_CORE_WEIGHT - 2.0 * (_GRID / CUT) ** 2 * (1.0 - (_GRID / CUT) ** 2))))
+_EXPECTED_SQUARE = float(np.sum(_DENSITY * 0.5 * (_GRID * _CORE_WEIGHT) ** 2))
+INFORMATION_PER_WEIGHT = _EXPECTED_CURVATURE**2 / _EXPECTED_SQUARE / float(np.sum(_DENSITY * _CORE_WEIGHT))
+"""Information (in 1/σ²) that a unit of weight carries for round Gaussian sightings: E[ψ']² / E[ψ²] / E[w]."""

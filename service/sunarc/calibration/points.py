@@ -1,0 +1,172 @@
+"""What a fit is given: sightings of the sun, and what a fit may use of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sunarc.errors import InputError
+from sunarc.sky import Site, sun_angles, sun_directions
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_LOWEST_ZENITH_DEG = 91.0
+_SECONDS_PER_DEGREE = 240.0
+_SECONDS_PER_DAY = 86_400.0
+
+
+def _unknown() -> FloatArray:
+    return np.array(np.nan)
+
+
+def _zero() -> FloatArray:
+    return np.array(0.0)
+
+
+def _first_epoch() -> IntArray:
+    return np.array(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SunPoints:
+    """Sightings of the sun; scalars are broadcast, columns are read-only copies.
+
+    Attributes
+    ----------
+    unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC.
+    pixels : (n, 2) where the sun's centre was seen, px.
+    sigma_px : (n,) stated 1-sigma per axis, px; NaN where nobody states one. Fits trust their ratios and find
+        their common scale themselves.
+    epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
+    clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
+    """
+
+    unix_s: FloatArray
+    pixels: FloatArray
+    sigma_px: FloatArray = field(default_factory=_unknown)
+    epoch: IntArray = field(default_factory=_first_epoch)
+    clock_error_s: FloatArray = field(default_factory=_zero)
+
+    def __post_init__(self) -> None:
+        """Refuse columns that do not belong together."""
+        times = _column("unix_s", self.unix_s, None)
+        pixels = np.array(self.pixels, dtype=np.float64)
+        if pixels.size == 0:
+            pixels = pixels.reshape(0, 2)
+        if pixels.shape != (times.size, 2):
+            raise InputError(
+                field="pixels", problem=f"shape {pixels.shape} beside {times.size} times", remedy="give one x, y a time"
+            )
+        epoch = _column("epoch", self.epoch, times.size)
+        if not np.all(np.isfinite(epoch)) or np.any(epoch < 0) or np.any(epoch != np.floor(epoch)):
+            raise InputError(
+                field="epoch", problem="not a whole number from 0", remedy="number the pose epochs 0, 1, …"
+            )
+        pixels.flags.writeable = False
+        object.__setattr__(self, "unix_s", times)
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "sigma_px", _column("sigma_px", self.sigma_px, times.size))
+        object.__setattr__(self, "epoch", epoch.astype(np.int64))
+        object.__setattr__(self, "clock_error_s", _column("clock_error_s", self.clock_error_s, times.size))
+
+    def __len__(self) -> int:
+        return int(self.unix_s.size)
+
+    def select(self, which: slice | NDArray[np.bool_] | IntArray) -> SunPoints:
+        """Return the sightings that a slice, an index or a mask picks."""
+        return SunPoints(
+            unix_s=self.unix_s[which],
+            pixels=self.pixels[which],
+            sigma_px=self.sigma_px[which],
+            epoch=self.epoch[which],
+            clock_error_s=self.clock_error_s[which],
+        )
+
+
+def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
+    try:
+        column = np.array(values, dtype=np.float64)
+        if length is not None:
+            column = np.array(np.broadcast_to(column, (length,)))
+    except (TypeError, ValueError) as fault:
+        raise InputError(field=name, problem=str(fault), remedy="give numbers, one a sighting") from fault
+    if column.ndim != 1:
+        raise InputError(field=name, problem=f"{column.ndim} dimensions", remedy="give one column")
+    column.flags.writeable = False
+    return column
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Usable:
+    """The sightings that a fit can use, in the order of time, with what the sky says of them.
+
+    Attributes
+    ----------
+    index : (n,) their rows in the sightings supplied.
+    directions : (n, 3) apparent directions of the sun, east-north-up.
+    sigma_px : (n,) relative 1-sigma: stated ones brought to a median of 1, unknown ones 1.
+    day : (n,) local mean solar day, counted from 1970.
+    """
+
+    index: IntArray
+    unix_s: FloatArray
+    pixels: FloatArray
+    directions: FloatArray
+    sigma_px: FloatArray
+    epoch: IntArray
+    day: IntArray
+    n_dropped: int
+    dropped: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return int(self.unix_s.size)
+
+
+def usable_points(points: SunPoints, *, site: Site) -> Usable:
+    """Return what a fit can use: finite, above the horizon, one sighting a moment.
+
+    Parameters
+    ----------
+    points : sightings, in any order.
+    site : where the camera stands.
+
+    Returns
+    -------
+    The usable ones by time; `dropped` says in words what was left out, and why.
+    """
+    finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
+    finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
+    above = np.zeros_like(finite)
+    above[finite] = sun_angles(points.unix_s[finite], site).apparent_zenith < _LOWEST_ZENITH_DEG
+    order = np.flatnonzero(above)
+    order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
+    moments = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
+    single = np.ones(order.size, dtype=bool)
+    single[1:] = np.any(np.diff(moments, axis=0) != 0.0, axis=-1)
+    kept = order[single]
+    times = points.unix_s[kept]
+    days = np.floor((times + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
+    counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum())
+    reasons = ("not finite", "below the horizon", "of a moment already seen")
+    return Usable(
+        index=kept,
+        unix_s=times,
+        pixels=points.pixels[kept],
+        directions=sun_directions(times, site),
+        sigma_px=_relative_sigma(points.sigma_px[kept]),
+        epoch=points.epoch[kept],
+        day=days,
+        n_dropped=len(points) - kept.size,
+        dropped=tuple(f"{n} {why}" for n, why in zip(counts, reasons, strict=True) if n),
+    )
+
+
+def _relative_sigma(sigma_px: FloatArray) -> FloatArray:
+    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    if not np.any(stated):
+        return np.ones(sigma_px.shape)
+    median = float(np.median(sigma_px[stated]))
+    return np.clip(np.where(stated, sigma_px, median) / median, 1.0 / 3.0, 10.0)

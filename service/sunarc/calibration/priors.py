@@ -1,0 +1,133 @@
+"""What is known of a lens before the sun is seen: Gaussian priors from tolerances, in whitened coordinates.
+
+The lens's 17 parameters are β = mean + basis z, with z of independent unit variance but for the residual radial
+distortion, whose common scale is found in the data. The residual radial distortion is a Gaussian process over the
+angle off the axis, put onto the powers of Eq. 9; its share that a change of focal length explains is taken out, which
+is the paper's c1 as a gauge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.options import ImageCircle, LensTolerances
+from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius
+from sunarc.optics.camera import RADIAL_ORDERS
+
+FloatArray = NDArray[np.float64]
+
+LENS = np.array([0, 1, 2, 3, 4, *range(11, 23)])
+"""Where the lens's parameters stand among `PARAMETER_NAMES`."""
+POSE = np.array([5, 6, 7])
+"""Where the rotation stands among `PARAMETER_NAMES`."""
+FREE = np.array([*range(8), *range(11, 23)])
+"""What the robust method estimates of one camera: everything but the translation."""
+FREE_NAMES = tuple(PARAMETER_NAMES[i] for i in FREE)
+
+N_LENS = LENS.size
+RADIAL = slice(5, 13)
+"""Where z holds the residual radial distortion."""
+
+_GRID = 181
+_GAUGE_SHARE = 0.05
+_SMALLEST_SHARE = 1e-12
+_RIGHT_ANGLE = math.pi / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensPrior:
+    """β = mean + basis z of the lens; z has the variances 1, its radial part `radial_px`².
+
+    Attributes
+    ----------
+    mean : (17,)
+    basis : (17, 17)
+    """
+
+    mean: FloatArray
+    basis: FloatArray
+
+    def lens(self, z: FloatArray) -> FloatArray:
+        """Return the lens's parameters of whitened coordinates."""
+        return np.asarray(self.mean + self.basis @ z)
+
+    def whitened(self, camera: Camera) -> FloatArray:
+        """Return the whitened coordinates of a camera's lens."""
+        return np.asarray(np.linalg.lstsq(self.basis, camera.to_vector()[LENS] - self.mean)[0])
+
+
+def precisions(radial_px: float) -> FloatArray:
+    """Return the prior precisions of z, (17,)."""
+    result = np.ones(N_LENS)
+    result[RADIAL] = 1.0 / radial_px**2
+    return result
+
+
+def lens_prior(
+    camera: Camera, *, tolerances: LensTolerances, circle: ImageCircle | None, field_angle: float
+) -> LensPrior:
+    """Return the prior of a lens.
+
+    Parameters
+    ----------
+    camera : the camera that the fit starts from: its focal length is the scale of all.
+    tolerances : how far the lens may be from the ideal.
+    circle : the image circle, where there is one.
+    field_angle : radians off the axis that the residual radial distortion is looked at up to.
+    """
+    focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
+    edge = float(ideal_radius(camera.projection, min(field_angle, _RIGHT_ANGLE)))
+    center, focal_sd = _center_and_focal(camera, focal, tolerances, circle)
+    mean = np.zeros(N_LENS)
+    mean[:5] = focal, focal, 0.0, *center[:2]
+    basis = np.zeros((N_LENS, N_LENS))
+    basis[:2, 0] = focal_sd
+    basis[:2, 1] = 0.5 * tolerances.aspect_px, -0.5 * tolerances.aspect_px
+    basis[2, 2] = tolerances.skew_px
+    basis[3, 3] = basis[4, 4] = center[2]
+    basis[RADIAL, RADIAL] = radial_basis(camera, length=math.radians(tolerances.radial_length_deg), upto=field_angle)
+    basis[13, 13] = basis[14, 14] = tolerances.decentering_px / (3.0 * focal * edge**2)
+    basis[15, 15] = basis[16, 16] = tolerances.decentering_higher
+    return LensPrior(mean=mean, basis=basis)
+
+
+def _center_and_focal(
+    camera: Camera, focal: float, tolerances: LensTolerances, circle: ImageCircle | None
+) -> tuple[tuple[float, float, float], float]:
+    """Return the prior's x0, y0 with their sigma, and the focal length's sigma, px."""
+    if circle is None:
+        center_sd = tolerances.center_fraction * min(camera.width, camera.height)
+        center = ((camera.width - 1) / 2.0, (camera.height - 1) / 2.0, center_sd)
+        return center, tolerances.focal_length_fraction * focal
+    x = camera.width - 1.0 - circle.x if camera.mirrored else circle.x
+    return (x, circle.y, tolerances.circle_center_px), tolerances.circle_focal_length_px
+
+
+def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
+    """Return (8, 8): k2 … k9 per 1 px of residual radial distortion, its columns independent.
+
+    Parameters
+    ----------
+    camera : gives the projection and the focal length.
+    length : radians over which the distortion changes.
+    upto : radians, the largest angle looked at.
+    """
+    focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
+    theta = np.linspace(0.0, upto, _GRID)
+    kernel = _pinned_on_axis(np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2))
+    ideal = ideal_radius(camera.projection, theta)
+    direction = ideal / np.linalg.norm(ideal)
+    keep = np.eye(_GRID) - (1.0 - _GAUGE_SHARE) * np.outer(direction, direction)
+    powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
+    to_coefficients = np.linalg.pinv(powers) @ keep / focal
+    values, vectors = np.linalg.eigh(to_coefficients @ kernel @ to_coefficients.T)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))
+
+
+def _pinned_on_axis(kernel: FloatArray) -> FloatArray:
+    """Condition the process on being 0 on the axis, where no radial distortion can be."""
+    return np.asarray(kernel - np.outer(kernel[0], kernel[0]) / kernel[0, 0])

@@ -1,0 +1,129 @@
+"""The unknowns of a fit and what they predict: one lens, and a pose for every epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.points import Usable
+from sunarc.calibration.priors import LENS, N_LENS, POSE, LensPrior
+from sunarc.optics import Camera, angle_limit, project, project_with_jacobian
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_UNREACHED_PX = 1e4
+"""Residual of a direction that the camera cannot see."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observations:
+    """Where the sun was seen, and how much each sighting tells.
+
+    Attributes
+    ----------
+    directions : (n, 3) unit vectors, east-north-up.
+    pixels : (n, 2) px.
+    information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
+    epoch : (n,) pose epochs, 0, 1, ….
+    """
+
+    directions: FloatArray
+    pixels: FloatArray
+    information: FloatArray
+    epoch: IntArray
+
+    def __len__(self) -> int:
+        return int(self.information.size)
+
+    def select(self, which: NDArray[np.bool_] | IntArray) -> Observations:
+        """Return the observations that an index or a mask picks."""
+        return Observations(
+            directions=self.directions[which],
+            pixels=self.pixels[which],
+            information=self.information[which],
+            epoch=self.epoch[which],
+        )
+
+    def weighted(self, information: FloatArray) -> Observations:
+        """Return the same observations with other information."""
+        return replace(self, information=information)
+
+
+def observations(usable: Usable) -> Observations:
+    """Return the usable sightings with their relative information."""
+    return Observations(
+        directions=usable.directions,
+        pixels=usable.pixels,
+        information=usable.sigma_px**-2.0,
+        epoch=usable.epoch,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """A camera whose parameters are sought.
+
+    Attributes
+    ----------
+    template : projection, image size and handedness; its parameters do not count.
+    prior : what is known of the lens.
+    n_epochs : number of poses.
+    """
+
+    template: Camera
+    prior: LensPrior
+    n_epochs: int
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns: the lens's, and three for each pose."""
+        return N_LENS + 3 * self.n_epochs
+
+    def pose_slice(self, epoch: int) -> slice:
+        """Return where the unknowns hold an epoch's rotation."""
+        start = N_LENS + 3 * epoch
+        return slice(start, start + 3)
+
+    def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
+        """Return the camera of an epoch."""
+        vector = np.zeros(23)
+        vector[LENS] = self.prior.lens(unknowns[:N_LENS])
+        vector[POSE] = unknowns[self.pose_slice(epoch)]
+        return self.template.with_parameters(vector)
+
+    def unknowns(self, cameras: list[Camera]) -> FloatArray:
+        """Return the unknowns of cameras that share a lens, one an epoch."""
+        poses = [camera.rotation_cam_enu for camera in cameras]
+        return np.concatenate([self.prior.whitened(cameras[0]), *poses])
+
+    def residuals(self, unknowns: FloatArray, seen: Observations) -> FloatArray:
+        """Return observed minus predicted pixels, (n, 2)."""
+        predicted = np.empty(seen.pixels.shape)
+        for epoch in range(self.n_epochs):
+            mine = seen.epoch == epoch
+            predicted[mine] = project(self.camera(unknowns, epoch), seen.directions[mine])
+        return np.asarray(np.nan_to_num(seen.pixels - predicted, nan=_UNREACHED_PX))
+
+    def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
+        residual = np.empty(seen.pixels.shape)
+        rows = np.zeros((len(seen), 2, self.size))
+        for epoch in range(self.n_epochs):
+            mine = seen.epoch == epoch
+            camera = self.camera(unknowns, epoch)
+            pixel, by_parameters, _ = project_with_jacobian(camera, seen.directions[mine])
+            rows[mine, :, :N_LENS] = by_parameters[..., LENS] @ self.prior.basis
+            rows[mine, :, self.pose_slice(epoch)] = by_parameters[..., POSE]
+            residual[mine] = seen.pixels[mine] - pixel
+        lost = ~np.all(np.isfinite(residual), axis=-1)
+        residual[lost], rows[lost] = _UNREACHED_PX, 0.0
+        return residual, rows
+
+
+def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int) -> Problem:
+    """Return the problem of fitting a camera like the template, at any angle that its projection has."""
+    widest = angle_limit(template.projection) * (1.0 - 1e-6)
+    return Problem(template=replace(template, max_angle=widest), prior=prior, n_epochs=n_epochs)

@@ -1,0 +1,83 @@
+"""What a calibration is: a camera, how sure one is of it, what it rests on, and whether it may be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.backward import BackwardModel
+from sunarc.calibration.field import Field
+from sunarc.calibration.metrics import Metrics
+from sunarc.calibration.options import Method
+from sunarc.optics import Camera, PoseAngles
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Whether a calibration may be used, and why (not): at least one reason, in words."""
+
+    accepted: bool
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What a fit rests on, so that it can be made again.
+
+    Attributes
+    ----------
+    days : local mean solar dates, ISO 8601.
+    n_supplied, n_used, n_rejected : sightings given, used (with any weight), left out.
+    options : the options of the fit, by name.
+    sigma_px : noise of a sighting, px per axis, as found.
+    inflation : by how much neighbours erring alike inflates a sighting's variance (mean).
+    radial_px : scale of the residual radial distortion, as found.
+    clock_error_s : the largest stated bound of the clock's error.
+    """
+
+    days: tuple[str, ...]
+    n_supplied: int
+    n_used: int
+    n_rejected: int
+    options: Mapping[str, object]
+    sigma_px: float
+    inflation: float
+    radial_px: float
+    clock_error_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """A fitted camera with its uncertainty and its evidence.
+
+    Attributes
+    ----------
+    camera : the camera of the latest pose epoch.
+    poses : rotation vectors of all pose epochs, radians.
+    parameter_names : what the covariance speaks of, in its order (see `PARAMETER_NAMES`).
+    covariance : (p, p), clock and site errors folded into the pose.
+    field : what no lens model says; it widens the uncertainty and does not enter the prediction.
+    sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
+    pose : the Table 2 angles.
+    """
+
+    camera: Camera
+    poses: tuple[tuple[float, float, float], ...]
+    parameter_names: tuple[str, ...]
+    covariance: FloatArray
+    field: Field
+    sky_rms_deg: float
+    sky_max_deg: float
+    metrics: Metrics
+    pose: PoseAngles
+    backward: BackwardModel
+    evidence: Evidence
+    verdict: Verdict
+    method: Method
+    site: Site

@@ -1,0 +1,177 @@
+"""The service's method: directions, priors, a redescending loss, and a field for what the model cannot say.
+
+Rounds of: weigh the sightings by what the last fit leaves over, gather them into bins, ask which scales the data speak
+for, solve with the field marginalised. The first round lets the field be large, so that the noise is judged from what
+no smooth error explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.bins import Bins, time_bins
+from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fit, normal_sums, prior_precision
+from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
+from sunarc.calibration.noise import inflation, neighbours
+from sunarc.calibration.options import CalibrationOptions
+from sunarc.calibration.points import Usable
+from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.scales import Grid, likely_scales, scale_grid
+from sunarc.calibration.solve import most_probable
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ROUNDS = 5
+_FIRST_FIELD_PX = 1.0
+_SMALLEST_SIGMA_PX = 1e-4
+
+
+class LinearSystem(NamedTuple):
+    """The bins' equations: residual = rows · change of the unknowns + waves · coefficients + noise.
+
+    rows (b, 2, p), waves (b, m), residual (b, 2) px, information (b,) px⁻², at (p,), member (n,) the bin of a sighting.
+    """
+
+    rows: FloatArray
+    waves: FloatArray
+    residual: FloatArray
+    information: FloatArray
+    at: FloatArray
+    member: IntArray
+
+    def normal(self) -> Normal:
+        """Return the sums over the bins."""
+        return normal_sums(self.rows, self.waves, self.residual, self.information, self.at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobustFit:
+    """What the rounds came to.
+
+    Attributes
+    ----------
+    system : the bins' equations about the fit.
+    marginal : the fit's unknowns, their covariance, and the field's part in it.
+    scales : as found in the data.
+    grid : the scales that were tried, and the field's waves.
+    residual : (n, 2) observed minus modelled, px.
+    weight : (n,) how much each sighting counted, 0 to 1.
+    sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
+    inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
+    """
+
+    problem: Problem
+    system: LinearSystem
+    marginal: Marginal
+    scales: Scales
+    grid: Grid
+    residual: FloatArray
+    weight: FloatArray
+    sigma_px: float
+    inflation: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _State:
+    unknowns: FloatArray
+    residual: FloatArray
+    smooth: FloatArray
+    scales: Scales
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Noise:
+    sigma_px: float
+    weight: FloatArray
+    inflation: FloatArray
+
+    def information(self, seen: Observations) -> FloatArray:
+        """Return (n,) px⁻²."""
+        variance = self.sigma_px**2 * self.inflation
+        return np.asarray(seen.information * self.weight * INFORMATION_PER_WEIGHT / variance)
+
+
+def fit_robustly(
+    problem: Problem, seen: Observations, usable: Usable, start: FloatArray, *, options: CalibrationOptions
+) -> RobustFit:
+    """Return the fit of all sightings from a start in the right valley."""
+    grid = scale_grid(
+        width=problem.template.width,
+        height=problem.template.height,
+        floor_px=options.field_floor_px,
+        radial_px=options.tolerances.radial_px,
+    )
+    bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
+    follows = neighbours(usable.unix_s, run)
+    unknowns = _without_field(problem, seen, start)
+    residual = problem.residuals(unknowns, seen)
+    state = _State(
+        unknowns=unknowns,
+        residual=residual,
+        smooth=np.zeros_like(residual),
+        scales=Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), 16.0),
+    )
+    for number in range(_ROUNDS):
+        noise = _noise(state, seen, follows, run)
+        system = _linearised(problem, seen, bins, state, noise=noise, grid=grid)
+        normal = system.normal()
+        scales = state.scales if number == 0 else likely_scales(normal, grid)
+        marginal = marginal_fit(normal, grid.basis, scales)
+        smooth = (system.waves @ marginal.waves.T)[bins.member]
+        state = _State(
+            unknowns=marginal.unknowns,
+            residual=problem.residuals(marginal.unknowns, seen),
+            smooth=smooth,
+            scales=scales,
+        )
+    return RobustFit(
+        problem=problem,
+        system=_linearised(problem, seen, bins, state, noise=noise, grid=grid),
+        marginal=marginal,
+        scales=scales,
+        grid=grid,
+        residual=state.residual,
+        weight=noise.weight,
+        sigma_px=noise.sigma_px,
+        inflation=noise.inflation,
+    )
+
+
+def _without_field(problem: Problem, seen: Observations, start: FloatArray) -> FloatArray:
+    """Return the robust fit without a field, the scale of the loss coming down to the core's."""
+    at = start
+    precision = prior_precision(problem.size, 16.0)
+    for share in (0.5, 0.3, 0.3):
+        distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
+        sigma = core_sigma(distance, share=share, floor=_SMALLEST_SIGMA_PX)
+        at = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20).unknowns
+    return at
+
+
+def _noise(state: _State, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
+    """Return the noise as it shows beside model and field."""
+    left = state.residual - state.smooth
+    distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
+    sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
+    weight = tukey_weights(distance, sigma=sigma)
+    return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(left, weight, follows, run))
+
+
+def _linearised(
+    problem: Problem, seen: Observations, bins: Bins, state: _State, *, noise: _Noise, grid: Grid
+) -> LinearSystem:
+    gathered, residual = bins.gathered(seen, state.residual, noise.information(seen))
+    _, rows = problem.linearised(state.unknowns, gathered)
+    return LinearSystem(
+        rows=rows,
+        waves=grid.basis.values(gathered.pixels),
+        residual=residual,
+        information=gathered.information,
+        at=state.unknowns,
+        member=bins.member,
+    )

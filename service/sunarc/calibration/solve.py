@@ -1,0 +1,120 @@
+"""The most probable camera: Levenberg-Marquardt on a robust cost with Gaussian priors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from sunarc.calibration.loss import tukey_loss, tukey_weights
+from sunarc.calibration.problem import Observations, Problem
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_FIRST_DAMPING = 1e-3
+_LARGEST_DAMPING = 1e8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """Where a fit came to rest.
+
+    Attributes
+    ----------
+    unknowns : see `Problem`.
+    residual : (n, 2) observed minus predicted, px.
+    cost : half the weighted squares, or the robust loss, and half the prior's.
+    """
+
+    unknowns: FloatArray
+    residual: FloatArray
+    cost: float
+
+
+def most_probable(
+    problem: Problem,
+    seen: Observations,
+    start: FloatArray,
+    *,
+    precision: FloatArray,
+    sigma: float | None = None,
+    free: BoolArray | None = None,
+    iterations: int = 30,
+    tolerance: float = 1e-6,
+) -> Solution:
+    """Return the unknowns that minimise loss plus prior, from a start.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : sightings; with `sigma` given, their information is relative to it.
+    start : first unknowns.
+    precision : prior precisions of the unknowns, (size,), about 0 for the lens.
+    sigma : px, scale of the redescending loss; None takes plain squares.
+    free : which unknowns may move; all by default.
+    iterations : most steps.
+    tolerance : relative gain of the cost below which it rests.
+    """
+    moving = np.ones(problem.size, dtype=bool) if free is None else free
+    at = start.copy()
+    residual, rows = problem.linearised(at, seen)
+    cost = _cost(residual, seen, at, precision, sigma)
+    damping = _FIRST_DAMPING
+    for _ in range(iterations):
+        weight = information(residual, seen, sigma)
+        flat = rows[..., moving]
+        normal = np.einsum("nai,n,naj->ij", flat, weight, flat, optimize=True) + np.diag(precision[moving])
+        gradient = np.einsum("nai,n,na->i", flat, weight, residual, optimize=True) - precision[moving] * at[moving]
+        following, gain = None, 0.0
+        while damping < _LARGEST_DAMPING:
+            trial = at.copy()
+            trial[moving] += damped_step(normal, gradient, damping)
+            trial_residual = problem.residuals(trial, seen)
+            gain = cost - _cost(trial_residual, seen, trial, precision, sigma)
+            if gain >= 0.0:
+                following = trial
+                break
+            damping *= 10.0
+        if following is None:
+            break
+        damping = max(damping * 0.1, 1e-12)
+        at, cost = following, cost - gain
+        residual, rows = problem.linearised(at, seen)
+        if gain <= tolerance * max(cost, 1e-12):
+            break
+    return Solution(unknowns=at, residual=residual, cost=cost)
+
+
+def damped_step(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    """Return the Levenberg-Marquardt step, scaled by the diagonal; zeros where the equations cannot be solved."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * scale[:, None] * scale
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-14
+    try:
+        step = scale * cho_solve(cho_factor(scaled), scale * gradient)
+    except (np.linalg.LinAlgError, ValueError):
+        return np.zeros_like(gradient)
+    return np.asarray(step)
+
+
+def information(residual: FloatArray, seen: Observations, sigma: float | None) -> FloatArray:
+    """Return (n,): how much each sighting counts where it lies now, px⁻²."""
+    if sigma is None:
+        return seen.information
+    distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(seen.information)
+    return np.asarray(seen.information * tukey_weights(distance, sigma=sigma) / sigma**2)
+
+
+def _cost(
+    residual: FloatArray, seen: Observations, unknowns: FloatArray, precision: FloatArray, sigma: float | None
+) -> float:
+    prior = 0.5 * float(np.sum(precision * unknowns**2))
+    square = np.sum(residual**2, axis=-1) * seen.information
+    if sigma is None:
+        return 0.5 * float(np.sum(square)) + prior
+    loss = float(np.sum(tukey_loss(np.sqrt(square), sigma=sigma))) + prior
+    return loss if math.isfinite(loss) else math.inf

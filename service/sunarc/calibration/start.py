@@ -1,0 +1,126 @@
+"""Where a fit starts: focal length and centre from the image circle or by search, the pose by Wahba's problem.
+
+Reference: G. Wahba, "A least squares estimate of satellite attitude", SIAM Review 7 (1965); solved by the singular
+value decomposition.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.problem import Observations
+from sunarc.optics import Camera, ideal_radius, rotation_vector, unproject
+
+FloatArray = NDArray[np.float64]
+
+LARGEST_TILT = math.radians(75.0)
+_LOOKED_AT = 160
+_FOCAL_FACTORS = np.geomspace(0.35, 4.0, 22)
+_CENTER_STEPS = (-0.08, 0.0, 0.08)
+
+
+def camera_from_circle(circle: ImageCircle, *, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return K0 (Eqs. 21, 22): a level camera, its x axis to the east, from the image circle."""
+    mirrored = options.mirrored == "yes"
+    angle = math.radians(circle.angle_deg)
+    limit = math.radians(80.0) if options.projection == "perspective" else math.pi / 2
+    focal = circle.radius / float(ideal_radius(options.projection, min(angle, limit) if angle > limit else angle))
+    x = image_size[0] - 1.0 - circle.x if mirrored else circle.x
+    return _level(image_size, options, focal, (x, circle.y), mirrored=mirrored)
+
+
+def camera_from_size(*, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return a level camera whose field is 180 degrees (perspective: 120) across the image's shorter side."""
+    angle = math.radians(60.0) if options.projection == "perspective" else math.pi / 2
+    focal = 0.5 * min(image_size) / float(ideal_radius(options.projection, angle))
+    center = ((image_size[0] - 1) / 2.0, (image_size[1] - 1) / 2.0)
+    return _level(image_size, options, focal, center, mirrored=options.mirrored == "yes")
+
+
+def _level(
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    focal: float,
+    center: tuple[float, float],
+    *,
+    mirrored: bool,
+) -> Camera:
+    return Camera(
+        width=image_size[0],
+        height=image_size[1],
+        projection=options.projection,
+        focal_length_px=(focal, focal),
+        principal_point_px=center,
+        rotation_cam_enu=(0.0, 0.0, 0.0),
+        mirrored=mirrored,
+        max_angle=math.radians(options.max_angle_deg),
+    )
+
+
+def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camera, float]:
+    """Return the camera turned so that its rays meet the sun's directions, and how well they do.
+
+    Parameters
+    ----------
+    camera : a lens; its pose does not count.
+    seen : sightings of one pose epoch.
+    rounds : rotations found in turn, sightings that lie off counting less and less.
+
+    Returns
+    -------
+    The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
+    """
+    rays = unproject(replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=math.pi), seen.pixels)
+    good = np.all(np.isfinite(rays), axis=-1)
+    if good.sum() < max(3, 0.5 * len(seen)):
+        return camera, math.inf
+    rays, world = rays[good], seen.directions[good]
+    weight = np.ones(rays.shape[0])
+    matrix, chord = np.eye(3), weight
+    for _ in range(rounds):
+        left, _, right = np.linalg.svd((weight[:, None] * rays).T @ world)
+        matrix = left @ np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right
+        chord = np.linalg.norm(rays - world @ matrix.T, axis=-1)
+        weight = 1.0 / (1.0 + (chord / max(float(np.median(chord)), 1e-9)) ** 2)
+    return replace(camera, rotation_cam_enu=rotation_vector(matrix)), float(np.median(chord))
+
+
+def candidates(seen: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:
+    """Return turned cameras to try, the most promising first.
+
+    Parameters
+    ----------
+    seen : sightings of one pose epoch.
+    guess : focal length and centre to search around.
+    known : whether the guess comes from an image circle: then it is taken as it is.
+    best : how many at most.
+    """
+    thin = seen.select(np.unique(np.linspace(0, len(seen) - 1, _LOOKED_AT).astype(int)))
+    factors = np.array([1.0]) if known else _FOCAL_FACTORS
+    steps = (0.0,) if known else _CENTER_STEPS
+    size = min(guess.width, guess.height)
+    found = []
+    for factor, dx, dy in itertools.product(factors, steps, steps):
+        focal = guess.focal_length_px[0] * float(factor)
+        center = (guess.principal_point_px[0] + dx * size, guess.principal_point_px[1] + dy * size)
+        camera, misfit = wahba(replace(guess, focal_length_px=(focal, focal), principal_point_px=center), thin)
+        if math.isfinite(misfit) and tilt(camera) <= LARGEST_TILT:
+            found.append((misfit, camera))
+    found.sort(key=lambda pair: pair[0])
+    return [camera for _, camera in found[:best]]
+
+
+def tilt(camera: Camera) -> float:
+    """Return the angle between the optical axis and the vertical in radians."""
+    x, y, z = camera.rotation_cam_enu
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-12:
+        return 0.0
+    lean = (1.0 - math.cos(angle)) * (x * x + y * y) / angle**2
+    return math.acos(max(-1.0, min(1.0, 1.0 - lean)))
