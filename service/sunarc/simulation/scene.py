@@ -1,0 +1,198 @@
+"""The simulated sky, as a function of time and exposure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.cameras import Counts
+from sunarc.optics import Camera, project
+from sunarc.simulation.clouds import CloudLayer, cloud_layer
+from sunarc.simulation.disc import Stamp, disc_points, stamp_of
+from sunarc.simulation.field import is_blocked, pixel_field
+from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
+from sunarc.simulation.options import SceneOptions, SensorModel, Weather
+from sunarc.sky import Site, solar_date, sun_angles
+from sunarc.sky.directions import direction_from_angles
+
+FloatArray = NDArray[np.float64]
+Region = tuple[int, int, int, int]
+
+_NOISE_LENGTH = 1 << 20
+_HEADROOM = 1.15  # a full well holds a little more than full scale, so that what is saturated stays so under noise
+_GLARE_CORE_DEG = 0.5
+
+
+class Scene:
+    """A site's sky on a sensor behind a lens: the same moment and exposure give the same counts, everywhere.
+
+    Parameters
+    ----------
+    camera : the true camera.
+    site : where it stands.
+    options : the sky and the lens's imperfections.
+    sensor : how light becomes counts.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        site: Site,
+        *,
+        options: SceneOptions | None = None,
+        sensor: SensorModel | None = None,
+    ) -> None:
+        self.camera = camera
+        self.site = site
+        self.options = options or SceneOptions()
+        self.sensor = sensor or SensorModel()
+        self._field = pixel_field(camera, field_deg=self.options.field_deg, obstructions=self.options.obstructions)
+        rng = np.random.default_rng([self.options.seed, 11])
+        self._noise = rng.standard_normal(_NOISE_LENGTH + camera.width, dtype=np.float32)
+        self._hot_at = rng.integers(0, [camera.width, camera.height], size=(self.sensor.hot_pixels, 2))
+        self._hot_e = self.sensor.full_well_e * rng.uniform(0.05, 1.2, self.sensor.hot_pixels)
+        self._hot_e_per_us = self.sensor.full_well_e * 10.0 ** rng.uniform(-6.0, -3.0, self.sensor.hot_pixels)
+
+    def render(
+        self,
+        start_us: int,
+        *,
+        exposure_us: float,
+        gain_db: float = 0.0,
+        full_scale: int = 4095,
+        region: Region | None = None,
+        noise: bool = True,
+    ) -> Counts:
+        """Return the counts of one exposure.
+
+        Parameters
+        ----------
+        start_us : start of the exposure, microseconds since 1970-01-01 UTC; everything stands where it is mid-way.
+        exposure_us : its length.
+        gain_db : amplification before the counts.
+        full_scale : the largest count; 255 gives uint8, anything above uint16.
+        region : x, y, width, height in px; None is the whole sensor.
+        noise : False leaves photon, read noise and hot pixels out.
+
+        Returns
+        -------
+        (height, width) of the region.
+        """
+        region = region or (0, 0, self.camera.width, self.camera.height)
+        light, smear = self._light(start_us * 1e-6 + exposure_us * 0.5e-6, region)
+        starts = np.zeros(region[3], dtype=np.int64)
+        if noise:
+            self._add_hot_pixels(light, region, exposure_us)
+            key = [self.options.seed, start_us, round(exposure_us * 1000.0), region[0], region[1]]
+            starts = np.random.default_rng(key).integers(0, _NOISE_LENGTH, region[3])
+        counts = np.empty(light.shape, dtype=np.uint16)
+        factors = self._sensor_factors(exposure_us, gain_db=gain_db, full_scale=full_scale, noise=noise)
+        count_light(light, smear, self._noise, starts, factors, counts)
+        return counts.astype(np.uint8) if full_scale == 255 else counts
+
+    def sun_direction(self, unix_s: float) -> FloatArray:
+        """Return the (3,) apparent direction of the sun."""
+        angles = sun_angles(unix_s, self.site)
+        return direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+
+    def sun_pixel(self, unix_s: float) -> FloatArray:
+        """Return the (2,) pixel of the sun's centre; NaN where the lens does not see it."""
+        return project(self.camera, self.sun_direction(unix_s))
+
+    def weather(self, unix_s: float) -> Weather:
+        """Return the weather of the solar day of a moment."""
+        day = solar_date(unix_s, longitude=self.site.longitude)
+        return self.options.weather[(day - self.options.first_day).days % len(self.options.weather)]
+
+    def sun_transmittance(self, unix_s: float) -> float:
+        """Return how much of the sun's light clouds and obstructions let through, averaged over its disc."""
+        layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
+        points = disc_points(self.camera, self.sun_direction(unix_s), limb_darkening=self.options.limb_darkening)
+        if points is None:
+            return 0.0
+        return float(np.average(self._seen(points.direction_enu, layer), weights=points.weight_px))
+
+    def _light(self, unix_s: float, region: Region) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the light of a region in full scales per microsecond, and its smear in electrons, (w,)."""
+        sun = self.sun_direction(unix_s)
+        layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
+        x, y, width, height = region
+        field = self._field[y : y + height, x : x + width]
+        light = np.empty((height, width), dtype=np.float32)
+        smear = np.zeros(width, dtype=np.float32)
+        stamps, share = self._stamps(sun, layer)
+        sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer, light)
+        for stamp in stamps:
+            _add(light, stamp, (x, y))
+            column_sum = stamp.values.sum(axis=0, keepdims=True) * self.sensor.smear_us_per_row
+            _add(smear[None, :], Stamp(stamp.x, 0, column_sum * self.sensor.full_well_e), (x, 0))
+        return light, smear
+
+    def _stamps(self, sun: FloatArray, layer: CloudLayer) -> tuple[list[Stamp], float]:
+        """Return the images of the sun's disc, and how much of its light comes through."""
+        points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
+        if points is None:
+            return [], 0.0
+        seen = self._seen(points.direction_enu, layer)
+        share = float(np.average(seen, weights=points.weight_px))
+        if share <= 0.0:
+            return [], 0.0
+        weight = points.weight_px * seen * self._disc_rate(sun[2])
+        stamps = [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+        if self.options.ghost_strength > 0.0:
+            opposite = 2.0 * np.array(self.camera.principal_point_px) - points.pixel
+            stamps.append(stamp_of(opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px))
+        return stamps, share
+
+    def _seen(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
+        through = np.array([transmittance_towards(*layer, *ray) for ray in direction_enu.astype(np.float32)])
+        return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
+
+    def _disc_rate(self, sun_up: float) -> float:
+        """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""
+        return self.options.sun_rate * self.options.nd_transmission * math.exp(-0.2 * air_mass(sun_up))
+
+    def _levels(self, sun_up: float, share: float) -> NDArray[np.float32]:
+        """Return the levels of `sky_light` in full scales per microsecond."""
+        disc = self.options.sun_rate * self.options.nd_transmission
+        core = math.radians(_GLARE_CORE_DEG) ** 2
+        below_deg = max(-math.degrees(math.asin(sun_up)), 0.0)
+        day = max(sun_up, 0.0) ** 0.7 + 0.03 * math.exp(-below_deg / 2.0)
+        zenith = disc * self.options.sky_strength * day
+        glare = self._disc_rate(sun_up) * share * self.options.glare_strength * math.radians(1.0) ** 2
+        return np.array([zenith, 2.5 * zenith, 0.4 * zenith, glare, core, 0.4 * zenith], dtype=np.float32)
+
+    def _sensor_factors(
+        self, exposure_us: float, *, gain_db: float, full_scale: int, noise: bool
+    ) -> NDArray[np.float32]:
+        well = self.sensor.full_well_e
+        black = self.sensor.black_level * full_scale
+        per_electron = (full_scale - black) / well * 10.0 ** (gain_db / 20.0)
+        read_square = self.sensor.read_noise_e**2 if noise else -1.0
+        return np.array(
+            [well * exposure_us, well * _HEADROOM, read_square, per_electron, black, full_scale], dtype=np.float32
+        )
+
+    def _add_hot_pixels(self, light: NDArray[np.float32], region: Region, exposure_us: float) -> None:
+        x, y = (self._hot_at - np.array(region[:2])).T
+        inside = (x >= 0) & (y >= 0) & (x < region[2]) & (y < region[3])
+        electrons = self._hot_e + self._hot_e_per_us * exposure_us
+        light[y[inside], x[inside]] += electrons[inside] / (self.sensor.full_well_e * exposure_us)
+
+
+def air_mass(sun_up: float) -> float:
+    """Return the relative air mass for the sine of the sun's elevation (Kasten and Young 1989); 38 at the horizon."""
+    elevation_deg = max(math.degrees(math.asin(min(max(sun_up, 0.0), 1.0))), 0.0)
+    return 1.0 / (math.sin(math.radians(elevation_deg)) + 0.50572 * math.pow(elevation_deg + 6.07995, -1.6364))
+
+
+def _add(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:
+    """Add a stamp to an image whose first pixel is `origin` of the sensor, where they overlap."""
+    x, y = stamp.x - origin[0], stamp.y - origin[1]
+    height, width = stamp.values.shape
+    left, top = max(x, 0), max(y, 0)
+    right, bottom = min(x + width, image.shape[1]), min(y + height, image.shape[0])
+    if left < right and top < bottom:
+        image[top:bottom, left:right] += stamp.values[top - y : bottom - y, left - x : right - x].astype(np.float32)
