@@ -19,6 +19,7 @@ from sunarc.detection.window import Window, cut
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0
+_HALOS = (0.0, 0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
 _DEFAULT_OPTIONS = DiscOptions()
 
 
@@ -86,7 +87,8 @@ def _search(image: Image, *, sensor: Sensor, options: DiscOptions) -> Detection:
     spots = brightest_spots(image, count=_CANDIDATES, reach=reach, floor=_floor(sensor, options))
     if not spots:
         return _dark(image, sensor, options)
-    found = [_fitted(image, spot, None, sensor=sensor, expectation=None, options=options) for spot in spots]
+    rivals = [spot for spot in spots if spot.contrast > 0.3 * spots[0].contrast]
+    found = [_fitted(image, spot, None, sensor=sensor, expectation=None, options=options) for spot in rivals]
     believed = sorted((d for d in found if d.accepted), key=_flux, reverse=True)
     if len(believed) > 1 and _flux(believed[1]) > 0.5 * _flux(believed[0]):
         return replace(
@@ -137,7 +139,8 @@ def _fitted(
     options: DiscOptions,
 ) -> Detection:
     """Fit and judge the disc at a spot; `axes` None: the disc's shape is fitted too."""
-    start = _first_axes(spot, options) if axes is None else axes
+    starts = _first_axes(spot, sensor, options) if axes is None else [axes]
+    start = starts[0]
     half = math.ceil(max(_major(start), spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
     if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
         return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
@@ -158,17 +161,20 @@ def _fitted(
         radius_px=math.sqrt(np.linalg.det(start)), psf_px=options.psf_px, limb_darkening=options.limb_darkening
     )
     prior = Prior(math.log(options.psf_px), options.psf_tolerance, free_stretch=axes is None)
-    fit = fit_disc(window, start=(spot.x, spot.y), stretch=start, sources=sources, sensor=sensor, prior=prior)
+    fit = fit_disc(window, start=(spot.x, spot.y), stretches=starts, sources=sources, sensor=sensor, prior=prior)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 
-def _first_axes(spot: Spot, options: DiscOptions) -> FloatArray:
+def _first_axes(spot: Spot, sensor: Sensor, options: DiscOptions) -> list[FloatArray]:
+    """Return first guesses of the disc's axes; a saturated one looks larger than it is by some point spreads."""
+    saturated = spot.level >= options.saturation_fraction * sensor.full_scale
     values, vectors = np.linalg.eigh(spot.axes)
-    values = np.clip(values, options.min_radius_px, options.max_radius_px)
-    return np.asarray((vectors * values) @ vectors.T)
+    halos = [halo * options.psf_px for halo in (_HALOS[1:] if saturated else _HALOS[:1])]
+    sizes = [np.clip(values - halo, options.min_radius_px, options.max_radius_px) for halo in halos]
+    return [np.asarray((vectors * size) @ vectors.T) for size in sizes]
 
 
 def _all_saturated(window: Window) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +64,13 @@ class DiscFit:
 
 
 def fit_disc(
-    window: Window, *, start: tuple[float, float], stretch: FloatArray, sources: Sources, sensor: Sensor, prior: Prior
+    window: Window,
+    *,
+    start: tuple[float, float],
+    stretches: Sequence[FloatArray],
+    sources: Sources,
+    sensor: Sensor,
+    prior: Prior,
 ) -> DiscFit | None:
     """Fit the disc in a window.
 
@@ -71,7 +78,8 @@ def fit_disc(
     ----------
     window : the pixels.
     start : first guess of the centre in the image, px.
-    stretch : (2, 2) symmetric, px, takes the unit disc to the sun's image (a first guess where it is free).
+    stretches : (2, 2) symmetric, px, take the unit disc to the sun's image; where it is free, the first guesses to
+        choose from.
     sources : the unit disc.
     sensor, prior : noise, and what is known of the disc.
 
@@ -80,17 +88,18 @@ def fit_disc(
     The fit, or None where too few pixels can be used.
     """
     position = np.array([start[0] - window.first[0], start[1] - window.first[1], prior.log_psf])
-    nonlinear = np.concatenate([position, stretch[[0, 0, 1], [0, 1, 1]]])
+    starts = [np.concatenate([position, stretch[[0, 0, 1], [0, 1, 1]]]) for stretch in stretches]
     problem = make_problem(
-        window, usable=window.usable, origin=nonlinear[:2], sensor=sensor, sources=sources, prior=prior
+        window, usable=window.usable, origin=position[:2], sensor=sensor, sources=sources, prior=prior
     )
     if problem.counts.size < 30 + 4 * window.colours:
         return None
-    state, evaluation, converged = _solve(problem, with_levels(problem, nonlinear))
+    first = min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
+    state, evaluation, converged = _solve(problem, *first)
     bad = _outliers(evaluation)
     if bad.any():
         problem = without(problem, bad)
-        state, evaluation, converged = _solve(problem, state)
+        state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
 
 
@@ -103,9 +112,9 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     return State(nonlinear, state.flux + flux, state.background + background, state.slope + slope)
 
 
-def _solve(problem: Problem, state: State) -> tuple[State, Evaluation, bool]:
+def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
-    evaluation, damping = evaluate(problem, state), 1e-6
+    damping = 1e-6
     for _ in range(_STEPS):
         matrix, gradient = normal_equations(problem, state, evaluation)
         scale = np.maximum(np.diag(matrix), 1e-12)

@@ -100,8 +100,8 @@ def _planes(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> Flo
     return np.asarray(images.reshape(9, -1)[:, problem.pixel])
 
 
-def with_levels(problem: Problem, nonlinear: FloatArray) -> State:
-    """Return the state whose linear parameters fit best at the given nonlinear ones."""
+def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
+    """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
     state = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(2))
     planes = _planes(problem, nonlinear, state.stretch)
@@ -109,7 +109,8 @@ def with_levels(problem: Problem, nonlinear: FloatArray) -> State:
     root = np.sqrt(1.0 / _variance(problem.sensor, problem.counts))
     solution = np.linalg.lstsq(design * root[:, None], problem.counts * root, rcond=1e-10)[0]
     flux, background, slope = np.split(solution, [colours, 2 * colours])
-    return State(nonlinear, np.maximum(flux, 1e-3), background, slope)
+    best = State(nonlinear, np.maximum(flux, 1e-3), background, slope)
+    return best, _evaluated(problem, best, planes)
 
 
 def _linear_columns(problem: Problem, planes: FloatArray) -> FloatArray:
@@ -124,7 +125,10 @@ def _variance(sensor: Sensor, level: FloatArray) -> FloatArray:
 
 def evaluate(problem: Problem, state: State) -> Evaluation:
     """Return residuals, weights, derivatives and twice the negative log likelihood at a state."""
-    planes = _planes(problem, state.nonlinear, state.stretch)
+    return _evaluated(problem, state, _planes(problem, state.nonlinear, state.stretch))
+
+
+def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation:
     flux = state.flux[problem.colour]
     model = flux * planes[template.VALUE] + state.background[problem.colour] + problem.offset @ state.slope
     residual, variance = problem.counts - model, _variance(problem.sensor, model)

@@ -83,9 +83,15 @@ def brightest_spots(image: Image, *, count: int, reach: int, floor: float) -> li
         if len(spots) >= count or best[k] <= floor:
             break
         y, x = divmod(int(where[k]), image.shape[1])
-        if all(math.hypot(spot.x - x, spot.y - y) > 4.0 + 1.5 * spot.semi_axes[1] for spot in spots):
-            spots.append(measure_spot(image, x=x, y=y, reach=reach))
+        if not _belongs(x, y, spots):
+            spot = measure_spot(image, x=x, y=y, reach=reach)
+            if not _belongs(spot.x, spot.y, spots):
+                spots.append(spot)
     return spots
+
+
+def _belongs(x: float, y: float, spots: list[Spot]) -> bool:
+    return any(math.hypot(spot.x - x, spot.y - y) < 4.0 + 2.0 * spot.semi_axes[1] for spot in spots)
 
 
 def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
