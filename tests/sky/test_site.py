@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from sunarc.errors import InputError
+from sunarc.sky import Site
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("latitude", 90.1),
+        ("latitude", math.nan),
+        ("longitude", -180.1),
+        ("longitude", math.inf),
+        ("altitude", 9001.0),
+        ("temperature", 285.0),
+        ("pressure", 1013.0),
+    ],
+)
+def test_what_is_no_place_is_refused_by_name_and_with_the_unit(field: str, value: float) -> None:
+    with pytest.raises(InputError) as caught:
+        Site(**{"latitude": 36.6, "longitude": -97.5, field: value})
+    assert caught.value.field == field
+    assert caught.value.remedy.startswith("give ")
+
+
+@pytest.mark.parametrize(("altitude", "pressure"), [(0.0, 101_325.0), (1000.0, 89_875.0), (5000.0, 54_020.0)])
+def test_the_pressure_follows_the_standard_atmosphere(altitude: float, pressure: float) -> None:
+    # ICAO standard atmosphere, doc 7488
+    assert Site(latitude=0.0, longitude=0.0, altitude=altitude).pressure_pa == pytest.approx(pressure, rel=1e-3)
+
+
+def test_a_pressure_that_was_set_is_kept() -> None:
+    assert Site(latitude=0.0, longitude=0.0, altitude=1000.0, pressure=90_000.0).pressure_pa == 90_000.0
