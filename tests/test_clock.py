@@ -3,7 +3,7 @@ from __future__ import annotations
 import threading
 from datetime import UTC, datetime, timedelta
 
-from sunarc.clock import SystemClock, VirtualClock
+from sunarc.clock import SystemClock, VirtualClock, host_clock_state
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 PATIENCE_S = 20.0
@@ -63,3 +63,12 @@ def test_no_virtual_second_is_lost_between_threads() -> None:
     for thread in threads:
         thread.join()
     assert clock.monotonic() == 4000.0
+
+
+def test_the_kernel_says_how_far_its_clock_can_be_trusted() -> None:
+    state = host_clock_state()
+    assert 0.0 <= state.error_bound_s < 3600.0
+    if state.synchronised:
+        assert (
+            state.error_bound_s < 16.0
+        )  # beyond that the kernel itself calls the clock unsynchronised (NTP_PHASE_LIMIT)
