@@ -33,8 +33,11 @@ RADIAL = slice(5, 13)
 """Where z holds the residual radial distortion."""
 
 _GRID = 181
-_GAUGE_SHARE = 0.05
-_SMALLEST_SHARE = 1e-12
+_GAUGE = 0.3
+"""How much of the residual radial distortion (root mean square) may still be a change of focal length."""
+_ROUGHNESS = 0.25
+"""Share of the distortion that is not smooth at all, so that no shape is impossible."""
+_SMALLEST_SHARE = 1e-14
 _RIGHT_ANGLE = math.pi / 2
 
 
@@ -118,16 +121,14 @@ def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
     """
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     theta = np.linspace(0.0, upto, _GRID)
-    kernel = _pinned_on_axis(np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2))
-    ideal = ideal_radius(camera.projection, theta)
-    direction = ideal / np.linalg.norm(ideal)
-    keep = np.eye(_GRID) - (1.0 - _GAUGE_SHARE) * np.outer(direction, direction)
+    kernel = np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2) + _ROUGHNESS**2 * np.eye(_GRID)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
-    to_coefficients = np.linalg.pinv(powers) @ keep / focal
-    values, vectors = np.linalg.eigh(to_coefficients @ kernel @ to_coefficients.T)
+    to_coefficients = np.linalg.pinv(powers) / focal
+    covariance = to_coefficients @ kernel @ to_coefficients.T
+    ideal = ideal_radius(camera.projection, theta)
+    share = focal * (ideal @ powers) / np.linalg.norm(ideal) / math.sqrt(_GRID)
+    shared = covariance @ share
+    covariance -= np.outer(shared, shared) / (share @ shared + _GAUGE**2)
+    values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))
 
-
-def _pinned_on_axis(kernel: FloatArray) -> FloatArray:
-    """Condition the process on being 0 on the axis, where no radial distortion can be."""
-    return np.asarray(kernel - np.outer(kernel[0], kernel[0]) / kernel[0, 0])

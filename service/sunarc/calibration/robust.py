@@ -7,13 +7,14 @@ no smooth error explains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins, time_bins
+from sunarc.calibration.decentering import deepest_valley
 from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fit, normal_sums, prior_precision
 from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
 from sunarc.calibration.noise import inflation, neighbours
@@ -21,7 +22,7 @@ from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
 from sunarc.calibration.scales import Grid, likely_scales, scale_grid
-from sunarc.calibration.solve import most_probable
+from sunarc.calibration.solve import information, most_probable
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,6 +30,7 @@ IntArray = NDArray[np.int64]
 _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
 _SMALLEST_SIGMA_PX = 1e-4
+_LOOSE_RADIAL_PX = 16.0
 
 
 class LinearSystem(NamedTuple):
@@ -108,13 +110,13 @@ def fit_robustly(
     )
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     follows = neighbours(usable.unix_s, run)
-    unknowns = _without_field(problem, seen, start)
+    unknowns = _without_field(problem, seen, start, bins)
     residual = problem.residuals(unknowns, seen)
     state = _State(
         unknowns=unknowns,
         residual=residual,
         smooth=np.zeros_like(residual),
-        scales=Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), 16.0),
+        scales=Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX),
     )
     for number in range(_ROUNDS):
         noise = _noise(state, seen, follows, run)
@@ -142,15 +144,18 @@ def fit_robustly(
     )
 
 
-def _without_field(problem: Problem, seen: Observations, start: FloatArray) -> FloatArray:
+def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:
     """Return the robust fit without a field, the scale of the loss coming down to the core's."""
-    at = start
-    precision = prior_precision(problem.size, 16.0)
+    at, weight, sigma = start, np.ones(len(seen)), 1.0
+    precision = prior_precision(problem.size, _LOOSE_RADIAL_PX)
     for share in (0.5, 0.3, 0.3):
         distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
         sigma = core_sigma(distance, share=share, floor=_SMALLEST_SIGMA_PX)
-        at = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20).unknowns
-    return at
+        found = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20)
+        at, weight = found.unknowns, information(found.residual, seen, sigma)
+    gathered, residual = bins.gathered(seen, problem.residuals(at, seen), weight)
+    pixels = gathered.pixels + residual - problem.residuals(at, gathered)
+    return deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
 
 
 def _noise(state: _State, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:

@@ -1,0 +1,50 @@
+"""The valleys of the decentering: (p1, p2) × (1, p3, p4) is a product, and one sign of it hides the other.
+
+From p = 0 a fit cannot feel p3 and p4, and walks into the valley that lies nearest, which is often not the deepest. So
+the higher coefficients are held at several places in turn, the rest is solved, and the best two are let go.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.solve import Solution, most_probable
+
+FloatArray = NDArray[np.float64]
+
+P1, P3, P4 = 13, 15, 16
+"""Where the whitened unknowns hold p1, p3 and p4."""
+
+_PLACES = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
+_LET_GO = 2
+
+
+def deepest_valley(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+    """Return the unknowns at the bottom of the deepest valley that was found.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : sightings with their information, outliers gone.
+    start : unknowns near the truth but for the decentering.
+    precision : prior precisions of the unknowns.
+    """
+    held = np.ones(problem.size, dtype=bool)
+    held[[P3, P4]] = False
+    tried = [most_probable(problem, seen, start, precision=precision, iterations=15)]
+    for place in _PLACES:
+        at = start.copy()
+        at[[P1, P1 + 1]] = 0.0
+        at[[P3, P4]] = place
+        tried.append(most_probable(problem, seen, at, precision=precision, free=held, iterations=4, tolerance=1e-4))
+    promising = sorted(tried[1:], key=_cost)[:_LET_GO]
+    freed = [most_probable(problem, seen, one.unknowns, precision=precision, iterations=15) for one in promising]
+    return min([tried[0], *freed], key=_cost).unknowns
+
+
+def _cost(solution: Solution) -> float:
+    return solution.cost
