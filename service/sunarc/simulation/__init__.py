@@ -1,17 +1,25 @@
 """Frames from a known truth: the sky, the lens, the sensor, faults; in-process, or served as a GigE Vision camera."""
 
+from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
 from sunarc.simulation.options import WEATHERS, Obstruction, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene
+from sunarc.simulation.scene_camera import SceneCamera
+from sunarc.simulation.timeline import Timeline
 from sunarc.simulation.truth import SGP, true_camera, truth_document
 
 __all__ = [
     "SGP",
     "WEATHERS",
+    "ImagerOptions",
     "Obstruction",
     "Scene",
+    "SceneCamera",
     "SceneOptions",
     "SensorModel",
+    "Timeline",
     "Weather",
+    "run_imager",
+    "scene_of",
     "true_camera",
     "truth_document",
 ]

@@ -1,0 +1,158 @@
+"""The simulated camera's own description of its features (GenICam), laid over the registers of Aravis's fake camera.
+
+Reference: EMVA, "GenICam Standard Features Naming Convention". Addresses up to 0x3ff belong to Aravis; those from
+0xb000 on are free memory, which carries the faults that can be asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+WIDTH, HEIGHT, GAIN, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x110, 0x118, 0x11C
+EXPOSURE, PIXEL_FORMAT, OFFSET_X, OFFSET_Y = 0x120, 0x128, 0x130, 0x134
+VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
+TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
+
+PIXEL_FORMATS = {"Mono8": 0x01080001, "Mono10": 0x01100003, "Mono12": 0x01100005, "Mono16": 0x01100007}
+GAIN_STEPS_PER_DB = 10
+TEMPERATURE_STEPS_PER_DEGREE = 10
+
+_HEADER = """<?xml version="1.0" encoding="utf-8"?>
+<RegisterDescription ModelName="SimulatedSky" VendorName="sunarc" StandardNameSpace="None" SchemaMajorVersion="1"
+ SchemaMinorVersion="0" SchemaSubMinorVersion="1" MajorVersion="1" MinorVersion="0" SubMinorVersion="0"
+ ToolTip="Simulated all-sky imager" ProductGuid="0" VersionGuid="0"
+ xmlns="http://www.genicam.org/GenApi/Version_1_0">"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feature:
+    """A feature and its nodes in XML."""
+
+    name: str
+    category: str
+    nodes: str
+
+
+def genicam_xml(*, exposure_min_us: int, exposure_max_us: int) -> str:
+    """Return the description of a camera with these exposure bounds."""
+    features = [*_identity(), *_image_format(), *_acquisition(exposure_min_us, exposure_max_us), *_faults()]
+    categories: dict[str, list[str]] = {}
+    for feature in features:
+        categories.setdefault(feature.category, []).append(feature.name)
+    parts = [_HEADER, _category("Root", list(categories))]
+    parts += [_category(name, members) for name, members in categories.items()]
+    parts += [feature.nodes for feature in features]
+    return "\n".join([*parts, '<Port Name="Device"/>', "</RegisterDescription>", ""])
+
+
+def _identity() -> list[Feature]:
+    temperature = _scaled("DeviceTemperature", TEMPERATURE, steps=TEMPERATURE_STEPS_PER_DEGREE, low=-99, high=99)
+    return [
+        _string("DeviceVendorName", VENDOR, 32),
+        _string("DeviceModelName", MODEL, 32),
+        _string("DeviceSerialNumber", SERIAL, 16),
+        Feature(name="DeviceTemperature", category="DeviceControl", nodes=temperature),
+    ]
+
+
+def _image_format() -> list[Feature]:
+    category = "ImageFormatControl"
+    payload = (
+        '<IntSwissKnife Name="PayloadSize"><pVariable Name="W">Width</pVariable><pVariable Name="H">Height</pVariable>'
+        '<pVariable Name="F">PixelFormat</pVariable><Formula>W * H * ((F&gt;&gt;16)&amp;0xFF) / 8</Formula>'
+        "</IntSwissKnife>"
+    )
+    return [
+        _integer("SensorWidth", SENSOR_WIDTH, category),
+        _integer("SensorHeight", SENSOR_HEIGHT, category),
+        _integer("Width", WIDTH, category, "<Min>1</Min><pMax>SensorWidth</pMax>"),
+        _integer("Height", HEIGHT, category, "<Min>1</Min><pMax>SensorHeight</pMax>"),
+        _integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>SensorWidth</pMax>"),
+        _integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>SensorHeight</pMax>"),
+        _enumeration("PixelFormat", PIXEL_FORMAT, category, PIXEL_FORMATS),
+        Feature(name="PayloadSize", category="TransportLayerControl", nodes=payload),
+    ]
+
+
+def _acquisition(exposure_min_us: int, exposure_max_us: int) -> list[Feature]:
+    category = "AcquisitionControl"
+    exposure = _scaled("ExposureTime", EXPOSURE, steps=1, low=exposure_min_us, high=exposure_max_us)
+    selector = (
+        '<Enumeration Name="TriggerSelector"><EnumEntry Name="FrameStart"><Value>0</Value></EnumEntry>'
+        "<pValue>TriggerSelectorValue</pValue></Enumeration>"
+        '<Integer Name="TriggerSelectorValue"><Value>0</Value></Integer>'
+    )
+    return [
+        _enumeration("AcquisitionMode", 0x12C, category, {"Continuous": 1, "SingleFrame": 2, "MultiFrame": 3}),
+        _command("AcquisitionStart", 0x124, category, 1),
+        _command("AcquisitionStop", 0x124, category, 0),
+        Feature(name="TriggerSelector", category=category, nodes=selector),
+        _enumeration("TriggerMode", 0x300, category, {"Off": 0, "On": 1}),
+        _enumeration("TriggerSource", 0x304, category, {"Line0": 0, "Software": 1}),
+        _enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
+        _command("TriggerSoftware", 0x30C, category, 1),
+        Feature(name="ExposureTime", category=category, nodes=exposure),
+        _enumeration("ExposureAuto", 0xB200, category, {"Off": 0, "Continuous": 1}),
+        Feature(
+            name="Gain",
+            category="AnalogControl",
+            nodes=_scaled("Gain", GAIN, steps=GAIN_STEPS_PER_DB, low=0, high=24),
+        ),
+        _enumeration("GainAuto", 0xB204, "AnalogControl", {"Off": 0, "Continuous": 1}),
+    ]
+
+
+def _faults() -> list[Feature]:
+    category = "SimulationControl"
+    return [
+        _integer("SimDelayMs", DELAY, category),
+        _integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
+        _integer("SimFreezeMs", FREEZE, category),
+        _integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
+    ]
+
+
+def _category(name: str, members: list[str]) -> str:
+    return f'<Category Name="{name}">' + "".join(f"<pFeature>{m}</pFeature>" for m in members) + "</Category>"
+
+
+def _register(name: str, address: int, access: str = "RW") -> str:
+    return (
+        f'<IntReg Name="{name}Register"><Address>{address:#x}</Address><Length>4</Length><AccessMode>{access}'
+        "</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+    )
+
+
+def _integer(name: str, address: int, category: str, bounds: str = "") -> Feature:
+    nodes = f'<Integer Name="{name}"><pValue>{name}Register</pValue>{bounds}</Integer>{_register(name, address)}'
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _scaled(name: str, address: int, *, steps: int, low: int, high: int) -> str:
+    """Return a float feature kept as an integer number of steps per unit."""
+    return (
+        f'<Float Name="{name}"><pValue>{name}Converter</pValue><Min>{low}</Min><Max>{high}</Max>'
+        f"<Inc>{1 / steps:g}</Inc></Float>"
+        f'<Converter Name="{name}Converter"><FormulaTo>FROM * {steps}</FormulaTo>'
+        f"<FormulaFrom>TO / {steps}.0</FormulaFrom><pValue>{name}Register</pValue></Converter>"
+        f"{_register(name, address)}"
+    )
+
+
+def _enumeration(name: str, address: int, category: str, entries: dict[str, int]) -> Feature:
+    listed = "".join(f'<EnumEntry Name="{n}"><Value>{v}</Value></EnumEntry>' for n, v in entries.items())
+    nodes = f'<Enumeration Name="{name}">{listed}<pValue>{name}Register</pValue></Enumeration>'
+    return Feature(name=name, category=category, nodes=nodes + _register(name, address))
+
+
+def _command(name: str, address: int, category: str, value: int) -> Feature:
+    nodes = f'<Command Name="{name}"><pValue>{name}Register</pValue><CommandValue>{value}</CommandValue></Command>'
+    return Feature(name=name, category=category, nodes=nodes + _register(name, address, "WO"))
+
+
+def _string(name: str, address: int, length: int) -> Feature:
+    nodes = (
+        f'<StringReg Name="{name}"><Address>{address:#x}</Address><Length>{length}</Length>'
+        "<AccessMode>RO</AccessMode><pPort>Device</pPort></StringReg>"
+    )
+    return Feature(name=name, category="DeviceControl", nodes=nodes)

@@ -1,0 +1,188 @@
+"""The simulated imager as a process of its own: a GigE Vision camera on loopback whose frames are the scene's."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import signal
+import threading
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sunarc.cameras import Counts, full_scale_of
+from sunarc.clock import Clock, SystemClock
+from sunarc.errors import InputError, OutsideError
+from sunarc.simulation import genicam
+from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
+from sunarc.simulation.options import WEATHERS, SceneOptions, SensorModel, Weather
+from sunarc.simulation.scene import Scene
+from sunarc.simulation.timeline import Timeline
+from sunarc.simulation.truth import SGP, true_camera, truth_document
+from sunarc.sky import Site, solar_date
+
+_log = logging.getLogger(__name__)
+
+_PR_SET_PDEATHSIG = 1
+_TEMPERATURE_C = 21.5
+_FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImagerOptions:
+    """A simulated imager.
+
+    Attributes
+    ----------
+    address : an address of this machine.
+    start : first simulated time, aware.
+    speed : simulated seconds per real second.
+    skip_nights : jump from dusk to dawn.
+    site : where the imager stands.
+    lens_seed : which true camera.
+    clouds : the weather, or several separated by commas: one per solar day, in turn.
+    scene : the rest of the scene; its weather and first day are replaced by `clouds` and `start`.
+    sensor : how light becomes counts.
+    exposure_min_us, exposure_max_us : bounds of the exposure.
+    real_exposures : let an exposure take its time.
+    serial : what the camera calls itself.
+    name : of the camera in the truth's document.
+    truth : file that the true camera is written to once the imager runs; None writes none.
+    die_with_parent : end when the process that started this one ends.
+    """
+
+    address: str = "127.0.0.1"
+    start: datetime = datetime(2013, 5, 13, 12, tzinfo=UTC)
+    speed: float = 1.0
+    skip_nights: bool = True
+    site: Site = SGP
+    lens_seed: int = 0
+    clouds: str = "clear"
+    scene: SceneOptions = field(default_factory=SceneOptions)
+    sensor: SensorModel = field(default_factory=SensorModel)
+    exposure_min_us: int = 1
+    exposure_max_us: int = 10_000_000
+    real_exposures: bool = False
+    serial: str = "SIM-0001"
+    name: str = "simulated"
+    truth: Path | None = None
+    die_with_parent: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        if self.start.tzinfo is None:
+            raise InputError(field="start", problem="has no time zone", remedy="give UTC, as 2013-05-13T12:00:00Z")
+        if not 0.0 < self.speed <= 100_000.0:
+            raise InputError(field="speed", problem=f"{self.speed} is not positive", remedy="give 1 for real time")
+        if not 1 <= self.exposure_min_us < self.exposure_max_us < 2**32:
+            raise InputError(field="exposure_min_us", problem="out of bounds", remedy="give whole microseconds")
+        _weathers(self.clouds)
+
+
+def run_imager(options: ImagerOptions, stop: threading.Event, *, clock: Clock | None = None) -> None:
+    """Serve frames until `stop` is set; see `ImagerOptions`.
+
+    Raises
+    ------
+    ConfigurationError
+        Aravis is not installed.
+    OutsideError
+        The port is taken, no interface has the address, or the truth cannot be written.
+    """
+    if options.die_with_parent:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    description = genicam.genicam_xml(exposure_min_us=options.exposure_min_us, exposure_max_us=options.exposure_max_us)
+    with fake_camera(address=options.address, serial=options.serial, description=description) as camera:
+        imager = _Imager(options, camera, stop=stop, clock=clock or SystemClock())
+        camera.fill_with(imager.fill)
+        if options.truth is not None:
+            _write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
+        _log.info("simulated imager at %s, %s, speed %g", options.address, options.start.isoformat(), options.speed)
+        stop.wait()
+
+
+def scene_of(options: ImagerOptions) -> Scene:
+    """Return the very scene that an imager with these options shows."""
+    first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
+    scene = replace(options.scene, weather=_weathers(options.clouds), first_day=first_day)
+    return Scene(true_camera(options.lens_seed), options.site, options=scene, sensor=options.sensor)
+
+
+class _Imager:
+    """Renders what the registers ask for, at the simulated time."""
+
+    def __init__(self, options: ImagerOptions, camera: FakeCamera, *, stop: threading.Event, clock: Clock) -> None:
+        self.scene = scene_of(options)
+        self._options = options
+        self._camera = camera
+        self._stop = stop
+        self._clock = clock
+        self._set_up_registers()
+        start_unix_s = options.start.timestamp()
+        self.scene.render(round(start_unix_s * 1e6), exposure_us=10.0)  # compiles what is to be compiled
+        self._timeline = Timeline(
+            options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
+        )
+        self._started_at = clock.monotonic()
+
+    def fill(self, request: Request) -> tuple[Counts, int]:
+        """Return a frame's counts and its timestamp in nanoseconds: the simulated start of the exposure."""
+        begun = self._clock.monotonic()
+        start_us = round(self._timeline.at(begun - self._started_at) * 1e6)
+        wrong_percent = self._camera.read(genicam.WRONG_EXPOSURE)
+        image = self.scene.render(
+            start_us,
+            exposure_us=request.exposure_us * (wrong_percent or 100) / 100.0,
+            gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
+            full_scale=full_scale_of(_FORMAT_NAMES[request.pixel_format]),
+            region=request.region,
+        )
+        self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
+        return image, start_us * 1000
+
+    def _hold_back(self, rest_of_exposure_s: float) -> None:
+        """Wait as long as the exposure and the faults want, and let packets be lost."""
+        delay_s = self._camera.read(genicam.DELAY) * 1e-3 + self._camera.read(genicam.FREEZE) * 1e-3
+        self._camera.write(genicam.FREEZE, 0)
+        if self._options.real_exposures:
+            delay_s += rest_of_exposure_s
+        if delay_s > 0.0:
+            self._clock.wait(self._stop, delay_s)
+        self._camera.lose_packets(self._camera.read(genicam.LOSS) / 1000.0)
+
+    def _set_up_registers(self) -> None:
+        width, height = self.scene.camera.width, self.scene.camera.height
+        registers = {
+            genicam.SENSOR_WIDTH: width,
+            genicam.SENSOR_HEIGHT: height,
+            genicam.WIDTH: width,
+            genicam.HEIGHT: height,
+            genicam.PIXEL_FORMAT: genicam.PIXEL_FORMATS["Mono12"],
+            genicam.EXPOSURE: 3000,
+            genicam.GAIN: 0,
+            genicam.TEMPERATURE: round(_TEMPERATURE_C * genicam.TEMPERATURE_STEPS_PER_DEGREE),
+        }
+        for address, value in registers.items():
+            self._camera.write(address, value)
+        self._camera.write_text(genicam.VENDOR, "sunarc", length=32)
+        self._camera.write_text(genicam.MODEL, "simulated sky", length=32)
+
+
+def _weathers(clouds: str) -> tuple[Weather, ...]:
+    names = [name.strip() for name in clouds.split(",")]
+    known: dict[str, Weather] = {weather: weather for weather in WEATHERS}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(field="clouds", problem=f"{unknown[0]!r} is unknown", remedy=f"use {', '.join(WEATHERS)}")
+    return tuple(known[name] for name in names)
+
+
+def _write_truth(path: Path, scene: Scene, *, name: str, created_at: datetime) -> None:
+    document = truth_document(scene.camera, scene.site, name=name, created_at=created_at)
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise OutsideError(f"{path} cannot be written: {error.strerror}") from None
