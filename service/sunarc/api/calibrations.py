@@ -1,0 +1,84 @@
+"""Routes: the calibration that answers, and the history."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query
+from fastapi.responses import Response
+
+from sunarc.api.problems import answers
+from sunarc.api.schemas import Calibrations, CalibrationSummary, Time
+from sunarc.api.served import Served
+from sunarc.archive import CalibrationRecord, CalibrationState
+
+_DOCUMENT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The calibration document, schema sunarc.calibration/1.",
+        "headers": {"ETag": {"description": "Changes with the document.", "schema": {"type": "string"}}},
+        "content": {"application/json": {"schema": {"type": "object", "additionalProperties": True}}},
+    },
+    304: {"description": "The document is the one that If-None-Match names."},
+}
+
+
+def calibration_routes(served: Served) -> APIRouter:
+    """Return the routes that tell calibrations."""
+    routes = APIRouter(tags=["calibrations"])
+
+    @routes.get("/v1/calibration", responses=_DOCUMENT | answers(404, 422))
+    def calibration(at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+        """Return the calibration that answers now, or the one that answers for the moment `at`."""
+        return _document(served.record(at), if_none_match)
+
+    @routes.get("/v1/calibrations", responses=answers(422))
+    def calibrations(
+        state: CalibrationState | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100
+    ) -> Calibrations:
+        """Return the history, the newest first, refused candidates with their reasons."""
+        found = served.archive.calibrations(served.camera, state=state, limit=limit)
+        return Calibrations(calibrations=[summary(record) for record in found])
+
+    @routes.get("/v1/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
+    def one(calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+        """Return one calibration's document, with its evidence."""
+        return _document(served.archive.calibration(calibration_id), if_none_match)
+
+    return routes
+
+
+def summary(record: CalibrationRecord) -> CalibrationSummary:
+    """Return what a list shows of a calibration."""
+    metrics, uncertainty = record.document.get("metrics", {}), record.document.get("uncertainty", {})
+    return CalibrationSummary(
+        id=record.id,
+        camera=record.camera,
+        state=record.state,
+        method=record.method,
+        created_at=record.created_at,
+        valid_from=record.valid_from,
+        valid_until=record.valid_until,
+        pose_epoch=record.pose_epoch,
+        parent=record.parent,
+        accepted=record.accepted,
+        reasons=list(record.reasons),
+        rmse_px=metrics.get("rmse_px"),
+        sky_rms_deg=uncertainty.get("sky_rms_deg"),
+    )
+
+
+def _document(record: CalibrationRecord, if_none_match: str | None) -> Response:
+    content = json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
+    tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    headers = {"etag": tag, "cache-control": "no-cache"}
+    if matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    return Response(content, media_type="application/json", headers=headers)
+
+
+def matches(if_none_match: str | None, tag: str) -> bool:
+    """Return whether a client that sent this If-None-Match has what the tag names."""
+    known = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
+    return tag in known or "*" in known

@@ -1,0 +1,87 @@
+"""Routes: alive, ready, everything at a glance, and the numbers for Prometheus."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from http import HTTPStatus
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse, Response
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+
+from sunarc.api.calibrations import summary
+from sunarc.api.problems import Fault, answers, problem_response
+from sunarc.api.record import day_out
+from sunarc.api.schemas import Alive, CameraOut, ClockOut, Readiness, ReasonOut, Status, WorkerOut
+from sunarc.api.served import Served
+from sunarc.board import StatusSnapshot
+
+
+def health_routes(served: Served, registry: CollectorRegistry) -> APIRouter:
+    """Return the routes that tell how the service is."""
+    routes = APIRouter(tags=["health"])
+
+    @routes.get("/healthz")
+    async def healthz() -> Alive:
+        """Tell that the process answers."""
+        return Alive()
+
+    @routes.get("/readyz", response_model=Readiness, responses=answers(503))
+    def readyz(request: Request) -> Readiness | JSONResponse:
+        """Tell whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
+        snapshot = served.status()
+        if snapshot.health == "not_ready":
+            return _not_ready(snapshot, request.url.path)
+        return Readiness(status=snapshot.health, reasons=_reasons(snapshot))
+
+    @routes.get("/v1/status")
+    def status() -> Status:
+        """Tell everything at a glance."""
+        return _status(served)
+
+    @routes.get(
+        "/metrics",
+        response_class=Response,
+        responses={200: {"description": "Prometheus text.", "content": {"text/plain": {}}}},
+    )
+    def metrics() -> Response:
+        """Tell the numbers, in Prometheus's text format."""
+        return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
+
+    return routes
+
+
+def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
+    faults = [Fault(field=reason.code, problem=reason.text, remedy=reason.remedy) for reason in snapshot.reasons]
+    worst = next(reason for reason in snapshot.reasons if reason.severity == "not_ready")
+    return problem_response(
+        HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=f"{worst.text}; {worst.remedy}", errors=faults
+    )
+
+
+def _reasons(snapshot: StatusSnapshot) -> list[ReasonOut]:
+    return [ReasonOut(**asdict(reason)) for reason in snapshot.reasons]
+
+
+def _status(served: Served) -> Status:
+    snapshot = served.status()
+    record = served.archive.current_calibration(served.camera)
+    days = served.archive.days(served.camera, limit=1)
+    sizes = {camera.name: (camera.width, camera.height) for camera in served.archive.cameras()}
+    return Status(
+        health=snapshot.health,
+        reasons=_reasons(snapshot),
+        version=snapshot.version,
+        camera_name=served.camera,
+        started_at=snapshot.started_at,
+        frame_time=served.frame_clock(),
+        workers=[WorkerOut(**asdict(worker)) for worker in snapshot.workers],
+        camera=None if snapshot.camera is None else CameraOut(**asdict(snapshot.camera)),
+        clock=None if snapshot.clock is None else ClockOut(**asdict(snapshot.clock)),
+        disk_free_bytes=snapshot.disk_free_bytes,
+        last_frame_at=snapshot.last_frame_at,
+        last_sighting_at=snapshot.last_sighting_at,
+        calibration=None if record is None else summary(record),
+        last_day=day_out(days[0]) if days else None,
+        image_size=sizes.get(served.camera),
+    )

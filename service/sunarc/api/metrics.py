@@ -1,0 +1,106 @@
+"""The numbers for Prometheus, read from the status board and the archive when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+from typing import get_args
+
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from sunarc.api.calibrations import summary
+from sunarc.api.served import Served
+from sunarc.board import Health, StatusSnapshot, WorkerState
+
+
+class StatusCollector(Collector):
+    """Collects what an application serves.
+
+    Parameters
+    ----------
+    served : its collaborators.
+    """
+
+    def __init__(self, served: Served) -> None:
+        self._served = served
+
+    def describe(self) -> Iterator[Metric]:
+        """Name nothing beforehand, so that registering asks nobody."""
+        return iter(())
+
+    def collect(self) -> Iterator[Metric]:
+        """Read the board and the archive once."""
+        snapshot = self._served.status()
+        yield _labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
+        yield _labelled(
+            "sunarc_health",
+            "1 for the state that holds.",
+            ("state",),
+            {(state,): float(state == snapshot.health) for state in get_args(Health)},
+        )
+        yield _labelled(
+            "sunarc_reason",
+            "1 for each reason why the service is not wholly ready.",
+            ("code", "severity"),
+            {(reason.code, reason.severity): 1.0 for reason in snapshot.reasons},
+        )
+        yield from _workers(snapshot)
+        yield from _facts(snapshot)
+        yield from self._calibration()
+
+    def _calibration(self) -> Iterator[Metric]:
+        record = self._served.archive.current_calibration(self._served.camera)
+        told = None if record is None else summary(record)
+        yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(told is not None))
+        if told is not None:
+            yield _single("sunarc_calibration_rmse_px", "Of the sightings used, in distance.", told.rmse_px)
+            yield _single("sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", told.sky_rms_deg)
+            yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(told.valid_from))
+
+
+def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
+    workers = snapshot.workers
+    yield _labelled(
+        "sunarc_worker_state",
+        "1 for the state that each worker is in.",
+        ("worker", "state"),
+        {(w.name, state): float(state == w.state) for w in workers for state in get_args(WorkerState)},
+    )
+    yield _labelled(
+        "sunarc_worker_heartbeat_age_seconds",
+        "Seconds since each worker's last sign of life.",
+        ("worker",),
+        {(w.name,): w.heartbeat_age_s for w in workers if w.heartbeat_age_s is not None},
+    )
+    yield _labelled(
+        "sunarc_worker_restarts",
+        "How often each worker was made anew.",
+        ("worker",),
+        {(w.name,): float(w.restarts) for w in workers},
+    )
+
+
+def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
+    connected = None if snapshot.camera is None else float(snapshot.camera.connected)
+    error_s = None if snapshot.clock is None else snapshot.clock.max_error_s
+    yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
+    yield _single("sunarc_clock_error_seconds", "Bound of the host clock's error.", error_s)
+    yield _single("sunarc_disk_free_bytes", "Free space where the state is kept.", snapshot.disk_free_bytes)
+    yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))
+    yield _single("sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s(snapshot.last_sighting_at))
+
+
+def _unix_s(time: datetime | None) -> float | None:
+    return None if time is None else time.timestamp()
+
+
+def _single(name: str, text: str, value: float | None) -> Metric:
+    return _labelled(name, text, (), {} if value is None else {(): value})
+
+
+def _labelled(name: str, text: str, labels: tuple[str, ...], values: dict[tuple[str, ...], float]) -> Metric:
+    family = GaugeMetricFamily(name, text, labels=labels)
+    for label_values, value in values.items():
+        family.add_metric(label_values, value)
+    return family

@@ -1,0 +1,180 @@
+"""Every failure as one shape: a problem document of RFC 9457, with the field, the problem and the remedy."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+
+from sunarc.errors import InputError, NotFoundError, OutsideError, SunarcError
+
+MEDIA_TYPE = "application/problem+json"
+_MOST_FAULTS = 20
+_log = logging.getLogger(__name__)
+
+_PROBLEMS = {"json_invalid": "is not JSON", "model_attributes_type": "is not a JSON object"}
+_REMEDIES = {
+    "missing": "add it",
+    "extra_forbidden": "remove it or correct its spelling",
+    "finite_number": "give a finite number",
+    "float_type": "give a number",
+    "list_type": "give a list",
+    "tuple_type": "give a list",
+    "json_invalid": "send a JSON document",
+    "model_attributes_type": "send a JSON object, with its content type",
+}
+_REMEDY = "see /openapi.json for what is expected"
+
+
+class Fault(BaseModel):
+    """One thing that is wrong."""
+
+    field: str = Field(description="Where: a parameter, or a place in the body.", examples=["pixels[3][0]"])
+    problem: str = Field(description="What is wrong with it.", examples=["input should be a finite number"])
+    remedy: str = Field(description="What to do about it.", examples=["give a finite number"])
+
+
+class Problem(BaseModel):
+    """A problem document (RFC 9457)."""
+
+    type: str = Field(description="Stable name of the kind of problem.", examples=["urn:sunarc:problem:invalid"])
+    title: str = Field(description="The kind of problem, in words.", examples=["Unprocessable Entity"])
+    status: int = Field(description="The HTTP status.", examples=[422])
+    detail: str = Field(description="This problem, in one sentence.")
+    instance: str = Field(description="The path that was asked for.", examples=["/v1/back-project"])
+    errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
+
+
+class RefusedError(SunarcError):
+    """A request that is refused by its form, whatever it asks.
+
+    Parameters
+    ----------
+    status : the HTTP status.
+    fault : where, what and what to do.
+    headers : to send along.
+    """
+
+    def __init__(self, status: HTTPStatus, fault: Fault, *, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(f"{fault.field}: {fault.problem}; {fault.remedy}")
+        self.status = status
+        self.fault = fault
+        self.headers = headers
+
+
+def problem_response(
+    status: HTTPStatus,
+    *,
+    path: str,
+    detail: str,
+    errors: Sequence[Fault] = (),
+    headers: Mapping[str, str] | None = None,
+) -> JSONResponse:
+    """Return a problem document as an answer."""
+    problem = Problem(
+        type=f"urn:sunarc:problem:{_KINDS.get(status, 'http')}",
+        title=status.phrase,
+        status=status,
+        detail=detail,
+        instance=path,
+        errors=list(errors),
+    )
+    return JSONResponse(problem.model_dump(), status_code=status, media_type=MEDIA_TYPE, headers=headers)
+
+
+def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the problem answers of a route, for its description."""
+    described = {"content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+    return {status: {"description": HTTPStatus(status).phrase, **described} for status in statuses}
+
+
+def add_problem_handlers(app: FastAPI) -> None:
+    """Answer every failure of an application with a problem document."""
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(SunarcError, _ours)
+    app.add_exception_handler(Exception, _unforeseen)
+
+
+_KINDS = {
+    HTTPStatus.BAD_REQUEST: "malformed",
+    HTTPStatus.UNAUTHORIZED: "token",
+    HTTPStatus.FORBIDDEN: "forbidden",
+    HTTPStatus.NOT_FOUND: "not-found",
+    HTTPStatus.METHOD_NOT_ALLOWED: "method",
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "too-large",
+    HTTPStatus.UNPROCESSABLE_ENTITY: "invalid",
+    HTTPStatus.INTERNAL_SERVER_ERROR: "internal",
+    HTTPStatus.SERVICE_UNAVAILABLE: "unavailable",
+}
+
+
+def _invalid(request: Request, error: Exception) -> JSONResponse:
+    found = error.errors() if isinstance(error, RequestValidationError) else ()
+    faults = [_fault(one) for one in list(found)[:_MOST_FAULTS]]
+    return problem_response(
+        HTTPStatus.UNPROCESSABLE_ENTITY, path=request.url.path, detail=_sentence(faults), errors=faults
+    )
+
+
+def _http(request: Request, error: Exception) -> JSONResponse:
+    known = error if isinstance(error, HTTPException) else HTTPException(500)
+    status = HTTPStatus(known.status_code)
+    return problem_response(status, path=request.url.path, detail=str(known.detail), headers=known.headers)
+
+
+def _ours(request: Request, error: Exception) -> JSONResponse:
+    path = request.url.path
+    match error:
+        case RefusedError():
+            return problem_response(
+                error.status, path=path, detail=str(error), errors=[error.fault], headers=error.headers
+            )
+        case InputError():
+            missing = isinstance(error, NotFoundError)
+            status = HTTPStatus.NOT_FOUND if missing else HTTPStatus.UNPROCESSABLE_ENTITY
+            fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
+            return problem_response(status, path=path, detail=str(error), errors=[fault])
+        case OutsideError():
+            _log.error("%s %s: %s", request.method, path, error)
+            return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error))
+        case _:
+            return _unforeseen(request, error)
+
+
+def _unforeseen(request: Request, error: Exception) -> JSONResponse:
+    _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    return problem_response(
+        HTTPStatus.INTERNAL_SERVER_ERROR,
+        path=request.url.path,
+        detail="this is a fault of the service; its journal says more",
+    )
+
+
+def _fault(error: Mapping[str, Any]) -> Fault:
+    kind, message = error["type"], str(error["msg"]).removeprefix("Value error, ")
+    return Fault(
+        field="body" if kind == "json_invalid" else _place(error["loc"]),
+        problem=_PROBLEMS.get(kind, message[:1].lower() + message[1:]),
+        remedy=_REMEDIES.get(kind, _REMEDY),
+    )
+
+
+def _place(location: Iterable[str | int]) -> str:
+    """Name a place as its sender would: ("body", "pixels", 3, 0) is pixels[3][0]."""
+    first, *rest = location
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest]
+    return "".join(parts).lstrip(".") or str(first)
+
+
+def _sentence(faults: Sequence[Fault]) -> str:
+    first = faults[0]
+    others = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return f"{first.field}: {first.problem}; {first.remedy}{others}"

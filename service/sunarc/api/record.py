@@ -1,0 +1,79 @@
+"""Routes: what was decided and what happened, and the latest image."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query
+from fastapi.responses import Response
+
+from sunarc.api.calibrations import matches
+from sunarc.api.problems import answers
+from sunarc.api.schemas import MOST_ROWS, DayOut, Days, EventOut, Events, SolarDate, Time
+from sunarc.api.served import Served
+from sunarc.archive import Day, EventSeverity
+from sunarc.errors import NotFoundError, OutsideError
+
+_MEDIA_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
+_IMAGE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The image.",
+        "content": {media_type: {} for media_type in sorted(set(_MEDIA_TYPES.values()))},
+    },
+    304: {"description": "The image is the one that If-None-Match names."},
+}
+
+
+def record_routes(served: Served) -> APIRouter:
+    """Return the routes that tell what was."""
+    routes = APIRouter(tags=["record"])
+
+    @routes.get("/v1/days", responses=answers(422))
+    def days(
+        since: SolarDate | None = None,
+        until: SolarDate | None = None,
+        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 366,
+    ) -> Days:
+        """Tell the verdicts of the solar days with since <= date < until, the newest first."""
+        found = served.archive.days(served.camera, since=since, until=until, limit=limit)
+        return Days(days=[day_out(day) for day in found])
+
+    @routes.get("/v1/events", responses=answers(422))
+    def events(
+        since: Time | None = None,
+        until: Time | None = None,
+        severity: EventSeverity | None = None,
+        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+    ) -> Events:
+        """Tell the events with since <= time < until, the newest first."""
+        found = served.archive.events(served.camera, since=since, until=until, severity=severity, limit=limit)
+        return Events(events=[EventOut(**asdict(event)) for event in found])
+
+    @routes.get("/v1/image/latest", response_class=Response, responses=_IMAGE | answers(404))
+    def latest_image(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+        """Return the newest composite's preview."""
+        return _image(served, if_none_match)
+
+    return routes
+
+
+def day_out(day: Day) -> DayOut:
+    """Return a day as it is told."""
+    row = asdict(day)
+    row.pop("camera")
+    return DayOut(**row)
+
+
+def _image(served: Served, if_none_match: str | None) -> Response:
+    path = served.latest_image()
+    if path is None:
+        raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
+    headers = {"etag": f'"{path.stem}"', "cache-control": "no-cache"}
+    if matches(if_none_match, headers["etag"]):
+        return Response(status_code=304, headers=headers)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
+    return Response(content, media_type=_MEDIA_TYPES[path.suffix], headers=headers)

@@ -1,0 +1,50 @@
+"""The OpenAPI document: FastAPI's, with one shape for all problems."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic.json_schema import models_json_schema
+
+from sunarc.api.problems import Fault, Problem, answers
+
+_DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun.
+
+Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
+azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.
+A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer."""
+
+
+def describe(app: FastAPI) -> None:
+    """Make the application tell its document."""
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = _document(app)
+        return app.openapi_schema
+
+    app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to do this
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(title=app.title, version=app.version, description=_DESCRIPTION, routes=app.routes)
+    template = "#/components/schemas/{model}"
+    _, problem = models_json_schema([(Problem, "serialization"), (Fault, "serialization")], ref_template=template)
+    schemas = document["components"]["schemas"]
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    schemas |= problem["$defs"]
+    for path in document["paths"].values():
+        for operation in path.values():
+            _only_problems(operation["responses"])
+    return document
+
+
+def _only_problems(responses: dict[str, Any]) -> None:
+    """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
+    if "HTTPValidationError" in str(responses.get("422", "")):
+        responses["422"] = answers(422)[422]
+    for status, answer in answers(500, 503).items():
+        responses.setdefault(str(status), answer)

@@ -1,0 +1,329 @@
+"""What is asked and answered, with units and examples (conventions: docs/conventions.md).
+
+Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Directions are apparent (refracted):
+zenith and azimuth in degrees, azimuth clockwise from north; or unit vectors, east-north-up. Times are RFC 3339, UTC.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
+from sunarc.board import Health, Severity, WorkerState
+
+MOST_ROWS = 10_000
+"""At most so many rows in one answer."""
+
+_YEARS = range(1970, 2200)
+
+
+def _written_in_full(value: object) -> object:
+    if isinstance(value, str) and "T" not in value.upper():
+        raise ValueError("is not a time as in 2013-05-13T18:30:00Z")
+    return value
+
+
+def _in_utc(value: datetime) -> datetime:
+    if value.year not in _YEARS:
+        raise ValueError(f"lies outside the years {_YEARS.start} to {_YEARS.stop - 1}")
+    return value.astimezone(UTC)
+
+
+def _in_years(value: date) -> date:
+    if value.year not in _YEARS:
+        raise ValueError(f"lies outside the years {_YEARS.start} to {_YEARS.stop - 1}")
+    return value
+
+
+Time = Annotated[
+    AwareDatetime,
+    BeforeValidator(_written_in_full),
+    AfterValidator(_in_utc),
+    Field(description="RFC 3339, with its offset; answers are in UTC.", examples=["2013-05-13T18:30:00Z"]),
+]
+SolarDate = Annotated[
+    date, AfterValidator(_in_years), Field(description="Local mean solar date.", examples=["2013-05-13"])
+]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Pixel = Annotated[tuple[Number, Number], Field(description="x, y in px.", examples=[[871.96, 883.0]])]
+Vector = Annotated[tuple[Number, Number, Number], Field(description="East, north, up; of any length but 0.")]
+Answers = list[float | None]
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class BackProjectRequest(_Asked):
+    """Pixels whose directions are wanted."""
+
+    pixels: list[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
+
+
+class BackProjectAnswer(BaseModel):
+    """Where pixels look. null where no direction lands on the pixel: outside the field there is no number."""
+
+    calibration: str = Field(description="Id of the calibration that answered.")
+    zenith_deg: Answers = Field(description="Apparent zenith angle, degrees.", examples=[[0.21, 41.7]])
+    azimuth_deg: Answers = Field(description="Degrees clockwise from north.", examples=[[140.2, 262.3]])
+    direction_enu: list[tuple[float, float, float] | None] = Field(description="Unit vectors, east-north-up.")
+    sigma_deg: Answers = Field(description="1-sigma per axis on the sphere, degrees.", examples=[[0.002, 0.003]])
+    inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True, True]])
+
+
+class ProjectRequest(_Asked):
+    """Directions whose pixels are wanted: zenith and azimuth, or vectors."""
+
+    zenith_deg: list[Number] | None = Field(default=None, description="Apparent zenith, degrees.", examples=[[41.7]])
+    azimuth_deg: list[Number] | None = Field(
+        default=None, description="Degrees clockwise from north.", examples=[[262.3]]
+    )
+    direction_enu: list[Vector] | None = Field(default=None, description="(n, 3) east-north-up.")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> ProjectRequest:
+        angles = (self.zenith_deg is not None, self.azimuth_deg is not None)
+        if angles == (False, False) and self.direction_enu is not None:
+            if not all(any(vector) for vector in self.direction_enu):
+                raise ValueError("direction_enu holds a vector of length 0")
+            return self
+        if angles != (True, True) or self.direction_enu is not None:
+            raise ValueError("give zenith_deg and azimuth_deg, or direction_enu")
+        if len(self.zenith_deg or ()) != len(self.azimuth_deg or ()):
+            raise ValueError("zenith_deg and azimuth_deg differ in length")
+        return self
+
+
+class ProjectAnswer(BaseModel):
+    """Where directions land. null outside the camera's field."""
+
+    calibration: str = Field(description="Id of the calibration that answered.")
+    pixels: list[tuple[float, float] | None] = Field(description="x, y in px.", examples=[[[400.0, 912.5]]])
+    sigma_px: Answers = Field(description="1-sigma per axis, px.", examples=[[0.04]])
+    covariance_px2: list[tuple[tuple[float, float], tuple[float, float]] | None] = Field(
+        description="Covariance of x and y, px²."
+    )
+    inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True]])
+
+
+class Sun(BaseModel):
+    """Where the sun is, and on which pixel the calibration expects it."""
+
+    time: Time
+    apparent_zenith: float = Field(description="With refraction, degrees.", examples=[18.2])
+    zenith: float = Field(description="Without refraction, degrees.", examples=[18.2])
+    azimuth: float = Field(description="Degrees clockwise from north.", examples=[178.1])
+    direction_enu: tuple[float, float, float] = Field(description="Apparent direction, unit vector, east-north-up.")
+    pixel: tuple[float, float] | None = Field(description="Expected x, y in px; null when there is none.")
+    sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.")
+    inside: bool = Field(description="Whether the expected pixel is within the image and the camera's field.")
+    calibration: str | None = Field(description="Id of the calibration that answered.")
+
+
+class SunTrack(BaseModel):
+    """The sun's way through one solar day, while it is above the horizon."""
+
+    date: SolarDate
+    time: list[Time]
+    apparent_zenith: list[float] = Field(description="Degrees.")
+    azimuth: list[float] = Field(description="Degrees clockwise from north.")
+    pixels: list[tuple[float, float] | None] = Field(description="Expected x, y in px; null outside the field.")
+    calibration: str | None
+
+
+class Residual(BaseModel):
+    """A sighting minus what the current calibration expects."""
+
+    x_px: float = Field(description="Seen minus expected, px.", examples=[0.021])
+    y_px: float = Field(description="Seen minus expected, px.", examples=[-0.013])
+    distance_px: float = Field(description="Their distance, px.", examples=[0.025])
+    distance_deg: float | None = Field(description="The angle between them on the sky, degrees.", examples=[0.0024])
+    apparent_zenith: float = Field(description="Where the sun stood, degrees.", examples=[18.2])
+    azimuth: float = Field(description="Where the sun stood, degrees clockwise from north.", examples=[178.1])
+
+
+class SunPointOut(BaseModel):
+    """One look at the sun."""
+
+    time: Time
+    body: str
+    method: str
+    exposure_us: float = Field(description="0 where it is not known.")
+    pose_epoch: str
+    accepted: bool = Field(description="Whether a fit may use it.")
+    verdict: str = Field(examples=["clear"])
+    reason: str
+    x_px: float | None
+    y_px: float | None
+    sigma_px: float | None = Field(description="1-sigma per axis, px.")
+    peak_fraction: float | None = Field(description="Share of full scale.")
+    background_fraction: float | None = Field(description="Share of full scale.")
+    radius_px: float | None
+    ellipticity: float | None
+    residual_chi2: float | None
+    snr: float | None
+    saturated_px: int | None
+    clock_error_s: float | None
+    residual: Residual | None = Field(default=None, description="With ?residuals=true.")
+
+
+class SunPoints(BaseModel):
+    """Sightings, the newest first."""
+
+    sun_points: list[SunPointOut]
+    truncated: bool = Field(description="Whether there are more: ask again with until = the last one's time.")
+    calibration: str | None = Field(default=None, description="Id of the calibration that the residuals speak of.")
+
+
+class DayOut(BaseModel):
+    """What a solar day was worth."""
+
+    date: SolarDate
+    verdict: DayVerdict
+    reasons: list[str]
+    n: int = Field(description="Accepted sightings.")
+    n_possible: int = Field(description="Sightings that the day had room for.")
+    arc_deg: float | None = Field(description="Arc of the sky that was covered, degrees.")
+    sd_px: float | None = Field(description="Scatter about the day's smooth arc, px per axis (Eq. 20).")
+    rmsd_px: float | None = Field(description="Scatter about the day's smooth arc, px in distance (Eq. 27c).")
+    decided_at: Time
+
+
+class Days(BaseModel):
+    """Days, the newest first."""
+
+    days: list[DayOut]
+
+
+class CalibrationSummary(BaseModel):
+    """A calibration in the history; its document is at /v1/calibrations/{id}."""
+
+    id: str
+    camera: str
+    state: CalibrationState
+    method: str
+    created_at: Time
+    valid_from: Time
+    valid_until: Time | None
+    pose_epoch: str | None
+    parent: str | None
+    accepted: bool
+    reasons: list[str]
+    rmse_px: float | None = Field(description="Of the sightings used, 2-D distance, px.")
+    sky_rms_deg: float | None = Field(description="1-sigma per axis over the sky, degrees.")
+
+
+class Calibrations(BaseModel):
+    """Calibrations, the newest first."""
+
+    calibrations: list[CalibrationSummary]
+
+
+class EventOut(BaseModel):
+    """Something that happened."""
+
+    id: int | None
+    time: Time
+    kind: str = Field(examples=["bump"])
+    severity: EventSeverity
+    text: str
+    camera: str | None
+    details: dict[str, object]
+
+
+class Events(BaseModel):
+    """Events, the newest first."""
+
+    events: list[EventOut]
+
+
+class RefitRequest(_Asked):
+    """Why a refit is wanted."""
+
+    reason: str = Field(default="on request", max_length=200)
+
+
+class RefitOut(BaseModel):
+    """A refit, and how it went."""
+
+    id: str
+    camera: str
+    state: RefitState
+    reason: str
+    requested_at: Time
+    started_at: Time | None
+    finished_at: Time | None
+    calibration: str | None = Field(description="Id of the calibration it made, accepted or refused.")
+    message: str
+
+
+class Alive(BaseModel):
+    """The process answers."""
+
+    status: Literal["alive"] = "alive"
+
+
+class ReasonOut(BaseModel):
+    """Why the service is not, or not wholly, ready."""
+
+    code: str = Field(examples=["no_calibration"])
+    severity: Severity
+    text: str
+    remedy: str
+
+
+class Readiness(BaseModel):
+    """Whether the service can be relied on."""
+
+    status: Health
+    reasons: list[ReasonOut]
+
+
+class WorkerOut(BaseModel):
+    """One worker."""
+
+    name: str
+    state: WorkerState
+    heartbeat_age_s: float | None = Field(description="Seconds since its last sign of life.")
+    restarts: int
+    last_error: str | None
+
+
+class CameraOut(BaseModel):
+    """The camera as it last answered."""
+
+    name: str
+    connected: bool
+    address: str
+    model: str
+    serial: str
+
+
+class ClockOut(BaseModel):
+    """Whether the host's clock is disciplined, and the bound of its error."""
+
+    synchronised: bool | None
+    max_error_s: float | None
+
+
+class Status(BaseModel):
+    """Everything at a glance."""
+
+    health: Health
+    reasons: list[ReasonOut]
+    version: str
+    camera_name: str
+    started_at: Time
+    frame_time: Time = Field(description="The time that the frames say it is.")
+    workers: list[WorkerOut]
+    camera: CameraOut | None
+    clock: ClockOut | None
+    disk_free_bytes: int | None
+    last_frame_at: Time | None
+    last_sighting_at: Time | None
+    calibration: CalibrationSummary | None
+    last_day: DayOut | None
+    image_size: tuple[int, int] | None = Field(description="Width, height of the camera's image, px.")

@@ -1,0 +1,142 @@
+"""Routes: where the sun is, where it goes, and where it was seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from datetime import UTC, date, datetime, timedelta
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Query
+from numpy.typing import NDArray
+
+from sunarc.api.directions import within_image
+from sunarc.api.problems import answers
+from sunarc.api.schemas import MOST_ROWS, Residual, SolarDate, Sun, SunPointOut, SunPoints, SunTrack, Time
+from sunarc.api.served import Served
+from sunarc.archive import SunPoint
+from sunarc.calibration import Calibration, project_with_covariance, sigma_px
+from sunarc.optics import project, unproject
+from sunarc.sky import Site, angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
+
+FloatArray = NDArray[np.float64]
+
+_HORIZON_DEG = 90.0
+
+
+def sun_routes(served: Served) -> APIRouter:
+    """Return the routes that speak of the sun."""
+    routes = APIRouter(tags=["sun"])
+
+    @routes.get("/v1/sun", responses=answers(422))
+    def sun(at: Time | None = None) -> Sun:
+        """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
+        return _sun(served, at or served.frame_clock(), past=at)
+
+    @routes.get("/v1/sun/track", responses=answers(422))
+    def track(
+        date: SolarDate | None = None, step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120
+    ) -> SunTrack:
+        """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
+        day = date or solar_date(served.frame_clock().timestamp(), longitude=served.site.longitude)
+        return _track(served, day, step_s)
+
+    @routes.get("/v1/sun-points", responses=answers(422))
+    def sun_points(
+        since: Time | None = None,
+        until: Time | None = None,
+        accepted: bool | None = None,  # noqa: FBT001 - a query parameter
+        residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,  # noqa: FBT002 - a query parameter
+        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 1000,
+    ) -> SunPoints:
+        """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
+        found = served.archive.sun_points(
+            served.camera, since=since, until=until, accepted=accepted, newest_first=True, limit=limit + 1
+        )
+        return _sun_points(served, found[:limit], truncated=len(found) > limit, residuals=residuals)
+
+    return routes
+
+
+def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
+    angles = sun_angles(moment.timestamp(), served.site)
+    direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+    answering = served.calibration_or_none(past)
+    pixel, sigma, inside = None, None, False
+    if answering is not None:
+        pixels, covariance = project_with_covariance(answering[1], direction[None])
+        if np.all(np.isfinite(pixels)):
+            pixel, sigma = (float(pixels[0, 0]), float(pixels[0, 1])), float(sigma_px(covariance)[0])
+            inside = bool(within_image(answering[1], pixels)[0])
+    return Sun(
+        time=moment,
+        apparent_zenith=float(angles.apparent_zenith),
+        zenith=float(angles.zenith),
+        azimuth=float(angles.azimuth),
+        direction_enu=tuple(direction.tolist()),
+        pixel=pixel,
+        sigma_px=sigma,
+        inside=inside,
+        calibration=None if answering is None else answering[0].id,
+    )
+
+
+def _track(served: Served, day: date, step_s: int) -> SunTrack:
+    start, end = day_bounds_unix_s(day, longitude=served.site.longitude)
+    unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
+    angles = sun_angles(unix_s, served.site)
+    up = angles.apparent_zenith <= _HORIZON_DEG
+    zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
+    answering = served.calibration_or_none(None)
+    if answering is None:
+        pixels = np.full((len(zenith), 2), np.nan)
+    else:
+        pixels = project(answering[1].camera, direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth))
+    return SunTrack(
+        date=day,
+        time=[datetime.fromtimestamp(0, UTC) + timedelta(seconds=float(s)) for s in unix_s[up]],
+        apparent_zenith=zenith.tolist(),
+        azimuth=azimuth.tolist(),
+        pixels=[(x, y) if np.isfinite(x + y) else None for x, y in pixels.tolist()],
+        calibration=None if answering is None else answering[0].id,
+    )
+
+
+def _sun_points(served: Served, found: tuple[SunPoint, ...], *, truncated: bool, residuals: bool) -> SunPoints:
+    answering = served.calibration_or_none(None) if residuals else None
+    told: list[Residual | None] = [None] * len(found)
+    if answering is not None:
+        told = _residuals(answering[1], served.site, found)
+    return SunPoints(
+        sun_points=[
+            SunPointOut(**asdict(point), residual=residual) for point, residual in zip(found, told, strict=True)
+        ],
+        truncated=truncated,
+        calibration=None if answering is None else answering[0].id,
+    )
+
+
+def _residuals(calibration: Calibration, site: Site, points: tuple[SunPoint, ...]) -> list[Residual | None]:
+    """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
+    unix_s = np.array([point.time.timestamp() for point in points])
+    seen = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
+    angles = sun_angles(unix_s, site)
+    directions = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+    off_px = seen - project(calibration.camera, directions)
+    off_deg = np.degrees(angular_distance(unproject(calibration.camera, seen), directions))
+    return [
+        None
+        if not np.isfinite(x + y)
+        else Residual(
+            x_px=x,
+            y_px=y,
+            distance_px=float(np.hypot(x, y)),
+            distance_deg=float(angle) if np.isfinite(angle) else None,
+            apparent_zenith=float(zenith),
+            azimuth=float(azimuth),
+        )
+        for (x, y), angle, zenith, azimuth in zip(
+            off_px.tolist(), off_deg, angles.apparent_zenith, angles.azimuth, strict=True
+        )
+    ]

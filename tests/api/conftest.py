@@ -1,0 +1,294 @@
+"""One clear day of a made camera, in an archive, served."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from sunarc.api import ApiOptions, create_app
+from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, open_archive, upgrade
+from sunarc.board import CameraStatus, ClockStatus, StatusBoard, WorkerStatus
+from sunarc.calibration import (
+    BackwardModel,
+    Calibration,
+    Evidence,
+    Field,
+    Metrics,
+    Verdict,
+    WaveBasis,
+    to_document,
+)
+from sunarc.clock import VirtualClock
+from sunarc.optics import Camera, pose_angles, project
+from sunarc.sky import Site, sun_angles, sun_directions
+
+TOKEN = "a token that is long enough"  # noqa: S105 - of the test alone
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
+LENS = Camera(
+    width=1748,
+    height=1748,
+    projection="equisolid",
+    focal_length_px=(601.32, 601.32),
+    principal_point_px=(871.96, 883.0),
+    rotation_cam_enu=(0.02, -0.015, 2.1),
+    radial=(0.004, -0.009, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0),
+    decentering=(1e-4, -5e-5, 0.0, 0.0),
+)
+
+
+def calibration(camera: Camera = LENS) -> Calibration:
+    """Return a calibration whose every number is chosen, none fitted."""
+    names = ("principal_point_x_px", "principal_point_y_px", "rotation_x", "rotation_y", "rotation_z")
+    basis = WaveBasis(center_px=(873.5, 873.5), half_px=(1400.0, 1400.0), orders=np.array([[1, 1], [2, 1]]))
+    return Calibration(
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        parameter_names=names,
+        covariance=np.diag([1e-4, 1e-4, 1e-10, 1e-10, 1e-10]),
+        field=Field(amplitude_px=0.05, length_px=425.0, basis=basis, cross=np.zeros((2, 5, 2))),
+        sky_rms_deg=0.006,
+        sky_max_deg=0.012,
+        metrics=Metrics(
+            n=1440, rmse_px=0.041, rmse_all_px=0.06, mae_px=0.036, sd_px=0.04, sd_of_distance_px=0.02, rmse_deg=0.004
+        ),
+        pose=pose_angles(camera.rotation_cam_enu),
+        backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
+        evidence=Evidence(
+            days=("2013-05-13",),
+            n_supplied=1500,
+            n_used=1440,
+            n_rejected=60,
+            options={},
+            sigma_px=0.03,
+            inflation=1.0,
+            radial_px=1.7,
+            clock_error_s=0.01,
+        ),
+        verdict=Verdict(accepted=True, reasons=("the sky is known to 0.006 degrees",)),
+        method="robust",
+        site=SITE,
+    )
+
+
+def document(name: str, *, accepted: bool = True, valid_from: datetime = NOON - timedelta(days=1)) -> dict[str, Any]:
+    """Return a calibration document."""
+    solved = calibration()
+    if not accepted:
+        solved = replace(solved, verdict=Verdict(accepted=False, reasons=("held-out days disagree by 0.4 px",)))
+    return to_document(
+        solved,
+        id=name,
+        camera="roof",
+        state="candidate",
+        created_at=valid_from + timedelta(hours=8),
+        valid_from=valid_from,
+        valid_until=None,
+        pose_epoch="roof-1",
+        software_version="0.1.0",
+    )
+
+
+def sightings(until: datetime, *, every_s: float = 300.0) -> Iterator[SunPoint]:
+    """Return a day of looks at the sun: seen with 0.03 px of noise, hidden by a cloud for a while."""
+    first, last = datetime(2013, 5, 13, 11, 30, tzinfo=UTC).timestamp(), until.timestamp()
+    unix_s = np.arange(first, last + 1.0, every_s)
+    unix_s = unix_s[sun_angles(unix_s, SITE).apparent_zenith < 88.0]
+    noise = np.random.default_rng(7).normal(0.0, 0.03, (len(unix_s), 2))
+    pixels = project(LENS, sun_directions(unix_s, SITE)) + noise
+    for moment, (x, y) in zip(unix_s.tolist(), pixels.tolist(), strict=True):
+        time = datetime.fromtimestamp(moment, UTC)
+        cloud = datetime(2013, 5, 13, 15, tzinfo=UTC) <= time < datetime(2013, 5, 13, 16, tzinfo=UTC)
+        yield SunPoint(
+            camera="roof",
+            pose_epoch="roof-1",
+            time=time,
+            method="disc",
+            accepted=not cloud,
+            verdict="hidden" if cloud else "clear",
+            reason="no disc above the background" if cloud else "the disc fits",
+            exposure_us=47.0,
+            x_px=None if cloud else x,
+            y_px=None if cloud else y,
+            sigma_px=None if cloud else 0.03,
+            clock_error_s=0.01,
+        )
+
+
+class Client:
+    """Asks an application without a network; a failure of the application is an answer too."""
+
+    def __init__(self, app: FastAPI) -> None:
+        self._transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+
+    def get(self, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - of httpx
+        return self.request("GET", path, **how)
+
+    def post(self, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - of httpx
+        return self.request("POST", path, **how)
+
+    def request(self, method: str, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - of httpx
+        async def asking() -> httpx.Response:
+            async with httpx.AsyncClient(transport=self._transport, base_url="http://imager") as client:
+                return await client.request(method, path, **how)
+
+        return asyncio.run(asking())
+
+
+@dataclass
+class Made:
+    """An application and all that stands behind it."""
+
+    archive: Archive
+    board: StatusBoard
+    app: FastAPI
+    client: Client
+    asked: list[str] = field(default_factory=list)
+    noon: datetime = NOON
+    site: Site = SITE
+    lens: Camera = LENS
+    bearer: dict[str, str] = field(default_factory=lambda: {"authorization": f"Bearer {TOKEN}"})
+
+
+Make = Callable[..., Made]
+
+
+def write_image(folder: Path, name: str = "20130513T183000.000Z_hdr.jpg") -> Path:
+    """Write a small picture of a sky."""
+    y, x = np.mgrid[0:200, 0:200]
+    sky = np.clip(200.0 - np.hypot(x - 100.0, y - 100.0), 0, 255).astype(np.uint8)
+    path = folder / name
+    cv2.imwrite(str(path), sky)
+    return path
+
+
+@pytest.fixture(scope="session")
+def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make two archives to copy: one that has seen nothing, and one with a history."""
+    folder = tmp_path_factory.mktemp("archives")
+    _archive(folder / "empty.sqlite").close()
+    filled = _archive(folder / "filled.sqlite")
+    fill(filled)
+    filled.close()
+    return folder
+
+
+@pytest.fixture
+def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
+    """Return what builds an application on an archive of its own; `image` is what it finds as the latest one."""
+    opened: list[Archive] = []
+
+    def build(*, image: Path | None = None, token: bool = True, history: str = "empty", **options: Any) -> Made:  # noqa: ANN401 - of ApiOptions
+        shutil.copy(archives / f"{history}.sqlite", tmp_path / f"{len(opened)}.sqlite")
+        kept = open_archive(tmp_path / f"{len(opened)}.sqlite")
+        opened.append(kept)
+        started_at, clock = NOON - timedelta(hours=9), VirtualClock(NOON)
+        board = StatusBoard(version="0.1.0", started_at=started_at, monotonic=clock.monotonic)
+        asked: list[str] = []
+
+        def request_refit(reason: str) -> Refit:
+            asked.append(reason)
+            return kept.add_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
+
+        if token:
+            (tmp_path / "token").write_text(TOKEN + "\n")
+            options["token_file"] = tmp_path / "token"
+        app = create_app(
+            archive=kept,
+            camera="roof",
+            site=SITE,
+            status=board.snapshot,
+            request_refit=request_refit,
+            frame_clock=lambda: NOON,
+            latest_image=lambda: image,
+            options=ApiOptions(**options),
+        )
+        return Made(kept, board, app, Client(app), asked)
+
+    yield build
+    for archive in opened:
+        archive.close()
+
+
+def _archive(path: Path) -> Archive:
+    upgrade(path)
+    archive = open_archive(path)
+    archive.save_camera(
+        CameraRecord(
+            name="roof",
+            latitude=SITE.latitude,
+            longitude=SITE.longitude,
+            altitude=SITE.altitude,
+            width=LENS.width,
+            height=LENS.height,
+        )
+    )
+    archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
+    return archive
+
+
+@pytest.fixture
+def write_openapi() -> bool:
+    """Whether the committed OpenAPI document is to be written anew."""
+    return os.environ.get("SUNARC_WRITE_OPENAPI") == "1"
+
+
+@pytest.fixture
+def empty(make: Make) -> Made:
+    """Make an application on an archive that has seen nothing."""
+    return make()
+
+
+@pytest.fixture
+def made(make: Make, tmp_path: Path) -> Made:
+    """Make an application in the middle of a clear day, with a calibration."""
+    made = make(image=write_image(tmp_path), history="filled")
+    made.board.set_worker(WorkerStatus(name="capture", state="running", heartbeat_age_s=1.0))
+    made.board.set_worker(WorkerStatus(name="detect", state="running", heartbeat_age_s=0.5, restarts=1))
+    made.board.note(
+        camera=CameraStatus(name="roof", connected=True, address="127.0.0.9", model="Test", serial="1"),
+        clock=ClockStatus(synchronised=True, max_error_s=0.01),
+        disk_free_bytes=10**10,
+        last_frame_at=NOON,
+        last_sighting_at=NOON,
+    )
+    return made
+
+
+def fill(archive: Archive) -> None:
+    """Write a history into an archive."""
+    archive.add_sun_points(sightings(NOON))
+    archive.add_calibration(document("first", valid_from=NOON - timedelta(days=9)))
+    archive.activate("first")
+    archive.add_calibration(document("refused", accepted=False, valid_from=NOON - timedelta(days=2)), parent="first")
+    archive.add_calibration(document("second"), parent="first")
+    archive.activate("second")
+    for day, verdict in ((11, "cloudy"), (12, "clear")):
+        archive.save_day(
+            Day(
+                camera="roof",
+                date=date(2013, 5, day),
+                verdict="clear" if verdict == "clear" else "cloudy",
+                reasons=(f"the sky was {verdict}",),
+                n=700,
+                n_possible=800,
+                arc_deg=130.0,
+                sd_px=0.05,
+                rmsd_px=0.07,
+                decided_at=NOON,
+            )
+        )
+    archive.add_event(Event(time=NOON, kind="refit_refused", severity="warning", text="worse", camera="roof"))
+    archive.add_event(Event(time=NOON - timedelta(days=1), kind="start", severity="info", text="started"))

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.calibration import from_document
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+
+def test_the_current_calibration_is_the_archives_document(made: Made) -> None:
+    answer = made.client.get("/v1/calibration")
+    record = made.archive.current_calibration("roof")
+    assert record is not None
+    assert answer.status_code == 200
+    assert answer.json() == record.document
+    assert (answer.json()["id"], answer.json()["state"]) == ("second", "current")
+    assert from_document(answer.json()).camera == from_document(record.document).camera
+
+
+def test_an_unchanged_calibration_is_not_sent_again(made: Made) -> None:
+    tag = made.client.get("/v1/calibration").headers["etag"]
+    for known in (tag, f"W/{tag}", f'"other", {tag}', "*"):
+        again = made.client.get("/v1/calibration", headers={"if-none-match": known})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+    assert made.client.get("/v1/calibration", headers={"if-none-match": '"other"'}).status_code == 200
+
+
+def test_the_tag_changes_with_the_calibration_and_with_its_state(made: Made) -> None:
+    tag = made.client.get("/v1/calibrations/second").headers["etag"]
+    assert made.client.get("/v1/calibration").headers["etag"] == tag
+    made.archive.retire("second", at=made.noon + timedelta(days=1))
+    assert made.client.get("/v1/calibrations/second").headers["etag"] != tag
+
+
+def test_at_tells_the_calibration_of_that_time(made: Made) -> None:
+    before = made.client.get("/v1/calibration", params={"at": "2013-05-10T00:00:00Z"}).json()
+    assert (before["id"], before["state"], before["valid_until"]) == ("first", "retired", "2013-05-12T18:30:00Z")
+    same = made.client.get("/v1/calibration", params={"at": "2013-05-09T19:00:00-05:00"}).json()
+    assert same["id"] == "first"
+    assert made.client.get("/v1/calibration", params={"at": "1999-01-01T00:00:00Z"}).status_code == 404
+
+
+def test_the_history_is_the_newest_first_with_reasons(made: Made) -> None:
+    told = made.client.get("/v1/calibrations").json()["calibrations"]
+    assert [(one["id"], one["state"]) for one in told] == [
+        ("second", "current"),
+        ("refused", "refused"),
+        ("first", "retired"),
+    ]
+    assert told[1]["reasons"] == ["held-out days disagree by 0.4 px"]
+    assert (told[0]["rmse_px"], told[0]["sky_rms_deg"], told[0]["parent"]) == (0.041, 0.006, "first")
+    refused = made.client.get("/v1/calibrations", params={"state": "refused", "limit": 5}).json()["calibrations"]
+    assert [one["id"] for one in refused] == ["refused"]
+
+
+def test_any_calibration_is_found_by_its_id(made: Made) -> None:
+    assert made.client.get("/v1/calibrations/refused").json()["verdict"]["accepted"] is False
+
+
+@pytest.mark.parametrize("path", ["/v1/calibration", "/v1/calibrations/nothing"])
+def test_without_a_calibration_there_is_none_to_tell(empty: Made, path: str) -> None:
+    assert empty.client.get(path).status_code == 404

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from sunarc.calibration import from_document, project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+HERE = {"zenith_deg": [30.0], "azimuth_deg": [200.0]}
+
+
+def ask(made: Made, path: str, body: dict[str, Any], **how: Any) -> dict[str, Any]:  # noqa: ANN401 - of httpx
+    answer = made.client.post(path, json=body, **how)
+    assert answer.status_code == 200, answer.text
+    told: dict[str, Any] = answer.json()
+    return told
+
+
+def test_a_direction_comes_back_through_its_pixel_to_1e_9_degrees(made: Made) -> None:
+    rng = np.random.default_rng(3)
+    zenith, azimuth = rng.uniform(0.0, 89.0, 500), rng.uniform(0.0, 360.0, 500)
+    there = ask(made, "/v1/project", {"zenith_deg": zenith.tolist(), "azimuth_deg": azimuth.tolist()})
+    back = ask(made, "/v1/back-project", {"pixels": there["pixels"]})
+    wanted = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
+    by_angles = direction_from_angles(zenith_deg=back["zenith_deg"], azimuth_deg=back["azimuth_deg"])
+    assert np.degrees(angular_distance(wanted, by_angles)).max() < 1e-9
+    assert np.degrees(angular_distance(wanted, back["direction_enu"])).max() < 1e-9
+
+
+def test_answers_are_the_calibrations_own(made: Made) -> None:
+    calibration = from_document(made.client.get("/v1/calibration").json())
+    pixels = [[871.96, 883.0], [400.0, 912.5], [1500.25, 300.0]]
+    direction, sigma, inside = unproject_with_sigma(calibration, pixels)
+    zenith, azimuth = angles_from_direction(direction)
+    assert ask(made, "/v1/back-project", {"pixels": pixels}) == {
+        "calibration": "second",
+        "zenith_deg": zenith.tolist(),
+        "azimuth_deg": azimuth.tolist(),
+        "direction_enu": direction.tolist(),
+        "sigma_deg": sigma.tolist(),
+        "inside": inside.tolist(),
+    }
+    landed, covariance = project_with_covariance(calibration, direction)
+    told = ask(made, "/v1/project", {"zenith_deg": zenith.tolist(), "azimuth_deg": azimuth.tolist()})
+    assert (told["calibration"], told["inside"]) == ("second", [True, True, True])
+    np.testing.assert_allclose(told["pixels"], landed, atol=1e-9)
+    np.testing.assert_allclose(told["sigma_px"], sigma_px(covariance), atol=1e-12)
+    np.testing.assert_allclose(told["covariance_px2"], covariance, atol=1e-12)
+
+
+def test_outside_the_field_there_is_no_number(made: Made) -> None:
+    told = ask(made, "/v1/back-project", {"pixels": [[0.0, 0.0], [871.0, 883.0], [-1e9, 1e9]]})
+    assert told["inside"] == [False, True, False]
+    for name in ("zenith_deg", "azimuth_deg", "direction_enu", "sigma_deg"):
+        assert [value is None for value in told[name]] == [True, False, True]
+    told = ask(made, "/v1/project", {"zenith_deg": [170.0, 20.0], "azimuth_deg": [0.0, 0.0]})
+    assert told["inside"] == [False, True]
+    for name in ("pixels", "sigma_px", "covariance_px2"):
+        assert [value is None for value in told[name]] == [True, False]
+
+
+def test_a_vector_of_any_length_is_a_direction(made: Made) -> None:
+    unit = ask(made, "/v1/project", {"direction_enu": [[0.0, 0.6, 0.8]]})["pixels"][0]
+    for length in (1e-300, 1e-9, 5.0, 1e300):
+        scaled = ask(made, "/v1/project", {"direction_enu": [[0.0, 0.6 * length, 0.8 * length]]})["pixels"][0]
+        assert math.dist(unit, scaled) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/v1/back-project", {"pixels": []}),
+        ("/v1/project", {"zenith_deg": [], "azimuth_deg": []}),
+        ("/v1/project", {"direction_enu": []}),
+    ],
+)
+def test_asking_for_nothing_is_answered_with_nothing(made: Made, path: str, body: dict[str, Any]) -> None:
+    assert ask(made, path, body)["inside"] == []
+
+
+def test_at_asks_the_calibration_of_that_time(made: Made) -> None:
+    told = ask(made, "/v1/project", HERE, params={"at": "2013-05-10T00:00:00Z"})
+    assert told["calibration"] == "first"
+
+
+def test_without_a_calibration_there_is_no_answer(empty: Made) -> None:
+    answer = empty.client.post("/v1/project", json=HERE)
+    assert answer.status_code == 404
+    assert "wait for a clear day" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ('{"pixels": [[NaN, 1]]}', "pixels[0][0]"),
+        ('{"pixels": [[1, 1], [2, Infinity]]}', "pixels[1][1]"),
+        ('{"pixels": [[1e999, 1]]}', "pixels[0][0]"),
+        ('{"pixels": [["1", 2]]}', "pixels[0][0]"),
+        ('{"pixels": [[true, 2]]}', "pixels[0][0]"),
+        ('{"pixels": [[1, 2, 3]]}', "pixels[0]"),
+        ('{"pixels": [[1]]}', "pixels[0][1]"),
+        ('{"pixels": [1, 2]}', "pixels[0]"),
+        ('{"pixels": 7}', "pixels"),
+        ('{"pixel": [[1, 2]]}', "pixels"),
+        ('{"pixels": [[1, 2]], "at": "now"}', "at"),
+        ("[[1, 2]]", "body"),
+        ('{"pixels": [[1, 2', "body"),
+        ("", "body"),
+    ],
+)
+def test_pixels_that_are_none_are_refused_by_name(made: Made, body: str, field: str) -> None:
+    answer = made.client.post("/v1/back-project", content=body, headers={"content-type": "application/json"})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == field
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"zenith_deg": [1.0]},
+        {"zenith_deg": [1.0, 2.0], "azimuth_deg": [1.0]},
+        {"zenith_deg": [1.0], "azimuth_deg": [1.0], "direction_enu": [[0.0, 0.0, 1.0]]},
+        {"direction_enu": [[0.0, 0.0, 0.0]]},
+        {"direction_enu": [[0.0, 1.0]]},
+        {"zenith_deg": ["north"], "azimuth_deg": [1.0]},
+        {},
+    ],
+)
+def test_directions_that_are_none_are_refused(made: Made, body: dict[str, Any]) -> None:
+    answer = made.client.post("/v1/project", json=body)
+    assert answer.status_code == 422
+    assert answer.json()["errors"]
+
+
+def test_too_many_points_at_once_are_refused(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made = make(max_points=2)
+    answer = made.client.post("/v1/back-project", json={"pixels": [[1.0, 1.0]] * 3})
+    assert answer.status_code == 413
+    assert answer.json()["errors"] == [
+        {"field": "pixels", "problem": "3 at once, more than 2", "remedy": "ask in parts"}
+    ]
+    assert made.client.post("/v1/project", json={"direction_enu": [[0.0, 0.0, 1.0]] * 3}).status_code == 413

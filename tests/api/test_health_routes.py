@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from prometheus_client.parser import text_string_to_metric_families
+
+from sunarc.board import Reason
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+DRIFT = Reason(code="drift", severity="degraded", text="the camera moved", remedy="wait for a clear day")
+LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")
+
+
+def test_alive_is_alive_whatever_is_the_matter(made: Made) -> None:
+    made.board.set_reason(LOST)
+    answer = made.client.get("/healthz")
+    assert (answer.status_code, answer.json()) == (200, {"status": "alive"})
+
+
+def test_ready_is_ready(made: Made) -> None:
+    assert made.client.get("/readyz").json() == {"status": "ready", "reasons": []}
+
+
+def test_degraded_still_serves_and_says_why(made: Made) -> None:
+    made.board.set_reason(DRIFT)
+    answer = made.client.get("/readyz")
+    assert answer.status_code == 200
+    assert answer.json()["status"] == "degraded"
+    assert answer.json()["reasons"] == [
+        {"code": "drift", "severity": "degraded", "text": "the camera moved", "remedy": "wait for a clear day"}
+    ]
+
+
+def test_not_ready_is_a_problem_with_every_remedy(made: Made) -> None:
+    made.board.set_reason(DRIFT)
+    made.board.set_reason(LOST)
+    answer = made.client.get("/readyz")
+    assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
+    assert answer.json()["detail"] == "the camera is gone; check its cable"
+    assert [(error["field"], error["remedy"]) for error in answer.json()["errors"]] == [
+        ("camera_lost", "check its cable"),
+        ("drift", "wait for a clear day"),
+    ]
+
+
+def test_the_status_tells_everything_at_a_glance(made: Made) -> None:
+    told = made.client.get("/v1/status").json()
+    assert (told["health"], told["camera_name"], told["image_size"]) == ("ready", "roof", [1748, 1748])
+    assert [(w["name"], w["state"], w["restarts"]) for w in told["workers"]] == [
+        ("capture", "running", 0),
+        ("detect", "running", 1),
+    ]
+    assert told["camera"]["connected"] is True
+    assert told["clock"] == {"synchronised": True, "max_error_s": 0.01}
+    assert (told["calibration"]["id"], told["last_day"]["date"]) == ("second", "2013-05-12")
+    assert told["frame_time"] == told["last_frame_at"] == "2013-05-13T18:30:00Z"
+
+
+def test_the_status_of_a_service_that_just_started_knows_nothing(empty: Made) -> None:
+    told = empty.client.get("/v1/status").json()
+    assert told["workers"] == []
+    for name in ("camera", "clock", "disk_free_bytes", "last_frame_at", "calibration", "last_day"):
+        assert told[name] is None
+
+
+def numbers(made: Made) -> dict[tuple[str, tuple[str, ...]], float]:
+    told: dict[tuple[str, tuple[str, ...]], float] = {}
+    for family in text_string_to_metric_families(made.client.get("/metrics").text):
+        told |= {(sample.name, tuple(sorted(sample.labels.values()))): sample.value for sample in family.samples}
+    return told
+
+
+def test_prometheus_reads_the_same_state(made: Made) -> None:
+    made.board.set_reason(DRIFT)
+    told = numbers(made)
+    assert told["sunarc_health", ("degraded",)] == 1.0
+    assert told["sunarc_health", ("ready",)] == 0.0
+    assert told["sunarc_reason", ("degraded", "drift")] == 1.0
+    assert told["sunarc_worker_restarts", ("detect",)] == 1.0
+    assert told["sunarc_worker_state", ("capture", "running")] == 1.0
+    assert told["sunarc_last_frame_seconds", ()] == made.noon.timestamp()
+    assert told["sunarc_calibration_present", ()] == 1.0
+    assert told["sunarc_calibration_rmse_px", ()] == 0.041
+
+
+def test_what_is_not_known_has_no_number(empty: Made) -> None:
+    told = numbers(empty)
+    assert told["sunarc_calibration_present", ()] == 0.0
+    assert ("sunarc_last_frame_seconds", ()) not in told
+
+
+def test_two_applications_do_not_share_their_numbers(made: Made, empty: Made) -> None:
+    assert numbers(made)["sunarc_calibration_present", ()] != numbers(empty)["sunarc_calibration_present", ()]

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+COMMITTED = Path(__file__).parents[2] / "docs" / "openapi.json"
+REGENERATE = "SUNARC_WRITE_OPENAPI=1 pytest tests/api/test_openapi.py"
+
+
+def text_of(document: dict[str, Any]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def test_the_committed_document_is_the_one_that_is_served(made: Made, write_openapi: bool) -> None:  # noqa: FBT001 - a fixture
+    told = text_of(made.client.get("/openapi.json").json())
+    if write_openapi:
+        COMMITTED.write_text(told)
+    assert COMMITTED.read_text() == told, f"the API has changed; see that this is meant, then run: {REGENERATE}"
+
+
+def test_every_route_is_described(made: Made) -> None:
+    paths = made.client.get("/openapi.json").json()["paths"]
+    for path, operations in paths.items():
+        for method, operation in operations.items():
+            assert operation["description"].strip(), (method, path)
+            assert operation["tags"], (method, path)
+
+
+def test_every_number_in_an_answer_names_its_unit_or_is_a_count(made: Made) -> None:
+    schemas = made.client.get("/openapi.json").json()["components"]["schemas"]
+    bare = [
+        f"{name}.{field}"
+        for name, schema in schemas.items()
+        for field, one in schema.get("properties", {}).items()
+        if "number" in json.dumps(one) and "description" not in one and not field.endswith(("_px", "_s", "_deg"))
+    ]
+    assert bare == ["SunPointOut.ellipticity", "SunPointOut.residual_chi2", "SunPointOut.snr"]
+
+
+def test_every_failure_is_described_as_a_problem(made: Made) -> None:
+    document = made.client.get("/openapi.json").json()
+    for path, operations in document["paths"].items():
+        for operation in operations.values():
+            for status, answer in operation["responses"].items():
+                if int(status) >= 400:
+                    assert list(answer["content"]) == ["application/problem+json"], (path, status)
+    assert "HTTPValidationError" not in json.dumps(document)

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import logging
+import sqlite3
+from collections.abc import AsyncIterator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from sunarc.api import ApiOptions
+from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+SHAPE = {"type", "title", "status", "detail", "instance", "errors"}
+
+
+def check_shape(answer: httpx.Response, status: int, path: str) -> dict[str, Any]:
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert set(problem) == SHAPE
+    assert (problem["status"], problem["instance"]) == (status, path)
+    assert problem["type"].startswith("urn:sunarc:problem:")
+    assert all(set(error) == {"field", "problem", "remedy"} for error in problem["errors"])
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/nothing/here", 404),
+        ("GET", "/static/../app.py", 404),
+        ("GET", "/static/%2e%2e/app.py", 404),
+        ("GET", "/v1/calibrations/unknown", 404),
+        ("GET", "/v1/refits/unknown", 404),
+        ("DELETE", "/v1/calibration", 405),
+        ("GET", "/v1/back-project", 405),
+        ("POST", "/v1/back-project", 422),
+        ("GET", "/v1/sun?at=never", 422),
+        ("POST", "/v1/refits", 401),
+    ],
+)
+def test_every_refusal_has_one_shape(made: Made, method: str, path: str, status: int) -> None:
+    answer = made.client.request(method, path)
+    problem = check_shape(answer, status, answer.request.url.path)
+    assert problem["detail"]
+    if status == 405:
+        assert answer.headers["allow"]
+
+
+def test_a_body_that_announces_too_much_is_refused_unread(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made = make(max_body_bytes=100)
+    answer = made.client.post("/v1/back-project", content=b" " * 101)
+    problem = check_shape(answer, 413, "/v1/back-project")
+    assert problem["errors"][0] == {
+        "field": "body",
+        "problem": "larger than 100 bytes",
+        "remedy": "send it in parts",
+    }
+
+
+def test_a_body_that_does_not_announce_its_size_is_cut_off(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made = make(max_body_bytes=1000)
+    sent = 0
+
+    async def endless() -> AsyncIterator[bytes]:
+        nonlocal sent
+        while sent < 10**6:
+            sent += 100
+            yield b" " * 100
+
+    answer = made.client.post("/v1/back-project", content=endless(), headers={"content-type": "application/json"})
+    check_shape(answer, 413, "/v1/back-project")
+    assert sent <= 1200
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InputError(field="x", problem="is wrong", remedy="mend it"), 422),
+        (OutsideError("the disk is full"), 503),
+        (ConfigurationError("the settings are gone"), 500),
+        (SunarcError("something"), 500),
+        (ZeroDivisionError("a bug"), 500),
+    ],
+)
+def test_every_error_has_its_answer(
+    made: Made, error: Exception, status: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(type(made.archive), "events", fail)
+    with caplog.at_level(logging.CRITICAL):
+        answer = made.client.get("/v1/events")
+    problem = check_shape(answer, status, "/v1/events")
+    assert "Traceback" not in answer.text
+    assert ("a bug" in problem["detail"]) is False
+
+
+def test_a_locked_database_is_a_503_and_the_next_request_is_answered(made: Made, tmp_path: Path) -> None:
+    path = tmp_path / "0.sqlite"
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("ALTER TABLE event RENAME TO hidden")
+        assert made.client.get("/v1/events").status_code == 503
+        other.execute("ALTER TABLE hidden RENAME TO event")
+    assert made.client.get("/v1/events").status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/v1/status", "/nothing", "/static/dashboard.js"])
+def test_browsers_are_told_to_be_strict(made: Made, path: str) -> None:
+    headers = made.client.get(path).headers
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert "access-control-allow-origin" not in headers
+
+
+@pytest.mark.parametrize("options", [{"port": 70_000}, {"max_points": 0}, {"max_body_bytes": -1}])
+def test_options_out_of_bounds_are_refused(options: dict[str, int]) -> None:
+    with pytest.raises(InputError, match=r"api\."):
+        ApiOptions(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("content", "match"), [(None, "No such file"), ("short", "at least 16 characters")])
+def test_a_token_file_that_is_none_stops_the_start(
+    make: Any,  # noqa: ANN401 - a fixture that is a function
+    tmp_path: Path,
+    content: str | None,
+    match: str,
+) -> None:
+    path = tmp_path / "secret"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigurationError, match=match):
+        make(token=False, token_file=path)

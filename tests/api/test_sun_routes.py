@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+from datetime import datetime
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sunarc.optics import project
+from sunarc.sky import solar_date, sun_angles, sun_directions
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+
+def test_the_sun_is_where_the_almanac_has_it_and_on_the_lens_pixel(made: Made) -> None:
+    told = made.client.get("/v1/sun").json()
+    angles = sun_angles(made.noon.timestamp(), made.site)
+    assert told["time"] == "2013-05-13T18:30:00Z"
+    assert (told["apparent_zenith"], told["azimuth"]) == (float(angles.apparent_zenith), float(angles.azimuth))
+    assert told["zenith"] > told["apparent_zenith"]
+    expected = project(made.lens, sun_directions(made.noon.timestamp(), made.site))
+    np.testing.assert_allclose(told["pixel"], expected, atol=1e-9)
+    assert told["inside"] is True
+    assert 0.04 < told["sigma_px"] < 0.06
+    assert told["calibration"] == "second"
+
+
+def test_the_sun_at_night_is_on_no_pixel(made: Made) -> None:
+    told = made.client.get("/v1/sun", params={"at": "2013-05-13T06:30:00Z"}).json()
+    assert told["apparent_zenith"] > 110.0
+    assert (told["pixel"], told["sigma_px"], told["inside"]) == (None, None, False)
+
+
+def test_without_a_calibration_the_sun_still_has_angles(empty: Made) -> None:
+    told = empty.client.get("/v1/sun").json()
+    assert 18.0 < told["apparent_zenith"] < 19.0
+    assert (told["pixel"], told["calibration"]) == (None, None)
+    track = empty.client.get("/v1/sun/track").json()
+    assert set(track["pixels"]) == {None}
+
+
+def test_the_track_is_one_solar_day_above_the_horizon(made: Made) -> None:
+    told = made.client.get("/v1/sun/track", params={"step_s": 600}).json()
+    assert told["date"] == "2013-05-13"
+    assert max(told["apparent_zenith"]) <= 90.0
+    times = [datetime.fromisoformat(time) for time in told["time"]]
+    assert all((b - a).total_seconds() == 600 for a, b in pairwise(times))
+    assert {solar_date(t.timestamp(), longitude=made.site.longitude).isoformat() for t in times} == {told["date"]}
+    seconds = [t.timestamp() for t in times]
+    np.testing.assert_allclose(told["pixels"], project(made.lens, sun_directions(seconds, made.site)), atol=1e-9)
+    other = made.client.get("/v1/sun/track", params={"date": "2013-12-21", "step_s": 600}).json()
+    assert len(other["time"]) < len(told["time"])
+
+
+def test_sightings_are_the_newest_first_with_the_rejected_ones(made: Made) -> None:
+    told = made.client.get("/v1/sun-points", params={"limit": 1000}).json()
+    points = told["sun_points"]
+    assert points[0]["time"] == "2013-05-13T18:30:00Z"
+    assert [p["time"] for p in points] == sorted((p["time"] for p in points), reverse=True)
+    hidden = [p for p in points if not p["accepted"]]
+    assert len(hidden) == 12
+    assert {(p["verdict"], p["reason"], p["x_px"]) for p in hidden} == {
+        ("hidden", "no disc above the background", None)
+    }
+    assert told["truncated"] is False
+    assert all(p["residual"] is None for p in points)
+
+
+def test_sightings_can_be_chosen_and_paged(made: Made) -> None:
+    first = made.client.get("/v1/sun-points", params={"limit": 10, "accepted": True}).json()
+    assert (len(first["sun_points"]), first["truncated"]) == (10, True)
+    last = first["sun_points"][-1]["time"]
+    following = made.client.get("/v1/sun-points", params={"until": last, "limit": 10, "accepted": True}).json()
+    assert following["sun_points"][0]["time"] < last
+    since = made.client.get("/v1/sun-points", params={"since": last, "accepted": True}).json()
+    assert [p["time"] for p in since["sun_points"]] == [p["time"] for p in first["sun_points"]]
+
+
+def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> None:
+    told = made.client.get("/v1/sun-points", params={"residuals": True}).json()
+    assert told["calibration"] == "second"
+    for point in told["sun_points"]:
+        residual = point["residual"]
+        assert (residual is None) == (not point["accepted"])
+        if residual is None:
+            continue
+        moment = datetime.fromisoformat(point["time"]).timestamp()
+        x, y = project(made.lens, sun_directions(moment, made.site))
+        assert residual["x_px"] == pytest.approx(point["x_px"] - x, abs=1e-6)
+        assert residual["y_px"] == pytest.approx(point["y_px"] - y, abs=1e-6)
+        assert residual["distance_px"] == pytest.approx(np.hypot(residual["x_px"], residual["y_px"]))
+        assert 7.0 < residual["distance_px"] / residual["distance_deg"] < 15.5  # px per degree, the lens's range
+
+
+def test_residuals_without_a_calibration_are_absent(empty: Made) -> None:
+    told = empty.client.get("/v1/sun-points", params={"residuals": True}).json()
+    assert told == {"sun_points": [], "truncated": False, "calibration": None}
+
+
+@pytest.mark.parametrize(
+    ("path", "params", "field"),
+    [
+        ("/v1/sun", {"at": "yesterday"}, "at"),
+        ("/v1/sun", {"at": "2013-05-13T18:30:00"}, "at"),
+        ("/v1/sun", {"at": "1368469800"}, "at"),
+        ("/v1/sun", {"at": "9999-12-31T23:59:59-23:00"}, "at"),
+        ("/v1/sun", {"at": "0001-01-01T00:00:00+14:00"}, "at"),
+        ("/v1/sun/track", {"date": "2013-02-30"}, "date"),
+        ("/v1/sun/track", {"date": "0001-01-01"}, "date"),
+        ("/v1/sun/track", {"step_s": "0"}, "step_s"),
+        ("/v1/sun-points", {"limit": "0"}, "limit"),
+        ("/v1/sun-points", {"limit": "1000000"}, "limit"),
+        ("/v1/sun-points", {"accepted": "perhaps"}, "accepted"),
+        ("/v1/days", {"since": "2013"}, "since"),
+        ("/v1/events", {"severity": "loud"}, "severity"),
+        ("/v1/calibrations", {"state": "good"}, "state"),
+    ],
+)
+def test_a_parameter_that_cannot_be_used_is_named(made: Made, path: str, params: dict[str, str], field: str) -> None:
+    answer = made.client.get(path, params=params)
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert [error["field"] for error in answer.json()["errors"]] == [field]
