@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -248,10 +249,12 @@ def _setter(event: threading.Event) -> Callable[..., None]:
 def _library() -> tuple[Any, Any]:
     """Return Aravis and GLib as their introspection gives them, untyped."""
     try:
-        import gi  # noqa: PLC0415 - a machine without a GigE camera needs none of this
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ImportWarning)  # gi's importer is of an older protocol
+            import gi  # noqa: PLC0415 - a machine without a GigE camera needs none of this
 
-        gi.require_version("Aravis", "0.8")
-        from gi.repository import Aravis, GLib  # noqa: PLC0415 - only after the version was required
+            gi.require_version("Aravis", "0.8")
+            from gi.repository import Aravis, GLib  # noqa: PLC0415 - only after the version was required
     except (ImportError, ValueError) as error:
         raise ConfigurationError(
             f"Aravis is missing ({error}); run: apt-get install python3-gi gir1.2-aravis-0.8, "

@@ -119,7 +119,10 @@ def fake_camera(*, address: str, serial: str, description: str) -> Iterator[Fake
         handle = library.arv_gv_fake_camera_new_full(address.encode(), serial.encode(), str(path).encode())
         try:
             if not handle or not library.arv_gv_fake_camera_is_running(handle):
-                raise OutsideError(f"the simulated imager does not start: no network interface has {address}")
+                raise OutsideError(
+                    f"the simulated imager does not start: no network interface has {address}; "
+                    f"use 127.0.0.1, or run: ip address add {address}/8 dev lo"
+                )
             camera = FakeCamera(library, handle)
             library.arv_fake_camera_set_trigger_frequency(camera._camera, _TRIGGER_POLLS_PER_S)  # noqa: SLF001 - its maker
             yield camera

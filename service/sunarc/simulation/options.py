@@ -84,7 +84,7 @@ class SceneOptions:
     nd_transmission: float = 1.0
     limb_darkening: float = 0.6
     psf_sigma_px: float = 0.7
-    glare_strength: float = 4e-4
+    glare_strength: float = 2.5e-4
     sky_strength: float = 4e-6
     ghost_strength: float = 0.0
     field_deg: float = 93.0

@@ -1,0 +1,220 @@
+"""Frames that crossed a GigE Vision connection between two processes are the scene's own."""
+
+from __future__ import annotations
+
+import json
+import random
+import threading
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+
+from sunarc.cameras import AravisCamera, AravisOptions, Frame, open_aravis
+from sunarc.clock import SystemClock
+from sunarc.errors import CameraError, CameraLostError, OutsideError
+from sunarc.simulation import ImagerOptions, Scene, run_imager
+
+pytestmark = [pytest.mark.gige, pytest.mark.timeout(240)]
+
+ADDRESS = "127.0.0.1"
+REGION = (700, 500, 420, 300)
+START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class Imager(Protocol):
+    scene: Scene
+    truth: Path
+
+    def start(self) -> None: ...
+
+    def kill(self) -> None: ...
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[..., AravisCamera]]:
+    cameras: list[AravisCamera] = []
+
+    def open_one(**options: Any) -> AravisCamera:  # noqa: ANN401 - options as they come
+        settings = {"region": REGION, "timestamps": "camera", "packet_size": 60_000, "packet_socket": False}
+        camera = open_aravis(AravisOptions(address=ADDRESS, **{**settings, **options}), SystemClock())
+        cameras.append(camera)
+        return camera
+
+    yield open_one
+    for camera in cameras:
+        camera.close()
+
+
+def start_us(frame: Frame) -> int:
+    return (frame.time - EPOCH) // timedelta(microseconds=1) - round(frame.exposure_us / 2)
+
+
+def rendered(scene: Scene, frame: Frame, region: tuple[int, int, int, int] | None = REGION) -> np.ndarray[Any, Any]:
+    return scene.render(
+        start_us(frame),
+        exposure_us=frame.exposure_us,
+        gain_db=frame.gain_db,
+        full_scale=frame.full_scale,
+        region=region,
+    )
+
+
+@pytest.mark.parametrize("pixel_format", ["Mono8", "Mono12"])
+def test_every_pixel_of_a_full_frame_arrives(
+    imager: Imager, opened: Callable[..., AravisCamera], pixel_format: str
+) -> None:
+    camera = opened(region=None, pixel_format=pixel_format)
+    frame = exposed(camera, 3000.0)
+    assert frame.image.shape == (1748, 1748)
+    assert frame.image.dtype == (np.uint8 if pixel_format == "Mono8" else np.uint16)
+    assert np.array_equal(frame.image, rendered(imager.scene, frame, None))
+    assert not frame.image.flags.writeable
+
+
+def test_each_frame_has_the_exposure_that_it_was_asked_for(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    camera = opened()
+    choose = random.Random(7)
+    for _ in range(25):
+        exposure_us = choose.choice([10.0, 3000.0, 12_000.0, 48_000.0])
+        frame = exposed(camera, exposure_us)
+        assert frame.exposure_us == exposure_us
+        assert np.array_equal(frame.image, rendered(imager.scene, frame))
+
+
+def test_gain_region_and_identity_are_obeyed(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    camera = opened(gain_db=6.0)
+    frame = exposed(camera, 3000.0)
+    assert frame.gain_db == 6.0
+    assert np.array_equal(frame.image, rendered(imager.scene, frame))
+    assert (camera.info.vendor, camera.info.model, camera.info.serial) == ("sunarc", "simulated sky", "SIM-0001")
+    assert (camera.info.width, camera.info.height) == REGION[2:]
+    assert (camera.info.exposure_min_us, camera.info.exposure_step_us) == (1.0, 1.0)
+
+
+def test_exposures_are_kept_within_the_camera_s_bounds(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    assert imager.truth.exists()
+    assert exposed(opened(), 0.2).exposure_us == 1.0
+
+
+def test_frames_carry_simulated_time_which_runs_faster(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    assert imager.truth.exists()
+    camera, clock = opened(), SystemClock()
+    first, began = exposed(camera, 10.0), clock.monotonic()
+    clock.wait(threading.Event(), 1.0)
+    second, ended = exposed(camera, 10.0), clock.monotonic()
+    assert START <= first.time < START + timedelta(hours=3)
+    assert (second.time - first.time).total_seconds() == pytest.approx(60.0 * (ended - began), rel=0.3)
+
+
+def test_frames_dated_by_the_host_carry_its_time(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    assert imager.truth.exists()
+    clock = SystemClock()
+    before = clock.now()
+    frame = exposed(opened(timestamps="host"), 48_000.0)
+    assert before + timedelta(microseconds=24_000) <= frame.time <= clock.now() + timedelta(microseconds=24_000)
+
+
+def test_the_truth_is_written_as_a_document(imager: Imager) -> None:
+    document = json.loads(imager.truth.read_text())
+    assert document["schema"] == "sunarc.calibration/1"
+    assert document["pose"]["theta_zz_deg"] == pytest.approx(2.46)
+
+
+def test_a_second_imager_is_told_that_the_port_is_taken(imager: Imager) -> None:
+    assert imager.truth.exists()
+    with pytest.raises(OutsideError, match="another simulated imager"):
+        run_imager(ImagerOptions(address=ADDRESS, die_with_parent=False), threading.Event())
+
+
+def test_a_camera_held_by_another_is_said_to_be(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    assert imager.truth.exists()
+    first = opened()
+    with pytest.raises(CameraLostError, match="controlled by another program"):
+        opened()
+    assert exposed(first, 10.0).exposure_us == 10.0
+
+
+def test_failed_openings_leave_the_camera_free(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    assert imager.truth.exists()
+    kept: list[Exception] = []
+    for _ in range(3):
+        with pytest.raises(Exception, match="does not fit the sensor") as caught:
+            opened(region=(1700, 0, 100, 100))
+        kept.append(caught.value)
+    assert exposed(opened(), 10.0).exposure_us == 10.0
+
+
+def test_an_address_that_does_not_answer_is_said_within_seconds() -> None:
+    clock = SystemClock()
+    began = clock.monotonic()
+    with pytest.raises(CameraLostError, match=r"127\.0\.0\.99.*check power and network"):
+        open_aravis(AravisOptions(address="127.0.0.99"), clock)
+    assert clock.monotonic() - began < 8.0
+
+
+def test_a_camera_that_died_is_lost_and_can_be_opened_again(
+    imager: Imager, opened: Callable[..., AravisCamera]
+) -> None:
+    camera = opened(answer_timeout_s=0.5)
+    exposed(camera, 10.0)
+    imager.kill()
+    assert any(is_lost(camera) for _ in range(5))
+    camera.close()
+    imager.start()
+    frame = exposed(opened(), 10.0)
+    assert np.array_equal(frame.image, rendered(imager.scene, frame))
+
+
+def test_a_frame_that_comes_late_is_never_taken_for_the_next(
+    imager: Imager, opened: Callable[..., AravisCamera]
+) -> None:
+    camera = opened(answer_timeout_s=0.4)
+    camera._camera.set_integer("SimFreezeMs", 600)
+    with pytest.raises(CameraError):
+        camera.expose(48_000.0)
+    for exposure_us in (10.0, 3000.0, 10.0):
+        frame = exposed(camera, exposure_us)
+        assert frame.exposure_us == exposure_us
+        assert np.array_equal(frame.image, rendered(imager.scene, frame))
+
+
+def test_lost_packets_are_an_error_and_pass(imager: Imager, opened: Callable[..., AravisCamera]) -> None:
+    camera = opened(packet_size=1400, answer_timeout_s=0.5)
+    camera._camera.set_integer("SimLossPermille", 500)
+    assert any(fails(camera) for _ in range(3))
+    camera._camera.set_integer("SimLossPermille", 0)
+    frame = exposed(camera, 10.0)
+    assert np.array_equal(frame.image, rendered(imager.scene, frame))
+
+
+def exposed(camera: AravisCamera, exposure_us: float, tries: int = 8) -> Frame:
+    """Expose, and again after a loss: small socket buffers lose packets on a busy machine."""
+    for _ in range(tries - 1):
+        try:
+            return camera.expose(exposure_us)
+        except CameraLostError:
+            raise
+        except CameraError:
+            continue
+    return camera.expose(exposure_us)
+
+
+def fails(camera: AravisCamera) -> bool:
+    """Return whether an exposure fails."""
+    try:
+        camera.expose(10.0)
+    except CameraError:
+        return True
+    return False
+
+
+def is_lost(camera: AravisCamera) -> bool:
+    """Return whether a dead camera is said to be lost; a timeout before that is allowed, a frame is not."""
+    with pytest.raises(CameraError) as caught:
+        camera.expose(10.0)
+    return isinstance(caught.value, CameraLostError)
