@@ -17,7 +17,7 @@ from sunarc.calibration.heldout import held_out_rmse
 from sunarc.calibration.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.points import SunPoints, Usable
-from sunarc.calibration.priors import FREE_NAMES, LENS, N_LENS, POSE, lens_prior
+from sunarc.calibration.priors import FREE_NAMES, LENS, N_LENS, POSE, lens_prior, precisions
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 from sunarc.calibration.robust import RobustFit
 from sunarc.calibration.start import camera_from_circle, camera_from_size
@@ -46,7 +46,7 @@ def finished(fit: RobustFit, job: Job, handedness: Handedness) -> Calibration:
     """Return the calibration that a robust fit makes."""
     usable, options = job.usable, job.options
     n_epochs = fit.problem.n_epochs
-    cameras = [_tidied(fit.problem.camera(fit.marginal.unknowns, e), options) for e in range(n_epochs)]
+    cameras = [_tidied(fit.problem.camera(fit.unknowns, e), options) for e in range(n_epochs)]
     camera = cameras[-1]
     metrics = _metrics(fit, usable, cameras)
     covariance, field = _uncertainty(fit, camera, job)
@@ -96,16 +96,16 @@ def _uncertainty(fit: RobustFit, camera: Camera, job: Job) -> tuple[FloatArray, 
     chosen = np.r_[np.arange(N_LENS), np.arange(N_LENS, fit.problem.size)[3 * last : 3 * last + 3]]
     to_parameters = np.zeros((23, N_LENS + 3))
     to_parameters[np.ix_(LENS, np.arange(N_LENS))] = fit.problem.prior.basis
-    to_parameters[POSE, N_LENS:] = _turned(fit.problem.camera(fit.marginal.unknowns, last), camera)
+    to_parameters[POSE, N_LENS:] = _turned(fit.problem.camera(fit.unknowns, last), camera)
     to_parameters = to_parameters[[PARAMETER_NAMES.index(name) for name in FREE_NAMES]]
-    covariance = to_parameters @ fit.marginal.covariance[np.ix_(chosen, chosen)] @ to_parameters.T
+    covariance = to_parameters @ fit.doubt.covariance[np.ix_(chosen, chosen)] @ to_parameters.T
     place = slice(5, 8)
     covariance[place, place] += pose_error(
         camera, job.site, clock_error_s=_clock_error(job.points), site_error_m=job.options.site_error_m
     )
-    cross = np.stack([to_parameters @ part[chosen] for part in fit.marginal.cross])
+    cross = np.stack([to_parameters @ part[chosen] for part in fit.doubt.cross])
     field = Field(
-        amplitude_px=fit.scales.amplitude_px, length_px=fit.scales.length_px, basis=fit.grid.basis, cross=cross
+        amplitude_px=fit.doubted.amplitude_px, length_px=fit.doubted.length_px, basis=fit.grid.basis, cross=cross
     )
     return 0.5 * (covariance + covariance.T), field
 
@@ -147,10 +147,13 @@ def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
         camera = camera_from_size(image_size=image_size, options=options)
     else:
         camera = camera_from_circle(circle, image_size=image_size, options=options)
-    prior = lens_prior(camera, tolerances=options.tolerances, circle=circle, field_angle=math.pi / 2)
+    tolerances = options.tolerances
+    prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=math.pi / 2)
     covariance = np.zeros((20, 20))
     lens = np.r_[0:5, 8:20]
-    covariance[np.ix_(lens, lens)] = prior.basis @ prior.basis.T
+    covariance[np.ix_(lens, lens)] = (
+        prior.basis / precisions(tolerances.radial_px, tolerances.decentering_px)
+    ) @ prior.basis.T
     covariance[5:8, 5:8] = _UNKNOWN_POSE * np.eye(3)
     basis = wave_basis(
         width=image_size[0], height=image_size[1], shortest_px=min(image_size), longest_px=min(image_size)

@@ -8,13 +8,11 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from sunarc.calibration.field import WaveBasis
 from sunarc.calibration.priors import N_LENS, precisions
@@ -23,14 +21,16 @@ FloatArray = NDArray[np.float64]
 
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""
+_RIDGE = 1e-13
 
 
 class Scales(NamedTuple):
-    """The choices: the field's amplitude and length, and the residual radial distortion's scale, px."""
+    """The choices, px: the field's amplitude and length, the scales of the radial distortion and the decentering."""
 
     amplitude_px: float
     length_px: float
     radial_px: float
+    decentering_px: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,13 +59,11 @@ class Marginal:
 
     Attributes
     ----------
-    log_evidence : logarithm of the marginal likelihood, but for a constant.
     unknowns : (p,) most probable unknowns.
     waves : (2, m) most probable coefficients of the field.
     covariance : (p, p) of the unknowns; cross: (2, p, m) with the coefficients.
     """
 
-    log_evidence: float
     unknowns: FloatArray
     waves: FloatArray
     covariance: FloatArray
@@ -92,75 +90,89 @@ def normal_sums(
     )
 
 
-def prior_precision(size: int, radial_px: float) -> FloatArray:
+def prior_precision(size: int, radial_px: float, decentering_px: float) -> FloatArray:
     """Return the prior precisions of all unknowns, (size,)."""
-    return np.concatenate([precisions(radial_px), np.full(size - N_LENS, _POSE_PRECISION)])
+    return np.concatenate([precisions(radial_px, decentering_px), np.full(size - N_LENS, _POSE_PRECISION)])
 
 
 def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
     """Return the fit under one choice of scales."""
-    return _fit_with_field(_Reduced(normal, basis, scales.amplitude_px, scales.length_px), scales.radial_px)
+    reduced = _Reduced.of(normal, basis, scales.length_px)
+    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
+    precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
+    matrix = normal.jj - reduced.taken(shrink) + np.diag(precision)
+    vector = normal.jr - np.einsum("apm,m,am->p", reduced.rows, shrink, reduced.residual) - precision * normal.at
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
+    covariance = np.linalg.inv(scaled) * scale[:, None] * scale
+    covariance = 0.5 * (covariance + covariance.T)
+    step = covariance @ vector
+    left = reduced.residual - np.einsum("apm,p->am", reduced.rows, step)
+    return Marginal(
+        unknowns=normal.at + step,
+        waves=(shrink * left) @ reduced.turn.T,
+        covariance=covariance,
+        cross=-np.einsum("pq,aqm,m,km->apk", covariance, reduced.rows, shrink, reduced.turn, optimize=True),
+    )
 
 
 def log_evidences(
-    normal: Normal, basis: WaveBasis, amplitudes: FloatArray, lengths: FloatArray, radials: FloatArray
+    normal: Normal, basis: WaveBasis, *, amplitudes: FloatArray, lengths: FloatArray, lens_scales: FloatArray
 ) -> FloatArray:
-    """Return the log evidence on a grid, (amplitudes, lengths, radials)."""
-    result = np.full((amplitudes.size, lengths.size, radials.size), -math.inf)
-    for i, amplitude in enumerate(amplitudes):
-        for j, length in enumerate(lengths):
-            reduced = _Reduced(normal, basis, float(amplitude), float(length))
-            for k, radial in enumerate(radials):
-                result[i, j, k] = reduced.log_evidence(float(radial))
-    return result
+    """Return the log evidence on a grid, (amplitudes, lengths, lens_scales), but for a constant.
+
+    `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
+    """
+    precision = np.stack([prior_precision(normal.at.size, float(r), float(d)) for r, d in lens_scales])
+    each = [_log_evidence(normal, _Reduced.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
+    return np.stack(each, axis=1)
 
 
+def _log_evidence(normal: Normal, reduced: _Reduced, amplitudes: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return (amplitudes, k) for one length and prior precisions (k, p)."""
+    shrink = reduced.shrinkage(amplitudes)
+    taken = np.stack([reduced.taken(row) for row in shrink])
+    vector = normal.jr - np.einsum("apm,im,am->ip", reduced.rows, shrink, reduced.residual, optimize=True)
+    square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
+    determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
+    matrix = (normal.jj - taken)[:, None] + precision[:, :, None] * np.eye(normal.at.size)
+    right = vector[:, None] - precision * normal.at
+    scale = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    scaled = matrix * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(normal.at.size)
+    factor = np.linalg.cholesky(scaled)
+    half = np.linalg.solve(factor, (scale * right)[..., None])[..., 0]
+    prior_square = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
+    own = 2.0 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)) - np.log(scale), axis=-1)
+    return np.asarray(-0.5 * (square[:, None] + prior_square - np.sum(half**2, axis=-1) + own + determinant[:, None]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Reduced:
-    """The normal equations with the field eliminated, for one amplitude and length."""
+    """The sums turned so that the field's own equations are diagonal, for one length and unit amplitude.
 
-    def __init__(self, normal: Normal, basis: WaveBasis, amplitude: float, length: float) -> None:
-        self.at = normal.at
-        self.spread = amplitude * np.sqrt(basis.variances(length_px=length))
-        scaled = normal.ff * self.spread[:, None] * self.spread
-        scaled[np.diag_indices_from(scaled)] += 1.0
-        factor = cho_factor(scaled, check_finite=False)
-        jf, fr = normal.jf * self.spread, normal.fr * self.spread
-        self.from_rows = np.stack([cho_solve(factor, jf[a].T, check_finite=False) for a in (0, 1)])
-        self.from_residual = np.stack([cho_solve(factor, fr[a], check_finite=False) for a in (0, 1)])
-        self.matrix = normal.jj - sum(jf[a] @ self.from_rows[a] for a in (0, 1))
-        self.vector = normal.jr - sum(jf[a] @ self.from_residual[a] for a in (0, 1))
-        self.square = normal.rr - float(np.sum(fr * self.from_residual))
-        self.log_determinant = 4.0 * float(np.sum(np.log(np.diag(factor[0]))))
+    turn (m, m) takes turned coefficients back; power (m,) what the sightings tell of each; rows (2, p, m) and
+    residual (2, m) the products with the derivatives and the residuals.
+    """
 
-    def solve(self, radial: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-        """Return the scaled Cholesky factor's inverse action: covariance, step, precisions, log determinant."""
-        precision = prior_precision(self.at.size, radial)
-        matrix = self.matrix + np.diag(precision)
-        scale = 1.0 / np.sqrt(np.diag(matrix))
-        scaled = matrix * scale[:, None] * scale
-        scaled[np.diag_indices_from(scaled)] += 1e-13
-        factor = cho_factor(scaled, check_finite=False)
-        inverse = cho_solve(factor, np.eye(self.at.size), check_finite=False) * scale[:, None] * scale
-        step = inverse @ (self.vector - precision * self.at)
-        log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0])) - np.log(scale)))
-        return inverse, step, precision, log_determinant
+    turn: FloatArray
+    power: FloatArray
+    rows: FloatArray
+    residual: FloatArray
 
-    def log_evidence(self, radial: float) -> float:
-        """Return the log evidence for one scale of the residual radial distortion."""
-        _, step, precision, log_determinant = self.solve(radial)
-        right = self.vector - precision * self.at
-        square = self.square + float(np.sum(precision * self.at**2)) - float(right @ step)
-        return -0.5 * (square + self.log_determinant + log_determinant - float(np.sum(np.log(precision))))
+    @classmethod
+    def of(cls, normal: Normal, basis: WaveBasis, length_px: float) -> _Reduced:
+        spread = np.sqrt(basis.variances(length_px=length_px))
+        power, vectors = np.linalg.eigh(normal.ff * spread[:, None] * spread)
+        turn = spread[:, None] * vectors
+        return cls(turn=turn, power=np.maximum(power, 0.0), rows=normal.jf @ turn, residual=normal.fr @ turn)
 
+    def shrinkage(self, amplitudes: FloatArray) -> FloatArray:
+        """Return (amplitudes, m): prior variance over one plus what is known, of each turned coefficient."""
+        square = amplitudes[:, None] ** 2
+        return np.asarray(square / (1.0 + square * self.power))
 
-def _fit_with_field(reduced: _Reduced, radial: float) -> Marginal:
-    covariance, step, _, _ = reduced.solve(radial)
-    waves = reduced.spread * (reduced.from_residual - reduced.from_rows @ step)
-    cross = -np.einsum("ij,amj->aim", covariance, reduced.from_rows) * reduced.spread
-    return Marginal(
-        log_evidence=reduced.log_evidence(radial),
-        unknowns=reduced.at + step,
-        waves=waves,
-        covariance=covariance,
-        cross=cross,
-    )
+    def taken(self, shrink: FloatArray) -> FloatArray:
+        """Return (p, p): what the field takes from the sightings' information on the parameters."""
+        flat = np.moveaxis(self.rows, 1, 0) * np.sqrt(shrink)
+        flat = flat.reshape(flat.shape[0], -1)
+        return np.asarray(flat @ flat.T)

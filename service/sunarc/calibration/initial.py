@@ -24,6 +24,7 @@ _THIN = 120
 _POLISHED = 3
 _TILT_DOUBT = math.radians(25.0)
 _SEARCH_RADIAL_PX = 20.0
+_SEARCH_DECENTERING_PX = 3.0
 
 
 def first_cameras(
@@ -82,7 +83,7 @@ def _polished(
     """Fit one candidate: stage 1 focal length, centre and pose; stage 3 everything, the radial part loosely."""
     problem = single_problem(seen, camera, options, circle)
     unknowns = problem.unknowns([camera])
-    precision = np.concatenate([precisions(_SEARCH_RADIAL_PX), np.full(3, 1e-12)])
+    precision = np.concatenate([precisions(_SEARCH_RADIAL_PX, _SEARCH_DECENTERING_PX), np.full(3, 1e-12)])
     free = np.ones(problem.size, dtype=bool)
     if stage == 1:
         free[:N_LENS] = False

@@ -32,7 +32,7 @@ class LensTolerances:
     ----------
     radial_px : residual radial distortion; its scale is found in the data, starting here.
     radial_length_deg : angle over which the residual radial distortion changes.
-    decentering_px : decentering at the horizon (radial), px.
+    decentering_px : decentering at the horizon (radial), px; its scale, too, is found in the data.
     decentering_higher : p3 and p4.
     skew_px, aspect_px : skew, and αx − αy.
     circle_center_px, circle_focal_length_px : how well an image circle tells the principal point and the focal length.
@@ -42,7 +42,7 @@ class LensTolerances:
 
     radial_px: float = 2.0
     radial_length_deg: float = 34.0
-    decentering_px: float = 0.9
+    decentering_px: float = 0.7
     decentering_higher: float = 0.3
     skew_px: float = 0.01
     aspect_px: float = 0.02

@@ -1,9 +1,9 @@
 """What is known of a lens before the sun is seen: Gaussian priors from tolerances, in whitened coordinates.
 
 The lens's 17 parameters are β = mean + basis z, with z of independent unit variance but for the residual radial
-distortion, whose common scale is found in the data. The residual radial distortion is a Gaussian process over the
-angle off the axis, put onto the powers of Eq. 9; its share that a change of focal length explains is taken out, which
-is the paper's c1 as a gauge.
+distortion and the decentering, whose scales are found in the data. The residual radial distortion is a Gaussian process
+over the angle off the axis, put onto the powers of Eq. 9 by least squares; its share that a change of focal length
+explains is taken out, which is the paper's c1 as a gauge.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ FREE_NAMES = tuple(PARAMETER_NAMES[i] for i in FREE)
 N_LENS = LENS.size
 RADIAL = slice(5, 13)
 """Where z holds the residual radial distortion."""
+DECENTERING = slice(13, 15)
+"""Where z holds p1 and p2."""
 
 _GRID = 181
 _GAUGE = 0.3
@@ -43,7 +45,7 @@ _RIGHT_ANGLE = math.pi / 2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensPrior:
-    """β = mean + basis z of the lens; z has the variances 1, its radial part `radial_px`².
+    """β = mean + basis z of the lens; z has unit variances; its radial and its decentering part are in px.
 
     Attributes
     ----------
@@ -63,10 +65,11 @@ class LensPrior:
         return np.asarray(np.linalg.lstsq(self.basis, camera.to_vector()[LENS] - self.mean)[0])
 
 
-def precisions(radial_px: float) -> FloatArray:
-    """Return the prior precisions of z, (17,)."""
+def precisions(radial_px: float, decentering_px: float) -> FloatArray:
+    """Return the prior precisions of z, (17,), for the two scales that the data choose."""
     result = np.ones(N_LENS)
     result[RADIAL] = 1.0 / radial_px**2
+    result[DECENTERING] = 1.0 / decentering_px**2
     return result
 
 
@@ -93,7 +96,7 @@ def lens_prior(
     basis[2, 2] = tolerances.skew_px
     basis[3, 3] = basis[4, 4] = center[2]
     basis[RADIAL, RADIAL] = radial_basis(camera, length=math.radians(tolerances.radial_length_deg), upto=field_angle)
-    basis[13, 13] = basis[14, 14] = tolerances.decentering_px / (3.0 * focal * edge**2)
+    basis[13, 13] = basis[14, 14] = 1.0 / (3.0 * focal * edge**2)
     basis[15, 15] = basis[16, 16] = tolerances.decentering_higher
     return LensPrior(mean=mean, basis=basis)
 
@@ -131,4 +134,3 @@ def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
     covariance -= np.outer(shared, shared) / (share @ shared + _GAUGE**2)
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))
-

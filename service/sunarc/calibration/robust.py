@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins, time_bins
+from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
 from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fit, normal_sums, prior_precision
 from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
@@ -28,9 +29,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _ROUNDS = 5
+_SETTLING = 3
 _FIRST_FIELD_PX = 1.0
 _SMALLEST_SIGMA_PX = 1e-4
 _LOOSE_RADIAL_PX = 16.0
+_LOOSE_DECENTERING_PX = 3.0
 
 
 class LinearSystem(NamedTuple):
@@ -58,8 +61,9 @@ class RobustFit:
     Attributes
     ----------
     system : the bins' equations about the fit.
-    marginal : the fit's unknowns, their covariance, and the field's part in it.
-    scales : as found in the data.
+    unknowns : the most probable ones.
+    doubt : their covariance and the field's part in it.
+    scales : those of the fit, and `doubted` those of the uncertainty, as found in the data.
     grid : the scales that were tried, and the field's waves.
     residual : (n, 2) observed minus modelled, px.
     weight : (n,) how much each sighting counted, 0 to 1.
@@ -69,8 +73,10 @@ class RobustFit:
 
     problem: Problem
     system: LinearSystem
-    marginal: Marginal
+    unknowns: FloatArray
+    doubt: Marginal
     scales: Scales
+    doubted: Scales
     grid: Grid
     residual: FloatArray
     weight: FloatArray
@@ -84,6 +90,7 @@ class _State:
     residual: FloatArray
     smooth: FloatArray
     scales: Scales
+    doubted: Scales
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,35 +114,26 @@ def fit_robustly(
         height=problem.template.height,
         floor_px=options.field_floor_px,
         radial_px=options.tolerances.radial_px,
+        decentering_px=options.tolerances.decentering_px,
     )
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     follows = neighbours(usable.unix_s, run)
     unknowns = _without_field(problem, seen, start, bins)
     residual = problem.residuals(unknowns, seen)
-    state = _State(
-        unknowns=unknowns,
-        residual=residual,
-        smooth=np.zeros_like(residual),
-        scales=Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX),
-    )
+    first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
+    state = _State(unknowns=unknowns, residual=residual, smooth=np.zeros_like(residual), scales=first, doubted=first)
     for number in range(_ROUNDS):
         noise = _noise(state, seen, follows, run)
         system = _linearised(problem, seen, bins, state, noise=noise, grid=grid)
-        normal = system.normal()
-        scales = state.scales if number == 0 else likely_scales(normal, grid)
-        marginal = marginal_fit(normal, grid.basis, scales)
-        smooth = (system.waves @ marginal.waves.T)[bins.member]
-        state = _State(
-            unknowns=marginal.unknowns,
-            residual=problem.residuals(marginal.unknowns, seen),
-            smooth=smooth,
-            scales=scales,
-        )
+        state = _improved(state, problem, seen, system, grid, told=number == 0)
+    system = _linearised(problem, seen, bins, state, noise=noise, grid=grid)
     return RobustFit(
         problem=problem,
-        system=_linearised(problem, seen, bins, state, noise=noise, grid=grid),
-        marginal=marginal,
-        scales=scales,
+        system=system,
+        unknowns=state.unknowns,
+        doubt=marginal_fit(system.normal(), grid.basis, state.doubted),
+        scales=state.scales,
+        doubted=state.doubted,
         grid=grid,
         residual=state.residual,
         weight=noise.weight,
@@ -144,13 +142,30 @@ def fit_robustly(
     )
 
 
+def _improved(
+    state: _State, problem: Problem, seen: Observations, system: LinearSystem, grid: Grid, *, told: bool
+) -> _State:
+    """Return the state after one solve, with the scales that it was told or those that the data speak for."""
+    normal = system.normal()
+    scales, doubted = (state.scales, state.doubted) if told else likely_scales(normal, grid)
+    marginal = marginal_fit(normal, grid.basis, scales)
+    return _State(
+        unknowns=marginal.unknowns,
+        residual=problem.residuals(marginal.unknowns, seen),
+        smooth=(system.waves @ marginal.waves.T)[system.member],
+        scales=scales,
+        doubted=doubted,
+    )
+
+
 def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:
     """Return the robust fit without a field, the scale of the loss coming down to the core's."""
-    at, weight, sigma = start, np.ones(len(seen)), 1.0
-    precision = prior_precision(problem.size, _LOOSE_RADIAL_PX)
-    for share in (0.5, 0.3, 0.3):
+    precision = prior_precision(problem.size, _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
+    at = consensus_start(problem, seen, start, precision=precision)
+    weight = np.ones(len(seen))
+    for _ in range(_SETTLING):
         distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
-        sigma = core_sigma(distance, share=share, floor=_SMALLEST_SIGMA_PX)
+        sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
         found = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20)
         at, weight = found.unknowns, information(found.residual, seen, sigma)
     gathered, residual = bins.gathered(seen, problem.residuals(at, seen), weight)

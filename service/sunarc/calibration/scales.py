@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,53 +13,78 @@ from sunarc.calibration.field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 
-_LENGTH_FRACTIONS = (0.16, 0.24, 0.36, 0.54)
+_LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""
 _LARGEST_AMPLITUDE_PX = 3.2
-_AMPLITUDES = 12
+_AMPLITUDES = 14
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
 _RADIAL_DOUBT = math.log(2.5)
+_DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
+_DECENTERING_DOUBT = math.log(1.6)
 _USUAL_FIELD_PX = 0.05
-_FIELD_DOUBT = math.log(10.0)
+_FIELD_DOUBT = math.log(8.0)
 
 
-class Grid(NamedTuple):
-    """The scales that are tried."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """The scales that are tried.
+
+    Attributes
+    ----------
+    amplitudes (i,), lengths (j,) of the field; lens_scales (k, 2) of radial distortion and decentering; px.
+    log_prior : (i, j, k) how plausible they are before the sightings.
+    basis : the field's waves.
+    """
 
     amplitudes: FloatArray
     lengths: FloatArray
-    radials: FloatArray
+    lens_scales: FloatArray
     log_prior: FloatArray
     basis: WaveBasis
 
 
-def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float) -> Grid:
+def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float) -> Grid:
     """Return the grid of scales for an image size.
 
     Parameters
     ----------
     width, height : px.
     floor_px : the smallest field that is ever assumed.
-    radial_px : the usual scale of the residual radial distortion.
+    radial_px, decentering_px : the usual scales of the residual radial distortion and of the decentering.
     """
     lengths = np.array(_LENGTH_FRACTIONS) * min(width, height)
     amplitudes = np.geomspace(max(floor_px, 1e-4), _LARGEST_AMPLITUDE_PX, _AMPLITUDES)
-    radials = _RADIALS_PX * radial_px / 2.0
+    radial, decentering = np.meshgrid(0.5 * _RADIALS_PX, _DECENTERING_FACTORS, indexing="ij")
+    of_lens = np.log(np.gradient(np.log(_RADIALS_PX)))[:, None] + np.log(np.gradient(np.log(_DECENTERING_FACTORS)))
+    of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_DOUBT) ** 2
+    of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_DOUBT) ** 2
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
-    of_radial = -0.5 * (np.log(radials / radial_px) / _RADIAL_DOUBT) ** 2
-    spacing = np.log(np.gradient(np.log(radials)))
-    log_prior = of_amplitude[:, None, None] + np.zeros((1, lengths.size, 1)) + of_radial + spacing
-    basis = wave_basis(width=width, height=height, shortest_px=float(lengths[0]), longest_px=float(lengths[-1]))
-    return Grid(amplitudes, lengths, radials, log_prior, basis)
+    return Grid(
+        amplitudes=amplitudes,
+        lengths=lengths,
+        lens_scales=np.stack([radial_px * radial.ravel(), decentering_px * decentering.ravel()], axis=-1),
+        log_prior=of_amplitude[:, None, None] + np.zeros((1, lengths.size, 1)) + of_lens.ravel(),
+        basis=wave_basis(width=width, height=height, shortest_px=float(lengths[0]), longest_px=float(lengths[-1])),
+    )
 
 
-def likely_scales(normal: Normal, grid: Grid) -> Scales:
-    """Return the scales' posterior means: of A² and of the logarithms of the two others."""
-    log_weight = grid.log_prior + log_evidences(normal, grid.basis, grid.amplitudes, grid.lengths, grid.radials)
+def likely_scales(normal: Normal, grid: Grid) -> tuple[Scales, Scales]:
+    """Return the scales to fit with, and those to state uncertainties with.
+
+    Few sightings leave the field's amplitude open over a wide range. The fit takes the root of the mean of A² over
+    what is plausible; the uncertainty that of A⁴, for an amplitude that is too small breaks its promise sooner than
+    one that is too large. With many sightings the two are one.
+    """
+    log_weight = grid.log_prior + log_evidences(
+        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
+    )
     weight = np.exp(log_weight - np.max(log_weight))
     weight /= weight.sum()
-    amplitude = math.sqrt(float(np.sum(weight.sum(axis=(1, 2)) * grid.amplitudes**2)))
-    by_length = np.einsum("ijk,i->j", weight, grid.amplitudes**2)
-    length = math.exp(float(np.sum(by_length * np.log(grid.lengths)) / by_length.sum()))
-    radial = math.exp(float(np.sum(weight.sum(axis=(0, 1)) * np.log(grid.radials))))
-    return Scales(amplitude, length, radial)
+    radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
+    of_field = np.sum(weight, axis=2)
+    found = []
+    for power in (2, 4):
+        moment = of_field * grid.amplitudes[:, None] ** power
+        length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
+        found.append(Scales(float(moment.sum()) ** (1.0 / power), length, float(radial), float(decentering)))
+    return found[0], found[1]

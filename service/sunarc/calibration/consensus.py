@@ -1,0 +1,76 @@
+"""A start that half of the sightings may lie about: fits of few, well-spread ones, judged by how many agree closely.
+
+Reference: M. Fischler and R. Bolles, "Random sample consensus", Communications of the ACM 24 (1981). The trials are
+linear: the first camera is near enough for its derivatives to serve.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.loss import core_sigma
+from sunarc.calibration.problem import Observations, Problem
+
+FloatArray = NDArray[np.float64]
+
+_TRIALS = 240
+_SAMPLE = 7
+_LOOKED_AT = 420
+_ROUNDS = 12
+_SEED = 20160830
+_TRUST_PX = 0.7
+
+
+def consensus_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+    """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : sightings, in the order of time within each epoch.
+    start : unknowns within some tens of px of the truth.
+    precision : prior precisions of the unknowns.
+    """
+    thin = seen.select(np.unique(np.linspace(0, len(seen) - 1, _LOOKED_AT).astype(int)))
+    residual, rows = problem.linearised(start, thin)
+    steps = _trials(residual, rows, start, precision)
+    steps = np.concatenate([np.zeros((1, start.size)), steps])
+    left = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
+    distance = np.linalg.norm(left, axis=-1) * np.sqrt(thin.information)
+    close = max(min(core_sigma(d) for d in distance[:40]), 0.02)
+    agreed = np.sum(np.log1p((distance / close) ** 2), axis=1)
+    best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]
+    return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
+
+
+def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return the steps (trials, p) that samples of sightings ask for, one out of each stretch of time."""
+    rng = np.random.default_rng(_SEED)
+    edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
+    picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in zip(edges, edges[1:], strict=False)], axis=-1)
+    j = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX
+    r = residual[picks].reshape(_TRIALS, 2 * _SAMPLE) / _TRUST_PX
+    normal = np.swapaxes(j, -1, -2) @ j + np.diag(precision)
+    right = np.einsum("kip,ki->kp", j, r) - precision * start
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
+
+
+def _tightened(
+    step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray
+) -> FloatArray:
+    """Return the step refined on all sightings, those far off counting less and less."""
+    flat = rows.reshape(-1, rows.shape[-1])
+    for number in range(_ROUNDS):
+        distance = np.linalg.norm(residual - rows @ step, axis=-1)
+        sigma = core_sigma(distance, floor=1e-3)
+        weight = 1.0 / (1.0 + (distance / (sigma * (3.0 if number < 4 else 1.5))) ** 2) ** 2 / sigma**2
+        doubled = np.repeat(weight, 2)
+        normal = (flat * doubled[:, None]).T @ flat + np.diag(precision)
+        step = np.linalg.solve(normal, flat.T @ (doubled * residual.ravel()) - precision * start)
+    return step
+
+
+def _disagreement(problem: Problem, seen: Observations, at: FloatArray, close: float) -> float:
+    distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
+    return float(np.sum(np.log1p((distance / close) ** 2)))
