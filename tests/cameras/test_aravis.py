@@ -1,0 +1,221 @@
+"""What the adapter makes of everything that a camera can do wrong (a real connection: tests/simulation)."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import weakref
+from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sunarc.cameras import AravisCamera, AravisOptions, open_aravis
+from sunarc.cameras import aravis as adapter
+from sunarc.cameras.aravis import follows
+from sunarc.clock import VirtualClock
+from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError, ConfigurationError
+
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+
+
+def opened(camera: Any, **options: Any) -> AravisCamera:  # noqa: ANN401 - a stub of an untyped library
+    settings = AravisOptions(address="127.0.0.9", **options)
+    result = AravisCamera(settings, VirtualClock(NOON), library=camera.library())
+    result.connect()
+    return result
+
+
+def answering(camera: Any, *answers: Any, **options: Any) -> AravisCamera:  # noqa: ANN401 - as above
+    camera.stream.answers.extend(answers)
+    return opened(camera, **options)
+
+
+def test_settings_are_pinned_before_the_stream_is_made(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    opened(camera, gain_db=50.0, packet_size=8000, packet_socket=False)
+    names = [call[0] for call in camera.calls]
+    assert ("set_string", "ExposureAuto", "Off") in camera.calls
+    assert ("set_string", "GainAuto", "Off") in camera.calls
+    assert ("set_boolean", "GammaEnable", False) in camera.calls
+    assert ("set_gain", 24.0) in camera.calls
+    assert ("gv_set_stream_options", "udp") in camera.calls
+    assert names.index("set_region") < names.index("gv_set_packet_size") < names.index("get_payload")
+    assert names.index("get_payload") < names.index("create_stream") < names.index("start_acquisition")
+
+
+def test_a_frame_says_what_the_camera_said(stub: SimpleNamespace) -> None:
+    camera = answering(stub.Camera(), stub.Buffer(frame_id=7))
+    frame = camera.expose(123.9)
+    assert frame.exposure_us == 123.0
+    assert (frame.gain_db, frame.pixel_format, frame.full_scale, frame.frame_id) == (3.0, "Mono12", 4095, 7)
+    assert frame.time == NOON + timedelta(microseconds=61.5)
+    assert np.array_equal(frame.image.ravel(), np.frombuffer(bytes(range(48)), "<u2"))
+    assert camera.info.model == ""
+    assert camera.info.serial == "77"
+
+
+def test_a_disciplined_camera_s_own_time_is_the_start_of_the_exposure(stub: SimpleNamespace) -> None:
+    frame = answering(stub.Camera(), stub.Buffer(), timestamps="camera").expose(1000.0)
+    assert frame.time == datetime(2013, 5, 13, 18, 30, 0, 123_956, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(("asked", "got"), [(1.0, 10.0), (5e6, 1e6)])
+def test_an_exposure_beyond_the_camera_s_bounds_is_the_nearest_it_can(
+    stub: SimpleNamespace, asked: float, got: float
+) -> None:
+    assert answering(stub.Camera(), stub.Buffer()).expose(asked).exposure_us == got
+
+
+def test_the_wait_is_the_exposure_and_a_second(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.stream.answers.append(stub.Buffer())
+    opened(camera).expose(48_000.0)
+    assert camera.stream.waits_us == [1_048_000]
+
+
+@pytest.mark.parametrize(
+    ("buffer", "error", "words"),
+    [
+        (None, CameraTimeoutError, "no frame came"),
+        ({"status": "TIMEOUT"}, CameraTimeoutError, "packets of the frame were lost"),
+        ({"status": "MISSING_PACKETS"}, CameraTimeoutError, "packets of the frame were lost"),
+        ({"status": "ABORTED"}, CameraError, "not usable"),
+        ({"size": (6, 2)}, CameraError, "6×2"),
+        ({"data": b"\0" * 47}, CameraError, "47 bytes"),
+    ],
+)
+def test_a_frame_in_doubt_is_refused_and_its_buffer_given_back(
+    stub: SimpleNamespace, buffer: dict[str, Any] | None, error: type[CameraError], words: str
+) -> None:
+    camera = stub.Camera()
+    given = None
+    if buffer is not None:
+        status = stub.BufferStatus[buffer.pop("status", "SUCCESS")]
+        given = stub.Buffer(status=status, **buffer)
+    camera.stream.answers.append(given)
+    ours = opened(camera)
+    before = camera.stream.pushed
+    with pytest.raises(error, match=words) as caught:
+        ours.expose(10.0)
+    assert type(caught.value) is error
+    assert camera.stream.pushed - before == (given is not None)
+
+
+def test_a_frame_out_of_turn_is_refused(stub: SimpleNamespace) -> None:
+    camera = answering(stub.Camera(), stub.Buffer(frame_id=3), stub.Buffer(frame_id=5))
+    camera.expose(10.0)
+    with pytest.raises(CameraError, match="frame 5 came after frame 3"):
+        camera.expose(10.0)
+
+
+def test_after_a_doubt_the_camera_is_stopped_emptied_and_started(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.stream.answers.extend([None, stub.Buffer(frame_id=1), stub.Buffer(frame_id=9)])
+    ours = opened(camera)
+    with pytest.raises(CameraTimeoutError):
+        ours.expose(10.0)
+    camera.calls.clear()
+    assert ours.expose(10.0).frame_id == 9  # the late frame 1 was waited for and thrown away
+    names = [call[0] for call in camera.calls]
+    assert names[:2] == ["stop_acquisition", "start_acquisition"]
+
+
+def test_frames_that_nobody_waits_for_are_thrown_away_before_the_trigger(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.stream.answers.append(stub.Buffer(frame_id=2))
+    ours = opened(camera)
+    camera.stream.late.append(stub.Buffer(frame_id=1))
+    assert ours.expose(10.0).frame_id == 2
+    assert not camera.stream.late
+
+
+@pytest.mark.parametrize("code", [2, 5, 10])
+def test_a_command_that_stays_unanswered_means_that_the_camera_is_lost(stub: SimpleNamespace, code: int) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    camera.fails["set_exposure_time"] = stub.GLibError("ack timeout", code)
+    with pytest.raises(CameraLostError, match="ack timeout"):
+        ours.expose(10.0)
+
+
+def test_another_fault_of_a_command_is_an_error_of_that_exposure(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    camera.fails["software_trigger"] = stub.GLibError("no such feature", 1)
+    with pytest.raises(CameraError, match="no such feature") as caught:
+        ours.expose(10.0)
+    assert type(caught.value) is CameraError
+
+
+def test_control_that_was_lost_is_told_at_the_next_exposure_and_nothing_is_sent(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    camera.device.handlers[1](camera.device)
+    camera.calls.clear()
+    with pytest.raises(CameraLostError, match="no longer answers"):
+        ours.expose(10.0)
+    ours.close()
+    assert camera.calls == []
+
+
+def test_the_signal_s_handler_does_not_hold_the_camera(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    handler, reference = camera.device.handlers[1], weakref.ref(ours)
+    del ours
+    gc.collect()
+    assert reference() is None
+    handler()
+
+
+def test_closing_stops_disconnects_and_lets_go_and_may_be_done_twice(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    ours.close()
+    ours.close()
+    assert [call[0] for call in camera.calls].count("stop_acquisition") == 1
+    assert camera.device.handlers == {}
+    assert ours._camera is ours._device is ours._stream is None
+    with pytest.raises(CameraLostError, match="not open"):
+        ours.expose(10.0)
+
+
+@pytest.mark.parametrize("step", ["set_region", "get_payload", "create_stream", "start_acquisition"])
+def test_an_opening_that_fails_half_way_lets_go(
+    stub: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    camera = stub.Camera()
+    camera.fails[step] = stub.GLibError("refused", 1)
+    monkeypatch.setattr(adapter, "_library", camera.library)
+    with pytest.raises(CameraError, match="refused") as caught:
+        open_aravis(AravisOptions(address="127.0.0.9"), VirtualClock(NOON))
+    assert camera.device.handlers == {}
+    assert caught.value.__context__ is None
+
+
+def test_a_format_that_the_camera_lacks_is_refused_with_those_it_has(stub: SimpleNamespace) -> None:
+    with pytest.raises(ConfigurationError, match="no pixel format Mono16; it offers Mono8, Mono12"):
+        opened(stub.Camera(), pixel_format="Mono16")
+
+
+def test_a_region_beyond_the_sensor_is_refused(stub: SimpleNamespace) -> None:
+    with pytest.raises(ConfigurationError, match="does not fit the sensor of 6×4"):
+        opened(stub.Camera(), region=(0, 0, 7, 4))
+
+
+def test_a_machine_without_gi_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gi", None)
+    with pytest.raises(ConfigurationError, match=r"apt-get install python3-gi gir1\.2-aravis-0\.8"):
+        open_aravis(AravisOptions(address="127.0.0.9"), VirtualClock(NOON))
+
+
+def test_frame_counts_wrap_as_gige_vision_does() -> None:
+    assert follows(1, 2)
+    assert follows(65_535, 1)
+    assert follows(65_535, 65_536)
+    assert not follows(65_535, 0)
+    assert not follows(4, 4)
+    assert not follows(4, 6)
