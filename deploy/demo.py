@@ -124,7 +124,7 @@ altitude = {SITE["altitude"]}
 [camera]
 address = "{address}"
 pixel_format = "Mono12"
-packet_size = 8000
+packet_size = 60000
 packet_socket = false
 timestamps = "camera"
 
@@ -132,6 +132,9 @@ timestamps = "camera"
 cadence_s = {CADENCE_S}
 night_cadence_s = {CADENCE_S}
 speed = {options.speed}
+
+[sensor]
+black_level_fraction = 0.0078
 
 [refit]
 check_every_s = 1.0
@@ -248,8 +251,7 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
 
 def refit_under_way(url: str) -> bool:
     """Return whether a refit waits or runs."""
-    refits = get(f"{url}/v1/refits")["refits"]
-    return any(refit["state"] in {"requested", "running"} for refit in refits)
+    return any(refit["state"] in {"requested", "running"} for refit in get(f"{url}/v1/refits"))
 
 
 def describe(days: list[Any], calibration: Any, status: Any) -> str:

@@ -63,4 +63,5 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_the_shipped_example_can_be_run_with() -> None:
     settings = load_settings(Path(__file__).parents[1] / "deploy" / "sunarc.toml")
+    assert settings.camera is not None
     assert settings.camera.address == "192.168.0.2"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,9 +14,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from sunarc import __version__, app, offline
+from sunarc import __version__, app, doctor, offline
 from sunarc.archive import parse_time
 from sunarc.calibration import CalibrationOptions
+from sunarc.clock import SystemClock
 from sunarc.errors import ConfigurationError, InputError, SunarcError
 from sunarc.settings import load_settings
 from sunarc.sky import Site
@@ -168,6 +170,7 @@ def calibrate(
             mirrored=mirrored,  # type: ignore[arg-type]
             level_within_deg=level_within,
         ),
+        clock=SystemClock(),
     )
     if as_json:
         _print_json(document)
@@ -193,6 +196,22 @@ def unproject(calibration: CalibrationFile) -> None:
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """
     offline.unproject_csv(calibration, sys.stdin, sys.stdout)
+
+
+@cli.command()
+def check(config: Config = None, *, as_json: AsJson = False) -> None:
+    """Look at settings, disk, database, port, clock and camera; exit 1 when something would not work.
+
+    Example: sunarc check --config /etc/sunarc/sunarc.toml
+    """
+    settings = load_settings(config)
+    findings = list(doctor.examine(settings, clock=SystemClock()))
+    if as_json:
+        _print_json([asdict(finding) for finding in findings])
+    else:
+        _out.print(_table(("", "", ""), [[finding.outcome, finding.what, finding.text] for finding in findings]))
+    if any(finding.outcome == "fail" for finding in findings):
+        raise typer.Exit(1)
 
 
 @points_cli.command("import")
@@ -229,8 +248,8 @@ def upgrade(state: State) -> None:
     print(offline.upgrade_database(state))
 
 
-@db_cli.command()
-def check(state: State, *, as_json: AsJson = False) -> None:
+@db_cli.command("check")
+def check_database(state: State, *, as_json: AsJson = False) -> None:
     """Check the database's revision and integrity; exit 1 when something is wrong.
 
     Example: sunarc db check --state /var/lib/sunarc

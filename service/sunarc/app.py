@@ -10,6 +10,7 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from pathlib import Path
 
 import uvicorn
@@ -24,6 +25,7 @@ from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.schedule import Schedule
 from sunarc.settings import Settings
 from sunarc.simulation import ImagerOptions, run_imager
+from sunarc.sky import Site
 from sunarc.supervisor import Supervised, Supervisor
 from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
 from sunarc.workers import (
@@ -62,9 +64,7 @@ class Service:
         self.archive = archive
         self.clock = clock
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
-        self.frame_time = FrameTime(
-            clock, follows_camera=settings.camera.timestamps == "camera", speed=settings.capture.speed
-        )
+        self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
         self.exposures = SunExposures(settings.sun_exposure)
         self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
@@ -84,10 +84,10 @@ class Service:
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
-            Supervised(name="refit", make_worker=self._refit_worker),
-            Supervised(name="detect", make_worker=self._detect_worker),
-            Supervised(name="compose", make_worker=self._compose_worker),
-            Supervised(name="capture", make_worker=self._capture_worker),
+            Supervised(name="refit", make_worker=self.refit_worker),
+            Supervised(name="detect", make_worker=self.detect_worker),
+            Supervised(name="compose", make_worker=self.compose_worker),
+            Supervised(name="capture", make_worker=self.capture_worker),
         )
 
     def request_refit(self, reason: str) -> Refit:
@@ -100,7 +100,7 @@ class Service:
         """Judge the days that have ended, and look at the host's clock."""
         state = host_clock_state()
         self.board.note(clock=ClockStatus(synchronised=state.synchronised, max_error_s=state.error_bound_s))
-        if self.settings.camera.timestamps == "host" and not state.synchronised:
+        if not self.settings.dated_by_camera and not state.synchronised:
             self.board.set_reason(_unsynchronised())
         else:
             self.board.clear_reason("clock_unsynchronised")
@@ -109,11 +109,12 @@ class Service:
 
     def clock_error_s(self) -> float:
         """Return the bound of the error of the frames' times."""
-        if self.settings.camera.timestamps == "camera":
+        if self.settings.dated_by_camera:
             return self.settings.capture.camera_clock_error_s
         return host_clock_state().error_bound_s
 
-    def _open_and_remember(self) -> SkyCamera:
+    def open_and_remember(self) -> SkyCamera:
+        """Open the camera and write down what it is."""
         camera = self._open_camera()
         info, site = camera.info, self.settings.site
         self.archive.save_camera(
@@ -130,9 +131,10 @@ class Service:
         )
         return camera
 
-    def _capture_worker(self) -> CaptureWorker:
+    def capture_worker(self) -> CaptureWorker:
+        """Return the worker that drives the camera."""
         return CaptureWorker(
-            open_camera=self._open_and_remember,
+            open_camera=self.open_and_remember,
             clock=self.clock,
             frame_time=self.frame_time,
             options=self.settings.capture,
@@ -144,10 +146,14 @@ class Service:
             board=self.board,
         )
 
-    def _compose_worker(self) -> ComposeWorker:
-        return ComposeWorker(self.cycles, store=ImageStore(self.settings.images), board=self.board)
+    def compose_worker(self) -> ComposeWorker:
+        """Return the worker that writes composites."""
+        return ComposeWorker(
+            self.cycles, store=ImageStore(self.settings.images), options=self.settings.sensor, board=self.board
+        )
 
-    def _detect_worker(self) -> DetectWorker:
+    def detect_worker(self) -> DetectWorker:
+        """Return the worker that looks for the sun."""
         return DetectWorker(
             self.sun_frames,
             archive=self.archive,
@@ -160,7 +166,8 @@ class Service:
             board=self.board,
         )
 
-    def _refit_worker(self) -> RefitWorker:
+    def refit_worker(self) -> RefitWorker:
+        """Return the worker that solves the camera anew."""
         return RefitWorker(
             archive=self.archive,
             camera=self.settings.name,
@@ -187,6 +194,8 @@ def serve(settings: Settings) -> int:
     )
     notifier = notifier_from(os.environ)
     server = _web_server(service)
+    for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
+        signal.signal(number, lambda *_: None)
     with ExitStack() as stack:
         stack.enter_context(listening)
         stack.callback(service.archive.close)
@@ -200,12 +209,15 @@ def serve(settings: Settings) -> int:
 
 def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
     """Return what opens the camera that the settings name."""
-    if settings.source == "aravis":
-        return lambda: open_aravis(settings.camera, clock)
-    replay = settings.replay
-    if replay is None:
-        raise ConfigurationError('setting replay is missing; add a [replay] section, or set source = "aravis"')
-    return lambda: open_replay(replay)
+    camera, replay = settings.camera, settings.replay
+    if settings.source == "aravis" and camera is not None:
+        return lambda: open_aravis(camera, clock)
+    if settings.source == "replay" and replay is not None:
+        return lambda: open_replay(replay)
+    section = "camera" if settings.source == "aravis" else "replay"
+    raise ConfigurationError(
+        f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
+    )
 
 
 def prepare_state(folder: Path) -> None:
@@ -236,8 +248,20 @@ def listen(host: str, port: int) -> socket.socket:
     return listening
 
 
-def simulate(options: ImagerOptions) -> None:
+def simulate(
+    *,
+    address: str,
+    start: datetime,
+    speed: float,
+    site: Site,
+    lens_seed: int,
+    clouds: str,
+    truth: Path | None,
+) -> None:
     """Run a simulated imager until SIGTERM or SIGINT."""
+    options = ImagerOptions(
+        address=address, start=start, speed=speed, site=site, lens_seed=lens_seed, clouds=clouds, truth=truth
+    )
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -247,9 +271,12 @@ def simulate(options: ImagerOptions) -> None:
 def _web_server(service: Service) -> uvicorn.Server:
     app = create_app(
         archive=service.archive,
+        camera=service.settings.name,
+        site=service.settings.site,
         status=service.board.snapshot,
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,
+        latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
         options=service.settings.api,
     )
     return uvicorn.Server(

@@ -63,7 +63,7 @@ def calibrate_file(
         created_at=now,
         valid_from=first,
         valid_until=None,
-        pose_epoch=None,
+        pose_epoch="",
         software_version=sunarc.__version__,
     )
 
@@ -196,11 +196,11 @@ def read_image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Read an image file as it is, 8 or 16 bit."""
     encoded = np.frombuffer(_read(path), dtype=np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
-    if image is None or image.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
-        raise InputError(
-            field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file"
-        )
-    return image
+    if image is not None and image.dtype == np.uint8:
+        return image.astype(np.uint8)
+    if image is not None and image.dtype == np.uint16:
+        return image.astype(np.uint16)
+    raise InputError(field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file")
 
 
 def _read(path: Path) -> bytes:

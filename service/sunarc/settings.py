@@ -19,7 +19,7 @@ from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging import SunExposureOptions
 from sunarc.sky import Site
-from sunarc.workers import CaptureOptions, DetectOptions, RefitOptions
+from sunarc.workers import CaptureOptions, RefitOptions, SensorOptions
 
 _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
@@ -47,9 +47,9 @@ class Settings(BaseSettings):
     state: Path = Path("/var/lib/sunarc")
     source: Literal["aravis", "replay"] = "aravis"
     site: Site
-    camera: AravisOptions = AravisOptions(address="192.168.0.2")
+    camera: AravisOptions | None = None
     replay: ReplayOptions | None = None
-    sensor: DetectOptions = DetectOptions()
+    sensor: SensorOptions = SensorOptions()
     detection: DiscOptions = DiscOptions()
     capture: CaptureOptions = CaptureOptions()
     sun_exposure: SunExposureOptions = SunExposureOptions()
@@ -57,6 +57,11 @@ class Settings(BaseSettings):
     refit: RefitOptions = RefitOptions()
     days: DayOptions = DayOptions()
     api: ApiOptions = ApiOptions()
+
+    @property
+    def dated_by_camera(self) -> bool:
+        """Whether frames are dated by the camera's own clock."""
+        return self.camera is None or self.camera.timestamps == "camera"
 
     @property
     def database(self) -> Path:

@@ -3,22 +3,25 @@
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.days import DayJudge
-from sunarc.workers.detect import DetectOptions, DetectWorker
+from sunarc.workers.detect import DetectWorker
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
+from sunarc.workers.sensor import SensorOptions
+from sunarc.workers.sun_exposures import SunExposures
 
 __all__ = [
     "CaptureOptions",
     "CaptureWorker",
     "ComposeWorker",
     "DayJudge",
-    "DetectOptions",
     "DetectWorker",
     "FrameTime",
     "Handover",
     "RefitOptions",
     "RefitWorker",
+    "SensorOptions",
+    "SunExposures",
     "SunPredictor",
 ]

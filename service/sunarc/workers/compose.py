@@ -17,6 +17,7 @@ from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import merge_hdr, preview
 from sunarc.workers.handover import Handover
+from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
@@ -29,12 +30,16 @@ class ComposeWorker:
     ----------
     cycles : the frames of one cycle at a time.
     store : where composites go.
+    options : the sensor.
     board : where a full disk is reported.
     """
 
-    def __init__(self, cycles: Handover[Sequence[Frame]], *, store: ImageStore, board: StatusBoard) -> None:
+    def __init__(
+        self, cycles: Handover[Sequence[Frame]], *, store: ImageStore, options: SensorOptions, board: StatusBoard
+    ) -> None:
         self._cycles = cycles
         self._store = store
+        self._options = options
         self._board = board
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -48,15 +53,16 @@ class ComposeWorker:
                 return
 
     def _compose(self, frames: Sequence[Frame]) -> None:
+        sensor = sensor_of(frames[0], self._options)
         composite = merge_hdr(
             [frame.image for frame in frames],
-            exposures_us=[frame.exposure_us for frame in frames],
-            full_scale=frames[0].full_scale,
+            [frame.exposure_us for frame in frames],
+            sensor=sensor,
         )
         captured_at = frames[0].time
         try:
             self._store.write(captured_at, encode(composite.image, ".png"), kind="hdr.png")
-            self._store.write(captured_at, encode(preview(composite), ".jpg"), kind="hdr.jpg")
+            self._store.write(captured_at, encode(preview(composite.image, bayer=sensor.bayer), ".jpg"), kind="hdr.jpg")
         except OutsideError as error:
             _log.warning("%s", error)
             self._board.set_reason(
@@ -72,7 +78,7 @@ class ComposeWorker:
         self._board.note(disk_free_bytes=shutil.disk_usage(self._store.folder).free)
 
 
-def encode(image: NDArray[np.generic], suffix: str) -> bytes:
+def encode(image: NDArray[np.uint8] | NDArray[np.uint16], suffix: str) -> bytes:
     """Return an image as the bytes of a file of this kind; PNG at its fastest compression."""
     done, encoded = cv2.imencode(suffix, image, [cv2.IMWRITE_PNG_COMPRESSION, 1] if suffix == ".png" else [])
     if not done:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, date, datetime
 
+import numpy as np
+
 from sunarc.archive import Archive, Day, Event, Refit
-from sunarc.calibration import DayOptions, SunPoints, decide_day, measure_day
-from sunarc.sky import Site, day_bounds_unix_s, solar_date
+from sunarc.calibration import DayOptions, decide_day, measure_day
+from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
+from sunarc.workers.points import points_of
 
 _log = logging.getLogger(__name__)
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
@@ -69,31 +73,21 @@ class DayJudge:
         columns = self._archive.sun_point_columns(
             self._camera, since=datetime.fromtimestamp(start, UTC), until=datetime.fromtimestamp(end, UTC)
         )
-        measure = measure_day(
-            SunPoints(
-                unix_s=columns.unix_s,
-                pixels=columns.pixels,
-                sigma_px=columns.sigma_px,
-                epoch=columns.epoch,
-                clock_error_s=columns.clock_error_s,
-            ),
-            site=self._site,
-            day=date_,
-            cadence_s=self._cadence_s,
-            sun_zenith_deg=self._sun_zenith_deg,
-        )
-        decided = decide_day(measure, options=self._options)
+        frames = np.arange(start, end, self._cadence_s)
+        up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
+        measure = measure_day(points_of(columns), site=self._site, n_possible=int(np.count_nonzero(up)))
+        decided = decide_day(measure, self._options)
         return Day(
             camera=self._camera,
             date=date_,
-            verdict=decided.verdict,
+            verdict=decided.kind,
             reasons=decided.reasons,
             n=measure.n,
             n_possible=measure.n_possible,
             decided_at=self._now(),
             arc_deg=measure.arc_deg,
-            sd_px=measure.sd_px,
-            rmsd_px=measure.rmsd_px,
+            sd_px=_finite(measure.sd_px),
+            rmsd_px=_finite(measure.rmsd_px),
         )
 
     def _remember(self, day: Day) -> None:
@@ -104,3 +98,7 @@ class DayJudge:
             Event(time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera, details=details)
         )
         _log.info("%s", text)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -4,40 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from sunarc.archive import Archive, SunPoint
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
-from sunarc.detection import Detection, DiscOptions, Sensor, bayer_of, detect_sun
-from sunarc.errors import InputError
+from sunarc.detection import Detection, DiscOptions, detect_sun
 from sunarc.workers.handover import Handover
 from sunarc.workers.predictor import SunPredictor
+from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _POLL_S = 0.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectOptions:
-    """What the detector is told about the sensor.
-
-    Attributes
-    ----------
-    full_well_e : electrons at full scale.
-    read_noise_e : electrons.
-    black_level_fraction : of full scale.
-    """
-
-    full_well_e: float = 20_000.0
-    read_noise_e: float = 12.0
-    black_level_fraction: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what no sensor has."""
-        if self.full_well_e <= 0.0 or self.read_noise_e < 0.0 or not 0.0 <= self.black_level_fraction < 1.0:
-            raise InputError(
-                field="sensor", problem="a value is out of bounds", remedy="give electrons, and a fraction below 1"
-            )
 
 
 class DetectWorker:
@@ -61,7 +37,7 @@ class DetectWorker:
         archive: Archive,
         camera: str,
         predictor: SunPredictor,
-        options: DetectOptions,
+        options: SensorOptions,
         disc: DiscOptions,
         clock_error_s: Callable[[], float],
         report: Callable[[Frame, Detection], None],
@@ -91,7 +67,7 @@ class DetectWorker:
         """Detect, store and report one frame."""
         detection = detect_sun(
             frame.image,
-            sensor=self._sensor(frame),
+            sensor=sensor_of(frame, self._options),
             expectation=self._predictor.expectation(frame.time),
             options=self._disc,
             exposure_us=frame.exposure_us,
@@ -101,15 +77,6 @@ class DetectWorker:
         if detection.accepted:
             self._board.note(last_sighting_at=frame.time)
         return detection
-
-    def _sensor(self, frame: Frame) -> Sensor:
-        return Sensor(
-            full_scale=frame.full_scale,
-            gain_e_per_count=self._options.full_well_e / frame.full_scale,
-            read_noise_e=self._options.read_noise_e,
-            black_level=self._options.black_level_fraction * frame.full_scale,
-            bayer=bayer_of(frame.pixel_format),
-        )
 
     def _sun_point(self, frame: Frame, detection: Detection) -> SunPoint:
         return SunPoint(
@@ -133,4 +100,3 @@ class DetectWorker:
             saturated_px=detection.saturated_px,
             clock_error_s=self._clock_error_s(),
         )
-

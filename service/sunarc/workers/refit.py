@@ -5,24 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, Refit, RefitState
 from sunarc.board import Reason, StatusBoard
-from sunarc.calibration import (
-    Calibration,
-    CalibrationOptions,
-    SunPoints,
-    accept,
-    from_document,
-    to_document,
-    with_verdict,
-)
+from sunarc.calibration import Calibration, CalibrationOptions, accept, from_document, to_document
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.sky import Site
+from sunarc.workers.points import points_of
 from sunarc.workers.solve import Problem, SolveFailedError, solve_in_child
 
 _log = logging.getLogger(__name__)
@@ -88,11 +81,12 @@ class RefitWorker:
             heartbeat()
             waiting = self._archive.refits(self._camera, unfinished=True)
             if waiting:
-                self._refit(waiting[-1], stop, heartbeat)
+                self.carry_out(waiting[-1], stop, heartbeat)
             else:
                 self._clock.wait(stop, _POLL_S)
 
-    def _refit(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+    def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
         self._archive.start_refit(refit.id, started_at=self._now())
         problem = self._problem()
         if problem is None:
@@ -115,13 +109,7 @@ class RefitWorker:
             return None
         record = known[self._camera]
         return Problem(
-            points=SunPoints(
-                unix_s=columns.unix_s,
-                pixels=columns.pixels,
-                sigma_px=columns.sigma_px,
-                epoch=columns.epoch,
-                clock_error_s=columns.clock_error_s,
-            ),
+            points=points_of(columns),
             site=self._site,
             image_size=(record.width, record.height),
             options=self._calibration,
@@ -130,7 +118,8 @@ class RefitWorker:
     def _judge(self, refit: Refit, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
         if solved.verdict.accepted:
-            solved = with_verdict(solved, accept(solved, None if current is None else from_document(current.document)))
+            served = None if current is None else from_document(current.document)
+            solved = replace(solved, verdict=accept(solved, served))
         record = self._keep(refit, solved, current)
         if record.accepted:
             self._archive.activate(record.id)
@@ -152,7 +141,7 @@ class RefitWorker:
             created_at=now,
             valid_from=epoch.started_at if epoch is not None and first else now,
             valid_until=None,
-            pose_epoch=None if epoch is None else epoch.id,
+            pose_epoch="" if epoch is None else epoch.id,
             software_version=sunarc.__version__,
         )
         return self._archive.add_calibration(document, parent=None if current is None else current.id)

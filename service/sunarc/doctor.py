@@ -1,0 +1,96 @@
+"""Looks at everything the service needs, and says of each whether it will do, and the remedy where it will not."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Literal
+
+from sunarc.app import camera_opener, listen, prepare_state
+from sunarc.archive import check
+from sunarc.clock import Clock, host_clock_state
+from sunarc.errors import SunarcError
+from sunarc.settings import Settings
+
+Outcome = Literal["ok", "warn", "fail"]
+_LEAST_FREE_BYTES = 2_000_000_000
+_LARGEST_CLOCK_ERROR_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What a look told.
+
+    Attributes
+    ----------
+    what : what was looked at.
+    outcome : "ok", "warn" (the service runs, with less) or "fail".
+    text : what was seen, with the remedy where there is need of one.
+    """
+
+    what: str
+    outcome: Outcome
+    text: str
+
+
+def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
+    """Look at one thing after the other; what is told is what `sunarc check` prints."""
+    yield Finding(what="settings", outcome="ok", text=f"camera {settings.name!r}, state in {settings.state}")
+    yield _looked("state folder", lambda: _state(settings))
+    yield _looked("database", lambda: _database(settings))
+    yield _looked("port", lambda: _port(settings))
+    yield _looked("clock", _clock)
+    yield _looked("camera", lambda: _camera(settings, clock))
+
+
+def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:
+    try:
+        outcome, text = look()
+    except SunarcError as error:
+        outcome, text = "fail", str(error)
+    return Finding(what=what, outcome=outcome, text=text)
+
+
+def _state(settings: Settings) -> tuple[Outcome, str]:
+    prepare_state(settings.state)
+    free = shutil.disk_usage(settings.state).free
+    told = f"{free / 1e9:.1f} GB free"
+    return ("ok", told) if free > _LEAST_FREE_BYTES else ("warn", f"only {told}; free some space")
+
+
+def _database(settings: Settings) -> tuple[Outcome, str]:
+    if not settings.database.exists():
+        return "ok", "none yet; the service makes it"
+    found = check(settings.database)
+    if found.sound:
+        return "ok", f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
+    if found.revision != found.head:
+        return "warn", f"revision {found.revision}, not {found.head}; run sunarc db upgrade --state {settings.state}"
+    return "fail", f"damaged: {'; '.join(found.integrity)}; restore a backup"
+
+
+def _port(settings: Settings) -> tuple[Outcome, str]:
+    listen(settings.api.host, settings.api.port).close()
+    return "ok", f"{settings.api.port} at {settings.api.host} is free"
+
+
+def _clock() -> tuple[Outcome, str]:
+    state = host_clock_state()
+    if not state.synchronised:
+        return "warn", "not synchronised; start systemd-timesyncd or chrony and let it reach its servers"
+    told = f"synchronised to within {state.error_bound_s:.3f} s"
+    return ("ok", told) if state.error_bound_s < _LARGEST_CLOCK_ERROR_S else ("warn", f"{told}; wait for it to settle")
+
+
+def _camera(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
+    with closing(camera_opener(settings, clock)()) as camera:
+        info = camera.info
+        frame = camera.expose(
+            min(max(settings.capture.hdr_exposures_us[0], info.exposure_min_us), info.exposure_max_us)
+        )
+    return "ok", (
+        f"{info.vendor} {info.model} at {info.address}: {info.width}x{info.height} {info.pixel_format}, "
+        f"{info.exposure_min_us:g} to {info.exposure_max_us:g} us; a frame of {frame.exposure_us:g} us came whole"
+    )

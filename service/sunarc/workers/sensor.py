@@ -1,0 +1,46 @@
+"""What the settings tell of the sensor, in a frame's own counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sunarc.cameras import Frame
+from sunarc.detection import Sensor, bayer_of
+from sunarc.errors import InputError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorOptions:
+    """The sensor's noise.
+
+    Attributes
+    ----------
+    full_well_e : electrons at full scale.
+    read_noise_e : electrons.
+    black_level_fraction : level of an unlit pixel, of full scale.
+    blooming : a saturated pixel spills into its neighbours.
+    """
+
+    full_well_e: float = 20_000.0
+    read_noise_e: float = 12.0
+    black_level_fraction: float = 0.0
+    blooming: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor has."""
+        if self.full_well_e <= 0.0 or self.read_noise_e < 0.0 or not 0.0 <= self.black_level_fraction < 1.0:
+            raise InputError(
+                field="sensor", problem="a value is out of bounds", remedy="give electrons, and a fraction below 1"
+            )
+
+
+def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
+    """Return the sensor as the detector and the merge want it told, for a frame's pixel format."""
+    return Sensor(
+        full_scale=frame.full_scale,
+        gain_e_per_count=options.full_well_e / frame.full_scale,
+        read_noise_e=options.read_noise_e,
+        black_level=options.black_level_fraction * frame.full_scale,
+        bayer=bayer_of(frame.pixel_format),
+        blooming=options.blooming,
+    )

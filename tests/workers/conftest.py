@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from sunarc.board import StatusBoard
+from sunarc.cameras import CameraInfo, Frame
+from sunarc.clock import VirtualClock
+from sunarc.errors import CameraError
+
+NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
+INFO = CameraInfo(
+    address="127.0.0.9",
+    vendor="Test",
+    model="Sky",
+    serial="1",
+    width=8,
+    height=6,
+    pixel_format="Mono12",
+    full_scale=4095,
+    exposure_min_us=5.0,
+    exposure_max_us=1e6,
+    exposure_step_us=1.0,
+)
+
+
+@dataclass
+class FakeCamera:
+    """Answers with black frames, and with the faults that it is given, in turn."""
+
+    clock: VirtualClock
+    faults: list[CameraError | None] = field(default_factory=list)
+    exposures: list[tuple[float, float]] = field(default_factory=list)
+    closed: int = 0
+    info: CameraInfo = INFO
+
+    def expose(self, exposure_us: float) -> Frame:
+        self.exposures.append((self.clock.monotonic(), exposure_us))
+        self.clock.advance(exposure_us * 1e-6)
+        fault = self.faults.pop(0) if self.faults else None
+        if fault is not None:
+            raise fault
+        return Frame(
+            image=np.zeros((6, 8), dtype=np.uint16),
+            time=self.clock.now() - timedelta(microseconds=exposure_us / 2.0),
+            exposure_us=exposure_us,
+            gain_db=0.0,
+            pixel_format="Mono12",
+            full_scale=4095,
+            frame_id=len(self.exposures),
+        )
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock(NOON)
+
+
+@pytest.fixture
+def board(clock: VirtualClock) -> StatusBoard:
+    return StatusBoard(version="test", started_at=clock.now(), monotonic=clock.monotonic)
+
+
+@pytest.fixture
+def camera(clock: VirtualClock) -> FakeCamera:
+    return FakeCamera(clock)
+
+
+class StopAfter(threading.Event):
+    """Is set by itself after it was asked so many times."""
+
+    def __init__(self, times: int) -> None:
+        super().__init__()
+        self._left = times
+
+    def is_set(self) -> bool:
+        self._left -= 1
+        return self._left < 0 or super().is_set()

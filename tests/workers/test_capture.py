@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.board import StatusBoard
+from sunarc.cameras import Frame, SkyCamera
+from sunarc.clock import VirtualClock
+from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.imaging import SunExposureOptions
+from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
+
+if TYPE_CHECKING:
+    from .conftest import FakeCamera
+
+HDR = [3_000.0, 12_000.0, 48_000.0]
+SUN = [20.0, 80.0]  # the controller's first bracket
+
+
+@dataclass
+class Bench:
+    worker: CaptureWorker
+    cycles: Handover[Sequence[Frame]]
+    sun_frames: Handover[Frame]
+    stop: threading.Event
+
+    def run_until(self, reached: Callable[[], bool]) -> None:
+        """Run the loop, and stop it from its own heartbeat."""
+        turns = 0
+
+        def heartbeat() -> None:
+            nonlocal turns
+            turns += 1
+            if reached() or turns > 10_000:
+                self.stop.set()
+
+        self.worker.run(self.stop, heartbeat)
+        assert reached(), "the loop ran without end"
+
+
+MakeBench = Callable[..., Bench]
+
+
+@pytest.fixture
+def bench(clock: VirtualClock, board: StatusBoard, camera: FakeCamera) -> MakeBench:
+    def make(*, zenith: float = 20.0, open_camera: Callable[[], SkyCamera] = lambda: camera) -> Bench:
+        cycles: Handover[Sequence[Frame]] = Handover(capacity=100)
+        sun_frames: Handover[Frame] = Handover(capacity=100)
+        worker = CaptureWorker(
+            open_camera=open_camera,
+            clock=clock,
+            frame_time=FrameTime(clock, follows_camera=False),
+            options=CaptureOptions(),
+            name="roof",
+            apparent_zenith=lambda: zenith,
+            sun_exposures=SunExposures(SunExposureOptions()),
+            cycles=cycles,
+            sun_frames=sun_frames,
+            board=board,
+        )
+        return Bench(worker, cycles, sun_frames, threading.Event())
+
+    return make
+
+
+def reasons(board: StatusBoard) -> set[str]:
+    return {reason.code for reason in board.snapshot().reasons}
+
+
+def test_the_normal_exposures_come_first_at_their_slot_and_then_the_sun(bench: MakeBench, camera: FakeCamera) -> None:
+    made = bench()
+    made.run_until(lambda: len(camera.exposures) >= 10)
+    assert [exposure for _, exposure in camera.exposures[:5]] == HDR + SUN
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    assert starts == pytest.approx([20.0, 50.0])  # the test begins 10 s after a slot
+    assert [frame.exposure_us for frame in made.cycles.get(timeout_s=0.0) or ()] == HDR
+    assert len(made.sun_frames) == 4
+    assert camera.closed == 1
+
+
+def test_at_night_one_exposure_every_ten_minutes_shows_that_the_camera_lives(
+    bench: MakeBench, camera: FakeCamera
+) -> None:
+    made = bench(zenith=120.0)
+    made.run_until(lambda: len(camera.exposures) >= 3)
+    starts = [at for at, _ in camera.exposures]
+    assert starts[1] - starts[0] == pytest.approx(600.0)
+    assert len(made.cycles) == 0
+    assert len(made.sun_frames) == 0
+
+
+def test_a_low_sun_gets_no_exposures_of_its_own(bench: MakeBench, camera: FakeCamera) -> None:
+    made = bench(zenith=92.0)
+    made.run_until(lambda: len(camera.exposures) >= 3)
+    assert len(made.sun_frames) == 0
+    assert len(made.cycles) == 1
+
+
+def test_a_frame_that_fails_once_is_taken_again(bench: MakeBench, camera: FakeCamera) -> None:
+    camera.faults = [None, CameraTimeoutError("late")]
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    assert [frame.exposure_us for frame in made.cycles.get(timeout_s=0.0) or ()] == HDR
+    assert [exposure for _, exposure in camera.exposures[:4]] == [3_000.0, 12_000.0, 12_000.0, 48_000.0]
+
+
+def test_a_cycle_that_lacks_an_exposure_makes_no_composite_but_still_looks_at_the_sun(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    camera.faults = [None, CameraTimeoutError("late"), CameraError("torn"), None]
+    made = bench()
+    made.run_until(lambda: len(camera.exposures) >= 6)
+    assert len(made.cycles) == 0
+    assert len(made.sun_frames) == 2
+    assert "exposures_failing" not in reasons(board)  # later exposures succeeded
+
+
+def test_a_lost_camera_is_closed_shown_and_opened_again_ever_less_often(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard, clock: VirtualClock
+) -> None:
+    opened: list[float] = []
+    shown: list[bool] = []
+
+    def open_camera() -> SkyCamera:
+        opened.append(clock.monotonic())
+        shown.append("camera_lost" in reasons(board))
+        if len(opened) in {2, 3, 4}:
+            raise CameraLostError("no answer")
+        return camera
+
+    camera.faults = [CameraLostError("gone")]
+    made = bench(open_camera=open_camera)
+    made.run_until(lambda: len(made.cycles) >= 1)
+    pauses = [later - earlier for earlier, later in zip(opened[1:], opened[2:], strict=False)]
+    assert pauses == pytest.approx([2.0, 4.0, 8.0])
+    assert shown == [False, True, True, True, True]
+    assert reasons(board) == set()
+    assert camera.closed == 2
+
+
+def test_a_camera_that_answers_nothing_for_a_whole_cycle_is_opened_anew(bench: MakeBench, camera: FakeCamera) -> None:
+    opened: list[None] = []
+
+    def open_camera() -> SkyCamera:
+        opened.append(None)
+        return camera
+
+    camera.faults = [CameraTimeoutError("late")] * 8
+    made = bench(open_camera=open_camera)
+    made.run_until(lambda: len(made.cycles) >= 1)
+    assert len(opened) == 2
