@@ -13,13 +13,14 @@ from sunarc.detection.judge import detection_of, verdict_of
 from sunarc.detection.model import Prior
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.search import Spot, brightest_spots, symmetric_root
-from sunarc.detection.template import disc_sources
+from sunarc.detection.template import sun_sources
 from sunarc.detection.values import Detection, Expectation, FloatArray, Image, Sensor, Verdict
 from sunarc.detection.window import Window, cut
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0
-_HALOS = (0.0, 0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
+_HALOS = (0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
+_WIDTHS = (1.0, 0.75, 1.3)  # point spreads to start from, of the one expected
 _DEFAULT_OPTIONS = DiscOptions()
 
 
@@ -139,8 +140,8 @@ def _fitted(
     options: DiscOptions,
 ) -> Detection:
     """Fit and judge the disc at a spot; `axes` None: the disc's shape is fitted too."""
-    starts = _first_axes(spot, sensor, options) if axes is None else [axes]
-    start = starts[0]
+    shapes = _first_shapes(spot, axes, sensor, options)
+    start = shapes[0][1]
     half = math.ceil(max(_major(start), spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
     if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
         return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
@@ -157,24 +158,28 @@ def _fitted(
             saturated_px=window.saturated_px,
             peak_fraction=1.0,
         )
-    sources = disc_sources(
+    sources = sun_sources(
         radius_px=math.sqrt(np.linalg.det(start)), psf_px=options.psf_px, limb_darkening=options.limb_darkening
     )
-    prior = Prior(math.log(options.psf_px), options.psf_tolerance, free_stretch=axes is None)
-    fit = fit_disc(window, start=(spot.x, spot.y), stretches=starts, sources=sources, sensor=sensor, prior=prior)
+    prior = Prior(math.log(options.psf_px), options.psf_tolerance, options.wings_tolerance, free_stretch=axes is None)
+    fit = fit_disc(window, start=(spot.x, spot.y), shapes=shapes, sources=sources, sensor=sensor, prior=prior)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 
-def _first_axes(spot: Spot, sensor: Sensor, options: DiscOptions) -> list[FloatArray]:
-    """Return first guesses of the disc's axes; a saturated one looks larger than it is by some point spreads."""
+def _first_shapes(
+    spot: Spot, axes: FloatArray | None, sensor: Sensor, options: DiscOptions
+) -> list[tuple[float, FloatArray]]:
+    """Return first guesses of point spread and axes; a saturated disc shows neither, so that there are several."""
     saturated = spot.level >= options.saturation_fraction * sensor.full_scale
+    if axes is not None:
+        return [(factor * options.psf_px, axes) for factor in (_WIDTHS if saturated else (1.0,))]
     values, vectors = np.linalg.eigh(spot.axes)
-    halos = [halo * options.psf_px for halo in (_HALOS[1:] if saturated else _HALOS[:1])]
+    halos = [halo * options.psf_px for halo in (_HALOS if saturated else (0.0,))]
     sizes = [np.clip(values - halo, options.min_radius_px, options.max_radius_px) for halo in halos]
-    return [np.asarray((vectors * size) @ vectors.T) for size in sizes]
+    return [(options.psf_px, np.asarray((vectors * size) @ vectors.T)) for size in sizes]
 
 
 def _all_saturated(window: Window) -> bool:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from sunarc.detection import template
 from sunarc.detection.model import (
-    NONLINEAR,
+    PSF,
+    WINGS,
     Evaluation,
     Prior,
     Problem,
@@ -22,7 +23,7 @@ from sunarc.detection.model import (
     with_levels,
     without,
 )
-from sunarc.detection.template import Sources
+from sunarc.detection.template import SunSources
 from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
 
@@ -30,6 +31,7 @@ _STEPS = 25
 _CONVERGED_PX = 2e-4
 _OUTLIER = 6.0
 _OUTLIER_SHARE = 0.01
+_POOR = 1.3  # reduced chi² from which on the point spread is given wings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +45,7 @@ class DiscFit:
     level : the brightest colour's level of the disc's centre. background : that colour's level around it.
     snr : flux over its standard deviation, the shape given. chi2 : reduced chi².
     residual : rms of what noise does not explain, over the level (at most full scale).
-    shift_px, shift_sigma_px : how far the centre moves when the disc's brightness may slope.
+    uneven : how much chi² a disc of sloping and bending brightness would gain, over the reduced chi².
     used_px, converged : pixels that took part; whether the steps became small.
     """
 
@@ -57,8 +59,7 @@ class DiscFit:
     snr: float
     chi2: float
     residual: float
-    shift_px: float
-    shift_sigma_px: float
+    uneven: float
     used_px: int
     converged: bool
 
@@ -67,8 +68,8 @@ def fit_disc(
     window: Window,
     *,
     start: tuple[float, float],
-    stretches: Sequence[FloatArray],
-    sources: Sources,
+    shapes: Sequence[tuple[float, FloatArray]],
+    sources: SunSources,
     sensor: Sensor,
     prior: Prior,
 ) -> DiscFit | None:
@@ -78,8 +79,8 @@ def fit_disc(
     ----------
     window : the pixels.
     start : first guess of the centre in the image, px.
-    stretches : (2, 2) symmetric, px, take the unit disc to the sun's image; where it is free, the first guesses to
-        choose from.
+    shapes : first guesses to choose from: the point spread, px, and the (2, 2) symmetric matrix, px, that takes the
+        unit disc to the sun's image.
     sources : the unit disc.
     sensor, prior : noise, and what is known of the disc.
 
@@ -87,11 +88,9 @@ def fit_disc(
     -------
     The fit, or None where too few pixels can be used.
     """
-    position = np.array([start[0] - window.first[0], start[1] - window.first[1], prior.log_psf])
-    starts = [np.concatenate([position, stretch[[0, 0, 1], [0, 1, 1]]]) for stretch in stretches]
-    problem = make_problem(
-        window, usable=window.usable, origin=position[:2], sensor=sensor, sources=sources, prior=prior
-    )
+    position = np.array([start[0] - window.first[0], start[1] - window.first[1]])
+    starts = [np.array([*position, math.log(psf), 0.0, s[0, 0], s[0, 1], s[1, 1]]) for psf, s in shapes]
+    problem = make_problem(window, usable=window.usable, origin=position, sensor=sensor, sources=sources, prior=prior)
     if problem.counts.size < 30 + 4 * window.colours:
         return None
     first = min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
@@ -100,14 +99,25 @@ def fit_disc(
     if bad.any():
         problem = without(problem, bad)
         state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
+    if _chi2(evaluation) > _POOR:
+        problem = problem._replace(prior=prior._replace(free_wings=True))
+        state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
+
+
+def _chi2(evaluation: Evaluation) -> float:
+    """Return the reduced chi²."""
+    count, parameters = evaluation.jacobian.shape
+    return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
 
 
 def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     nonlinear, colours = state.nonlinear.copy(), problem.window.colours
-    count = NONLINEAR if problem.prior.free_stretch else 3
-    nonlinear[:count] += np.clip(step[:count], -2.0, 2.0)
-    nonlinear[2] = np.clip(nonlinear[2], problem.prior.log_psf - 1.5, problem.prior.log_psf + 1.5)
+    free = problem.prior.free
+    count = len(free)
+    nonlinear[free] += np.clip(step[:count], -2.0, 2.0)
+    nonlinear[PSF] = np.clip(nonlinear[PSF], problem.prior.log_psf - 1.5, problem.prior.log_psf + 1.5)
+    nonlinear[WINGS] = np.clip(nonlinear[WINGS], 0.0, 0.3)
     flux, background, slope = np.split(step[count:], [colours, 2 * colours])
     return State(nonlinear, state.flux + flux, state.background + background, state.slope + slope)
 
@@ -147,28 +157,26 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
     matrix, _ = normal_equations(problem, state, evaluation)
     covariance = _inverse(matrix)
     count = evaluation.residual.size
-    chi2 = float(evaluation.weight @ evaluation.residual**2) / max(count - matrix.shape[0], 1)
+    chi2 = _chi2(evaluation)
     first_flux = matrix.shape[0] - 2 - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
     flux_sigma = math.sqrt(max(float(_inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
-    level = float(levels[best]) / (math.pi * problem.sources.mean_level)
-    shift, shift_sigma = _shift(problem, state, evaluation, covariance)
+    level = float(levels[best]) / (math.pi * problem.sources.core.mean_level)
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
     top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
     return DiscFit(
         x_px=float(state.nonlinear[0]) + problem.window.first[0],
         y_px=float(state.nonlinear[1]) + problem.window.first[1],
         sigma_px=math.sqrt(max(0.5 * float(np.trace(covariance[:2, :2])) * _local_chi2(evaluation, covariance), 0.0)),
-        psf_px=math.exp(float(state.nonlinear[2])),
+        psf_px=math.exp(float(state.nonlinear[PSF])),
         stretch=state.stretch,
         level=level,
         background=float(state.background[best]),
         snr=float(state.flux[best]) / flux_sigma,
         chi2=chi2,
         residual=math.sqrt(max(excess, 0.0)) / top,
-        shift_px=shift,
-        shift_sigma_px=shift_sigma * math.sqrt(max(chi2, 1.0)),
+        uneven=_uneven(problem, state, evaluation) / max(chi2, 1.0),
         used_px=count,
         converged=converged,
     )
@@ -195,13 +203,9 @@ def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
     return float(weight @ square) / total * freedom / (freedom - 2.0)
 
 
-def _shift(problem: Problem, state: State, evaluation: Evaluation, covariance: FloatArray) -> tuple[float, float]:
-    """Return how far one Gauss-Newton step moves the centre once the disc's brightness may slope, and its 1-sigma."""
-    flux = state.flux[problem.colour]
-    sloping = flux[:, None] * evaluation.planes[[template.SLOPE_U, template.SLOPE_V]].T
-    wider = evaluation._replace(jacobian=np.concatenate([evaluation.jacobian, sloping], axis=1))
-    matrix_wider, gradient_wider = normal_equations(problem, state, wider)
-    covariance_wider = _inverse(matrix_wider)
-    step = covariance_wider @ gradient_wider
-    gained = np.trace(covariance_wider[:2, :2]) - np.trace(covariance[:2, :2])
-    return float(np.hypot(step[0], step[1])), math.sqrt(max(0.5 * float(gained), 0.0))
+def _uneven(problem: Problem, state: State, evaluation: Evaluation) -> float:
+    planes = evaluation.planes[template.SLOPE_U : template.BY_S11]
+    uneven = state.flux[problem.colour][:, None] * planes.T
+    wider = evaluation._replace(jacobian=np.concatenate([evaluation.jacobian, uneven], axis=1))
+    matrix, gradient = normal_equations(problem, state, wider)
+    return float(np.dot(gradient, _inverse(matrix) @ gradient))

@@ -12,7 +12,7 @@ from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
 _TIGHT_PX = 1.0
-_SIGNIFICANT = 4.0
+_SIGNIFICANT = 16.0  # chi² of four parameters
 
 
 def verdict_of(
@@ -72,8 +72,9 @@ def _covered(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:
     del expectation, sensor
-    if fit.shift_px > options.max_shift_px and fit.shift_px > _SIGNIFICANT * fit.shift_sigma_px:
-        return "partly_covered", f"the brightness slopes across the disc: {fit.shift_px:.2f} px of its centre"
+    uneven_px = math.sqrt(max(fit.uneven, 0.0)) * fit.sigma_px
+    if fit.uneven > _SIGNIFICANT and uneven_px > options.max_uneven_px:
+        return "partly_covered", f"uneven brightness, worth {uneven_px:.2f} px (chi² {fit.uneven:.0f} for 4)"
     if fit.residual > options.max_residual_fraction:
         return "partly_covered", f"residuals {fit.residual:.3f} of the disc's level, reduced chi² {fit.chi2:.1f}"
     return None

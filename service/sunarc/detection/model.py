@@ -13,24 +13,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.detection import template
-from sunarc.detection.template import Sources
+from sunarc.detection.template import Sources, SunSources
 from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
 
-NONLINEAR = 6
-"""x, y, ln psf, and the symmetric stretch s11, s12, s22."""
+PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
+"""Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""
+
+
+_MOVED = [template.BY_X, template.BY_Y, template.BY_PSF, -1, template.BY_S11, template.BY_S12, template.BY_S22]
 
 
 class Prior(NamedTuple):
-    """What is known before: ln psf and its 1-sigma, and whether the disc's stretch is to be found."""
+    """What is known before: ln psf and its 1-sigma, that of the wings' share; whether wings and stretch are free."""
 
     log_psf: float
     log_psf_sigma: float
+    wings_sigma: float
     free_stretch: bool
+    free_wings: bool = False
+
+    @property
+    def free(self) -> list[int]:
+        """The nonlinear parameters that the fit may move."""
+        return [0, 1, PSF] + [WINGS] * self.free_wings + [4, 5, 6] * self.free_stretch
 
 
 class State(NamedTuple):
-    """Parameters: nonlinear (6,), one flux and one background per colour, a slope in x and y."""
+    """Parameters: nonlinear (7,), one flux and one background per colour, a slope in x and y."""
 
     nonlinear: FloatArray
     flux: FloatArray
@@ -40,12 +50,12 @@ class State(NamedTuple):
     @property
     def stretch(self) -> FloatArray:
         """The symmetric (2, 2) matrix that takes the unit disc to the sun's image, px."""
-        s11, s12, s22 = self.nonlinear[3:]
+        s11, s12, s22 = self.nonlinear[STRETCH]
         return np.array([[s11, s12], [s12, s22]])
 
 
 class Evaluation(NamedTuple):
-    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), planes (9, n)."""
+    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), planes (12, n)."""
 
     cost: float
     residual: FloatArray
@@ -63,12 +73,12 @@ class Problem(NamedTuple):
     colour: NDArray[np.intp]
     offset: FloatArray
     sensor: Sensor
-    sources: Sources
+    sources: SunSources
     prior: Prior
 
 
 def make_problem(
-    window: Window, *, usable: NDArray[np.bool_], origin: FloatArray, sensor: Sensor, sources: Sources, prior: Prior
+    window: Window, *, usable: NDArray[np.bool_], origin: FloatArray, sensor: Sensor, sources: SunSources, prior: Prior
 ) -> Problem:
     """Gather the usable pixels; `origin` is where the background's slope is pivoted, px in the window."""
     index = np.flatnonzero(usable)
@@ -87,17 +97,21 @@ def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
 
 
 def _planes(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
-    x, y, log_psf = (float(value) for value in nonlinear[:3])
-    images = template.render_disc(
-        problem.window.counts.shape,
-        x,
-        y,
-        math.exp(log_psf),
-        stretch,
-        problem.sources.positions,
-        problem.sources.weights,
-    )
-    return np.asarray(images.reshape(9, -1)[:, problem.pixel])
+    """Return the disc's planes and as a last one the derivative by the wings' share: (12, n)."""
+    share, psf = float(nonlinear[WINGS]), math.exp(float(nonlinear[PSF]))
+    core = _rendered(problem, nonlinear, stretch, psf=psf, sources=problem.sources.core)
+    if not problem.prior.free_wings:
+        return np.concatenate([core, np.zeros_like(core[:1])])
+    wings = _rendered(problem, nonlinear, stretch, psf=template.WING_PSF * psf, sources=problem.sources.wings)
+    return np.concatenate([core + share * (wings - core), wings[:1] - core[:1]])
+
+
+def _rendered(
+    problem: Problem, nonlinear: FloatArray, stretch: FloatArray, *, psf: float, sources: Sources
+) -> FloatArray:
+    x, y, shape = float(nonlinear[0]), float(nonlinear[1]), problem.window.counts.shape
+    planes = template.render_disc(shape, x, y, psf, stretch, sources.positions, sources.weights)
+    return np.asarray(planes.reshape(len(planes), -1)[:, problem.pixel])
 
 
 def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
@@ -132,21 +146,30 @@ def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation
     flux = state.flux[problem.colour]
     model = flux * planes[template.VALUE] + state.background[problem.colour] + problem.offset @ state.slope
     residual, variance = problem.counts - model, _variance(problem.sensor, model)
-    moved = flux[:, None] * planes[[template.BY_X, template.BY_Y, template.BY_PSF]].T
-    moved[:, 2] *= math.exp(state.nonlinear[2])
-    parts = [moved, _linear_columns(problem, planes)]
-    if problem.prior.free_stretch:
-        parts.insert(1, flux[:, None] * planes[template.BY_S11 :].T)
-    pull = (state.nonlinear[2] - problem.prior.log_psf) / problem.prior.log_psf_sigma
-    cost = float(np.sum(residual**2 / variance + np.log(variance)) + pull**2)
-    return Evaluation(cost, residual, 1.0 / variance, np.concatenate(parts, axis=1), planes)
+    moved = flux[:, None] * planes[_MOVED].T
+    moved[:, PSF] *= math.exp(state.nonlinear[PSF])
+    jacobian = np.concatenate([moved[:, problem.prior.free], _linear_columns(problem, planes)], axis=1)
+    pull = _pull(problem.prior, state)
+    cost = float(np.sum(residual**2 / variance + np.log(variance))) + float(pull @ pull)
+    return Evaluation(cost, residual, 1.0 / variance, jacobian, planes)
 
 
 def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix and the gradient, with the prior of the point spread."""
     weighted = evaluation.jacobian * evaluation.weight[:, None]
     matrix, gradient = evaluation.jacobian.T @ weighted, weighted.T @ evaluation.residual
-    precision = problem.prior.log_psf_sigma**-2
-    matrix[2, 2] += precision
-    gradient[2] += precision * (problem.prior.log_psf - state.nonlinear[2])
+    own = slice(PSF, PSF + 1 + problem.prior.free_wings)
+    pull, precision = _pull(problem.prior, state), _precision(problem.prior)
+    count = own.stop - own.start
+    matrix[own, own] += np.diag(precision[:count] ** 2)
+    gradient[own] += (precision * pull)[:count]
     return matrix, gradient
+
+
+def _pull(prior: Prior, state: State) -> FloatArray:
+    """Return what the prior says of ln psf and the wings' share, in its sigmas."""
+    return (np.array([prior.log_psf, 0.0]) - state.nonlinear[[PSF, WINGS]]) * _precision(prior)
+
+
+def _precision(prior: Prior) -> FloatArray:
+    return np.array([1.0 / prior.log_psf_sigma, 1.0 / prior.wings_sigma])

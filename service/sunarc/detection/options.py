@@ -16,6 +16,7 @@ class DiscOptions:
     ----------
     psf_px : standard deviation of the lens's point spread, px.
     psf_tolerance : 1-sigma of its logarithm; the fit moves it that far.
+    wings_tolerance : 1-sigma of the share of light in wings three times as wide.
     limb_darkening : u of 1 - u (1 - cos) across the sun's disc.
     solar_radius_deg : the sun's angular radius.
     saturation_fraction : counts from this fraction of full scale on are saturated.
@@ -23,7 +24,7 @@ class DiscOptions:
     min_snr : a disc with less signal-to-noise is hidden.
     min_radius_px, max_radius_px : semi-axes that a disc without an expectation may have.
     max_ellipticity : 1 - minor/major semi-axis that it may have.
-    max_shift_px : a disc whose centre moves further when its brightness may slope is partly covered.
+    max_uneven_px : a disc whose uneven brightness may have moved the centre further is partly covered.
     max_residual_fraction : so is a disc with larger residuals over its level.
     max_sigma_px : a less certain position is not accepted.
     veiled_below : a disc below this fraction of the clear sky's is veiled; so is one below this contrast.
@@ -32,6 +33,7 @@ class DiscOptions:
 
     psf_px: float = 0.7
     psf_tolerance: float = 0.3
+    wings_tolerance: float = 0.05
     limb_darkening: float = 0.6
     solar_radius_deg: float = 0.2666
     saturation_fraction: float = 0.98
@@ -40,7 +42,7 @@ class DiscOptions:
     min_radius_px: float = 1.2
     max_radius_px: float = 30.0
     max_ellipticity: float = 0.6
-    max_shift_px: float = 0.05
+    max_uneven_px: float = 0.03
     max_residual_fraction: float = 0.06
     max_sigma_px: float = 0.1
     veiled_below: float = 0.5

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BY_S11, BY_S12, BY_S22 = range(9)
+VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, BY_S22 = range(11)
 """Planes of `render_disc`."""
 
 _REACH = 6.0  # point-spread widths beyond which a source is dark
@@ -30,10 +30,30 @@ class Sources(NamedTuple):
     mean_level: float
 
 
+class SunSources(NamedTuple):
+    """The same disc seen through the core of the point spread and through its wings."""
+
+    core: Sources
+    wings: Sources
+
+
+WING_PSF = 3.0
+"""The wings' point spread over the core's."""
+
+
 @lru_cache(maxsize=64)
 def _legendre(count: int) -> tuple[FloatArray, FloatArray]:
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return nodes, weights
+
+
+def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> SunSources:
+    """Return the sources of a disc of this radius for a core of this point spread and its wings."""
+    core, wings = (
+        disc_sources(radius_px=radius_px, psf_px=psf, limb_darkening=limb_darkening)
+        for psf in (psf_px, WING_PSF * psf_px)
+    )
+    return SunSources(core, wings)
 
 
 def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Sources:
@@ -89,15 +109,16 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
 
     Returns
     -------
-    (9, rows, columns): the planes named VALUE … BY_S22; SLOPE_U and SLOPE_V are the image of a disc whose brightness
-    is multiplied by the coordinate on the unit disc.
+    (11, rows, columns): the planes named VALUE … BY_S22; SLOPE_… and BEND_… are the image of a disc whose brightness
+    is multiplied by u, v, u² - v² and uv, the coordinates on the unit disc.
     """
     rows, columns = shape
-    out = np.zeros((9, rows, columns))
+    out = np.zeros((11, rows, columns))
     across, down = np.zeros((3, columns)), np.zeros((3, rows))
     reach = _REACH * psf + 0.5
     for k in range(weights.size):
         u, v, weight = positions[k, 0], positions[k, 1], weights[k]
+        uu, uv = u * u - v * v, u * v
         px = x + stretch[0, 0] * u + stretch[0, 1] * v
         py = y + stretch[1, 0] * u + stretch[1, 1] * v
         i0, i1 = max(0, math.ceil(px - reach)), min(columns - 1, math.floor(px + reach))
@@ -116,7 +137,9 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
                 out[3, j, i] += d0 * across[2, i] + d2 * across[0, i]
                 out[4, j, i] += u * value
                 out[5, j, i] += v * value
-                out[6, j, i] += u * by_x
-                out[7, j, i] += v * by_x + u * by_y
-                out[8, j, i] += v * by_y
+                out[6, j, i] += uu * value
+                out[7, j, i] += uv * value
+                out[8, j, i] += u * by_x
+                out[9, j, i] += v * by_x + u * by_y
+                out[10, j, i] += v * by_y
     return out
