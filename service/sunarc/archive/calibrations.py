@@ -7,9 +7,10 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, func, insert, literal, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, func, insert, literal, or_, select, update
 
-from sunarc.archive.store import Store, values_of
+from sunarc.archive.documents import Documents
+from sunarc.archive.store import Store, given
 from sunarc.archive.tables import UtcTime, calibration
 from sunarc.archive.values import CalibrationRecord, CalibrationState
 from sunarc.errors import InputError, NotFoundError
@@ -21,6 +22,10 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 class Calibrations(Store):
     """The part of the archive that remembers calibrations; none is ever deleted."""
 
+    def __init__(self, engine: Engine) -> None:
+        super().__init__(engine)
+        self._documents = Documents()
+
     def add_calibration(self, document: Mapping[str, Any], *, parent: str | None = None) -> CalibrationRecord:
         """Keep a calibration document, as a candidate or as refused, by its verdict.
 
@@ -31,7 +36,7 @@ class Calibrations(Store):
         """
         record = _record(document, parent)
         with self._writing() as connection:
-            if _find(connection, record.id) is not None:
+            if self._records(connection, calibration.c.id == record.id):
                 raise _wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(asdict(record)))
         return _told(record)
@@ -46,7 +51,7 @@ class Calibrations(Store):
             on stop doing so: the former current one retires, and no two validities overlap.
         """
         with self._writing() as connection:
-            record = _required(connection, calibration_id)
+            record = self._required(connection, calibration_id)
             if record.state in _SERVED:
                 raise _wrong_state(
                     calibration_id,
@@ -62,48 +67,63 @@ class Calibrations(Store):
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
         with self._writing() as connection:
-            record = _required(connection, calibration_id)
+            record = self._required(connection, calibration_id)
             if record.state != "current":
                 raise _wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
             _end_others(connection, record.camera, at)
-            return _told(_required(connection, calibration_id))
+            return _told(self._required(connection, calibration_id))
 
     def refuse(self, calibration_id: str, *, reasons: tuple[str, ...]) -> CalibrationRecord:
         """Mark a candidate as refused, with the reasons; it is kept."""
         with self._writing() as connection:
-            record = _required(connection, calibration_id)
+            record = self._required(connection, calibration_id)
             if record.state != "candidate":
                 raise _wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
             _set(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
-            return _told(_required(connection, calibration_id))
+            return _told(self._required(connection, calibration_id))
 
     def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one."""
         c = calibration.c
-        statement = select(calibration).where(c.camera == camera)
+        wanted = [c.camera == camera]
         if at is None:
-            statement = statement.where(c.state == "current")
+            wanted.append(c.state == "current")
         else:
-            within = (c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at))
-            statement = statement.where(c.state.in_(_SERVED), *within)
-        found = self._values(statement, CalibrationRecord)
+            wanted += [c.state.in_(_SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
+        with self._reading() as connection:
+            found = self._records(connection, *wanted)
         return _told(found[0]) if found else None
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none."""
         with self._reading() as connection:
-            return _told(_required(connection, calibration_id))
+            return _told(self._required(connection, calibration_id))
 
     def calibrations(
         self, camera: str, *, state: CalibrationState | None = None, limit: int | None = None
     ) -> tuple[CalibrationRecord, ...]:
         """Return a camera's calibrations, the newest first."""
         c = calibration.c
-        statement = (
-            select(calibration).where(c.camera == camera).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
-        )
-        found = self._values(statement if state is None else statement.where(c.state == state), CalibrationRecord)
-        return tuple(_told(record) for record in found)
+        wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state))
+        with self._reading() as connection:
+            return tuple(_told(record) for record in self._records(connection, *wanted, limit=limit))
+
+    def _records(
+        self, connection: Connection, *wanted: ColumnElement[bool], limit: int | None = None
+    ) -> list[CalibrationRecord]:
+        c = calibration.c
+        columns = [column for column in c if column.name != "document"]
+        statement = select(*columns).where(*wanted).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
+        rows = connection.execute(statement).mappings().all()
+        return [CalibrationRecord(**row, document=self._documents.get(connection, row["id"])) for row in rows]
+
+    def _required(self, connection: Connection, calibration_id: str) -> CalibrationRecord:
+        found = self._records(connection, calibration.c.id == calibration_id)
+        if not found:
+            raise NotFoundError(
+                field="id", problem=f"there is no calibration {calibration_id}", remedy="see the list of calibrations"
+            )
+        return found[0]
 
 
 def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecord:
@@ -140,20 +160,6 @@ def _told(record: CalibrationRecord) -> CalibrationRecord:
 
 def _written(time: datetime) -> str:
     return time.isoformat().replace("+00:00", "Z")
-
-
-def _find(connection: Connection, calibration_id: str) -> CalibrationRecord | None:
-    found = values_of(connection, select(calibration).where(calibration.c.id == calibration_id), CalibrationRecord)
-    return found[0] if found else None
-
-
-def _required(connection: Connection, calibration_id: str) -> CalibrationRecord:
-    record = _find(connection, calibration_id)
-    if record is None:
-        raise NotFoundError(
-            field="id", problem=f"there is no calibration {calibration_id}", remedy="ask for the list of calibrations"
-        )
-    return record
 
 
 def _wrong_state(calibration_id: str, state: str, *, remedy: str) -> InputError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -38,7 +37,7 @@ class ImageStore:
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             part.write_bytes(encoded)
-            os.replace(part, target)
+            part.replace(target)
         except OSError as error:
             part.unlink(missing_ok=True)
             raise OutsideError(f"image {target.name} could not be written: {error.strerror or error}") from error
