@@ -55,7 +55,7 @@ def test_answers_are_the_calibrations_own(made: Made) -> None:
 
 
 def test_outside_the_field_there_is_no_number(made: Made) -> None:
-    told = ask(made, "/v1/back-project", {"pixels": [[0.0, 0.0], [871.0, 883.0], [-1e9, 1e9]]})
+    told = ask(made, "/v1/back-project", {"pixels": [[0.0, 0.0], [871.0, 883.0], [-1e300, 1e300]]})
     assert told["inside"] == [False, True, False]
     for name in ("zenith_deg", "azimuth_deg", "direction_enu", "sigma_deg"):
         assert [value is None for value in told[name]] == [True, False, True]
@@ -104,7 +104,7 @@ def test_without_a_calibration_there_is_no_answer(empty: Made) -> None:
         ('{"pixels": [["1", 2]]}', "pixels[0][0]"),
         ('{"pixels": [[true, 2]]}', "pixels[0][0]"),
         ('{"pixels": [[1, 2, 3]]}', "pixels[0]"),
-        ('{"pixels": [[1]]}', "pixels[0][1]"),
+        ('{"pixels": [[1]]}', "pixels[0]"),
         ('{"pixels": [1, 2]}', "pixels[0]"),
         ('{"pixels": 7}', "pixels"),
         ('{"pixel": [[1, 2]]}', "pixels"),

@@ -114,6 +114,7 @@ def test_residuals_without_a_calibration_are_absent(empty: Made) -> None:
         ("/v1/sun-points", {"limit": "1000000"}, "limit"),
         ("/v1/sun-points", {"accepted": "perhaps"}, "accepted"),
         ("/v1/days", {"since": "2013"}, "since"),
+        ("/v1/days", {"until": "0"}, "until"),
         ("/v1/events", {"severity": "loud"}, "severity"),
         ("/v1/calibrations", {"state": "good"}, "state"),
     ],

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query
 from fastapi.responses import Response
 
+from sunarc.api.fields import Time
 from sunarc.api.problems import answers
-from sunarc.api.schemas import Calibrations, CalibrationSummary, Time
+from sunarc.api.schemas import Calibrations, CalibrationSummary
 from sunarc.api.served import Served
 from sunarc.archive import CalibrationRecord, CalibrationState
 

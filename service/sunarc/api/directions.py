@@ -10,8 +10,9 @@ import numpy as np
 from fastapi import APIRouter
 from numpy.typing import NDArray
 
+from sunarc.api.fields import Time
 from sunarc.api.problems import Fault, RefusedError, answers
-from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest, Time
+from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.served import Served
 from sunarc.calibration import Calibration, project_with_covariance, sigma_px, unproject_with_sigma
 from sunarc.sky import angles_from_direction, direction_from_angles
@@ -49,7 +50,8 @@ def within_image(calibration: Calibration, pixels: FloatArray) -> NDArray[np.boo
 
 
 def _back_projected(calibration: Calibration, pixels: FloatArray, calibration_id: str) -> BackProjectAnswer:
-    directions, sigma, inside = unproject_with_sigma(calibration, pixels)
+    with np.errstate(all="ignore"):  # what lies beyond all bounds is answered with null
+        directions, sigma, inside = unproject_with_sigma(calibration, pixels)
     zenith, azimuth = angles_from_direction(directions)
     return BackProjectAnswer(
         calibration=calibration_id,

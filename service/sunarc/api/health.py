@@ -67,7 +67,7 @@ def _status(served: Served) -> Status:
     snapshot = served.status()
     record = served.archive.current_calibration(served.camera)
     days = served.archive.days(served.camera, limit=1)
-    sizes = {camera.name: (camera.width, camera.height) for camera in served.archive.cameras()}
+    sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
     return Status(
         health=snapshot.health,
         reasons=_reasons(snapshot),

@@ -9,8 +9,9 @@ from fastapi import APIRouter, Header, Query
 from fastapi.responses import Response
 
 from sunarc.api.calibrations import matches
+from sunarc.api.fields import MOST_ROWS, SolarDate, Time
 from sunarc.api.problems import answers
-from sunarc.api.schemas import MOST_ROWS, DayOut, Days, EventOut, Events, SolarDate, Time
+from sunarc.api.schemas import DayOut, Days, EventOut, Events
 from sunarc.api.served import Served
 from sunarc.archive import Day, EventSeverity
 from sunarc.errors import NotFoundError, OutsideError

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hmac
 from dataclasses import asdict
 from http import HTTPStatus
-from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.api.schemas import RefitOut, RefitRequest
@@ -30,11 +29,6 @@ def refit_routes(served: Served) -> APIRouter:
         refit = served.request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
         return _out(refit)
-
-    @routes.get("/v1/refits", responses=answers(422))
-    def refits(limit: Annotated[int, Query(ge=1, le=1000)] = 20) -> list[RefitOut]:
-        """Tell the refits, the newest first."""
-        return [_out(refit) for refit in served.archive.refits(served.camera, limit=limit)]
 
     @routes.get("/v1/refits/{refit_id}", responses=answers(404))
     def one(refit_id: str) -> RefitOut:

@@ -6,51 +6,14 @@ zenith and azimuth in degrees, azimuth clockwise from north; or unit vectors, ea
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic.config import JsonDict
 
+from sunarc.api.fields import Answers, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
 from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
 from sunarc.board import Health, Severity, WorkerState
-
-MOST_ROWS = 10_000
-"""At most so many rows in one answer."""
-
-_YEARS = range(1970, 2200)
-
-
-def _written_in_full(value: object) -> object:
-    if isinstance(value, str) and "T" not in value.upper():
-        raise ValueError("is not a time as in 2013-05-13T18:30:00Z")
-    return value
-
-
-def _in_utc(value: datetime) -> datetime:
-    if value.year not in _YEARS:
-        raise ValueError(f"lies outside the years {_YEARS.start} to {_YEARS.stop - 1}")
-    return value.astimezone(UTC)
-
-
-def _in_years(value: date) -> date:
-    if value.year not in _YEARS:
-        raise ValueError(f"lies outside the years {_YEARS.start} to {_YEARS.stop - 1}")
-    return value
-
-
-Time = Annotated[
-    AwareDatetime,
-    BeforeValidator(_written_in_full),
-    AfterValidator(_in_utc),
-    Field(description="RFC 3339, with its offset; answers are in UTC.", examples=["2013-05-13T18:30:00Z"]),
-]
-SolarDate = Annotated[
-    date, AfterValidator(_in_years), Field(description="Local mean solar date.", examples=["2013-05-13"])
-]
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Pixel = Annotated[tuple[Number, Number], Field(description="x, y in px.", examples=[[871.96, 883.0]])]
-Vector = Annotated[tuple[Number, Number, Number], Field(description="East, north, up; of any length but 0.")]
-Answers = list[float | None]
 
 
 class _Asked(BaseModel):
@@ -69,13 +32,35 @@ class BackProjectAnswer(BaseModel):
     calibration: str = Field(description="Id of the calibration that answered.")
     zenith_deg: Answers = Field(description="Apparent zenith angle, degrees.", examples=[[0.21, 41.7]])
     azimuth_deg: Answers = Field(description="Degrees clockwise from north.", examples=[[140.2, 262.3]])
-    direction_enu: list[tuple[float, float, float] | None] = Field(description="Unit vectors, east-north-up.")
+    direction_enu: list[Unit | None] = Field(description="Unit vectors, east-north-up.")
     sigma_deg: Answers = Field(description="1-sigma per axis on the sphere, degrees.", examples=[[0.002, 0.003]])
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True, True]])
 
 
+_TWO_WAYS: tuple[JsonDict, ...] = (
+    {
+        "required": ["zenith_deg", "azimuth_deg"],
+        "properties": {
+            "zenith_deg": {"type": "array"},
+            "azimuth_deg": {"type": "array"},
+            "direction_enu": {"type": "null"},
+        },
+    },
+    {
+        "required": ["direction_enu"],
+        "properties": {
+            "zenith_deg": {"type": "null"},
+            "azimuth_deg": {"type": "null"},
+            "direction_enu": {"type": "array"},
+        },
+    },
+)
+
+
 class ProjectRequest(_Asked):
-    """Directions whose pixels are wanted: zenith and azimuth, or vectors."""
+    """Directions whose pixels are wanted: zenith and azimuth (as many of each), or vectors (none of length 0)."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [*_TWO_WAYS]})
 
     zenith_deg: list[Number] | None = Field(default=None, description="Apparent zenith, degrees.", examples=[[41.7]])
     azimuth_deg: list[Number] | None = Field(
@@ -101,9 +86,9 @@ class ProjectAnswer(BaseModel):
     """Where directions land. null outside the camera's field."""
 
     calibration: str = Field(description="Id of the calibration that answered.")
-    pixels: list[tuple[float, float] | None] = Field(description="x, y in px.", examples=[[[400.0, 912.5]]])
+    pixels: list[Pair | None] = Field(description="x, y in px.", examples=[[[400.0, 912.5]]])
     sigma_px: Answers = Field(description="1-sigma per axis, px.", examples=[[0.04]])
-    covariance_px2: list[tuple[tuple[float, float], tuple[float, float]] | None] = Field(
+    covariance_px2: list[Annotated[list[Pair], Field(min_length=2, max_length=2)] | None] = Field(
         description="Covariance of x and y, px²."
     )
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True]])
@@ -116,8 +101,8 @@ class Sun(BaseModel):
     apparent_zenith: float = Field(description="With refraction, degrees.", examples=[18.2])
     zenith: float = Field(description="Without refraction, degrees.", examples=[18.2])
     azimuth: float = Field(description="Degrees clockwise from north.", examples=[178.1])
-    direction_enu: tuple[float, float, float] = Field(description="Apparent direction, unit vector, east-north-up.")
-    pixel: tuple[float, float] | None = Field(description="Expected x, y in px; null when there is none.")
+    direction_enu: Unit = Field(description="Apparent direction, unit vector, east-north-up.")
+    pixel: Pair | None = Field(description="Expected x, y in px; null when there is none.")
     sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.")
     inside: bool = Field(description="Whether the expected pixel is within the image and the camera's field.")
     calibration: str | None = Field(description="Id of the calibration that answered.")
@@ -130,7 +115,7 @@ class SunTrack(BaseModel):
     time: list[Time]
     apparent_zenith: list[float] = Field(description="Degrees.")
     azimuth: list[float] = Field(description="Degrees clockwise from north.")
-    pixels: list[tuple[float, float] | None] = Field(description="Expected x, y in px; null outside the field.")
+    pixels: list[Pair | None] = Field(description="Expected x, y in px; null outside the field.")
     calibration: str | None
 
 
@@ -326,4 +311,4 @@ class Status(BaseModel):
     last_sighting_at: Time | None
     calibration: CalibrationSummary | None
     last_day: DayOut | None
-    image_size: tuple[int, int] | None = Field(description="Width, height of the camera's image, px.")
+    image_size: Size | None = Field(description="Width, height of the camera's image, px.")

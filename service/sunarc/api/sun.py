@@ -12,8 +12,9 @@ from fastapi import APIRouter, Query
 from numpy.typing import NDArray
 
 from sunarc.api.directions import within_image
+from sunarc.api.fields import MOST_ROWS, SolarDate, Time
 from sunarc.api.problems import answers
-from sunarc.api.schemas import MOST_ROWS, Residual, SolarDate, Sun, SunPointOut, SunPoints, SunTrack, Time
+from sunarc.api.schemas import Residual, Sun, SunPointOut, SunPoints, SunTrack
 from sunarc.api.served import Served
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, project_with_covariance, sigma_px
@@ -67,14 +68,14 @@ def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
     if answering is not None:
         pixels, covariance = project_with_covariance(answering[1], direction[None])
         if np.all(np.isfinite(pixels)):
-            pixel, sigma = (float(pixels[0, 0]), float(pixels[0, 1])), float(sigma_px(covariance)[0])
+            pixel, sigma = pixels[0].tolist(), float(sigma_px(covariance)[0])
             inside = bool(within_image(answering[1], pixels)[0])
     return Sun(
         time=moment,
         apparent_zenith=float(angles.apparent_zenith),
         zenith=float(angles.zenith),
         azimuth=float(angles.azimuth),
-        direction_enu=tuple(direction.tolist()),
+        direction_enu=direction.tolist(),
         pixel=pixel,
         sigma_px=sigma,
         inside=inside,
@@ -98,7 +99,7 @@ def _track(served: Served, day: date, step_s: int) -> SunTrack:
         time=[datetime.fromtimestamp(0, UTC) + timedelta(seconds=float(s)) for s in unix_s[up]],
         apparent_zenith=zenith.tolist(),
         azimuth=azimuth.tolist(),
-        pixels=[(x, y) if np.isfinite(x + y) else None for x, y in pixels.tolist()],
+        pixels=[[x, y] if np.isfinite(x + y) else None for x, y in pixels.tolist()],
         calibration=None if answering is None else answering[0].id,
     )
 
