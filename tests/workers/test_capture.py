@@ -3,6 +3,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -135,7 +136,7 @@ def test_a_lost_camera_is_closed_shown_and_opened_again_ever_less_often(
     camera.faults = [CameraLostError("gone")]
     made = bench(open_camera=open_camera)
     made.run_until(lambda: len(made.cycles) >= 1)
-    pauses = [later - earlier for earlier, later in zip(opened[1:], opened[2:], strict=False)]
+    pauses = [later - earlier for earlier, later in pairwise(opened[1:])]
     assert pauses == pytest.approx([2.0, 4.0, 8.0])
     assert shown == [False, True, True, True, True]
     assert reasons(board) == set()
