@@ -36,6 +36,7 @@ from sunarc.workers import (
     FrameTime,
     Handover,
     RefitWorker,
+    ReplayWorker,
     SunExposures,
     SunPredictor,
 )
@@ -87,7 +88,10 @@ class Service:
             Supervised(name="refit", make_worker=self.refit_worker),
             Supervised(name="detect", make_worker=self.detect_worker),
             Supervised(name="compose", make_worker=self.compose_worker),
-            Supervised(name="capture", make_worker=self.capture_worker),
+            Supervised(
+                name="capture",
+                make_worker=self.replay_worker if self.settings.source == "replay" else self.capture_worker,
+            ),
         )
 
     def request_refit(self, reason: str) -> Refit:
@@ -142,6 +146,17 @@ class Service:
             apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
             sun_exposures=self.exposures,
             cycles=self.cycles,
+            sun_frames=self.sun_frames,
+            board=self.board,
+        )
+
+    def replay_worker(self) -> ReplayWorker:
+        """Return the worker that plays a folder in the camera's place."""
+        return ReplayWorker(
+            open_camera=self.open_and_remember,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            name=self.settings.name,
             sun_frames=self.sun_frames,
             board=self.board,
         )
@@ -236,7 +251,7 @@ def prepare_state(folder: Path) -> None:
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket bound to the address that is to be served."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # named, so that answers go undelayed
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))

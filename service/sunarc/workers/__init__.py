@@ -8,6 +8,7 @@ from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
+from sunarc.workers.replay import ReplayWorker
 from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sun_exposures import SunExposures
 
@@ -21,6 +22,7 @@ __all__ = [
     "Handover",
     "RefitOptions",
     "RefitWorker",
+    "ReplayWorker",
     "SensorOptions",
     "SunExposures",
     "SunPredictor",

@@ -45,6 +45,11 @@ class Handover(Generic[T]):
         with self._changed:
             return self._dropped
 
+    @property
+    def full(self) -> bool:
+        """Whether the next thing put would push one out."""
+        return len(self) >= self._capacity
+
     def __len__(self) -> int:
         with self._changed:
             return len(self._waiting)
