@@ -6,6 +6,8 @@ linear: the first camera is near enough for its derivatives to serve.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,7 +50,7 @@ def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision
     """Return the steps (trials, p) that samples of sightings ask for, one out of each stretch of time."""
     rng = np.random.default_rng(_SEED)
     edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
-    picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in zip(edges, edges[1:], strict=False)], axis=-1)
+    picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in itertools.pairwise(edges)], axis=-1)
     j = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX
     r = residual[picks].reshape(_TRIALS, 2 * _SAMPLE) / _TRUST_PX
     normal = np.swapaxes(j, -1, -2) @ j + np.diag(precision)

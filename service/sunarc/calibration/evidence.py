@@ -116,6 +116,15 @@ def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
     )
 
 
+def penalty(normal: Normal, basis: WaveBasis, scales: Scales) -> float:
+    """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
+    reduced = _Reduced.of(normal, basis, scales.length_px)
+    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
+    precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
+    explained = float(np.sum(shrink * reduced.residual**2))
+    return normal.rr - explained + float(np.sum(precision * normal.at**2))
+
+
 def log_evidences(
     normal: Normal, basis: WaveBasis, *, amplitudes: FloatArray, lengths: FloatArray, lens_scales: FloatArray
 ) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.evidence import marginal_fit, normal_sums
+from sunarc.calibration.evidence import marginal_fit
 from sunarc.calibration.points import Usable
 from sunarc.calibration.robust import RobustFit
 
@@ -28,11 +28,8 @@ def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
     total, count = 0.0, 0
     for left_out in np.unique(fold):
         mine = fold == left_out
-        inside = np.bincount(system.member[mine], minlength=system.information.size) == 0
-        normal = normal_sums(
-            system.rows[inside], system.waves[inside], system.residual[inside], system.information[inside], system.at
-        )
-        change = marginal_fit(normal, fit.grid.basis, fit.scales).unknowns - system.at
+        inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
+        change = marginal_fit(system.normal(inside), fit.grid.basis, fit.scales).unknowns - system.at
         counted = mine & (fit.weight > 0.0)
         foretold = fit.residual[counted] - (system.rows @ change)[system.member[counted]]
         total += float(np.sum(foretold**2))

@@ -8,7 +8,6 @@ no smooth error explains.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,8 @@ from numpy.typing import NDArray
 from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
-from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fit, normal_sums, prior_precision
+from sunarc.calibration.evidence import Marginal, Scales, marginal_fit, prior_precision
+from sunarc.calibration.linear import LinearSystem, linear_system, settled
 from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
 from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
@@ -34,24 +34,6 @@ _FIRST_FIELD_PX = 1.0
 _SMALLEST_SIGMA_PX = 1e-4
 _LOOSE_RADIAL_PX = 16.0
 _LOOSE_DECENTERING_PX = 3.0
-
-
-class LinearSystem(NamedTuple):
-    """The bins' equations: residual = rows · change of the unknowns + waves · coefficients + noise.
-
-    rows (b, 2, p), waves (b, m), residual (b, 2) px, information (b,) px⁻², at (p,), member (n,) the bin of a sighting.
-    """
-
-    rows: FloatArray
-    waves: FloatArray
-    residual: FloatArray
-    information: FloatArray
-    at: FloatArray
-    member: IntArray
-
-    def normal(self) -> Normal:
-        """Return the sums over the bins."""
-        return normal_sums(self.rows, self.waves, self.residual, self.information, self.at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,8 +69,7 @@ class RobustFit:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
     unknowns: FloatArray
-    residual: FloatArray
-    smooth: FloatArray
+    left: FloatArray
     scales: Scales
     doubted: Scales
 
@@ -119,14 +100,15 @@ def fit_robustly(
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     follows = neighbours(usable.unix_s, run)
     unknowns = _without_field(problem, seen, start, bins)
-    residual = problem.residuals(unknowns, seen)
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    state = _State(unknowns=unknowns, residual=residual, smooth=np.zeros_like(residual), scales=first, doubted=first)
+    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first, doubted=first)
     for number in range(_ROUNDS):
-        noise = _noise(state, seen, follows, run)
-        system = _linearised(problem, seen, bins, state, noise=noise, grid=grid)
-        state = _improved(state, problem, seen, system, grid, told=number == 0)
-    system = _linearised(problem, seen, bins, state, noise=noise, grid=grid)
+        noise = _noise(state.left, seen, follows, run)
+        system = linear_system(
+            problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis
+        )
+        state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
+    system = linear_system(problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis)
     return RobustFit(
         problem=problem,
         system=system,
@@ -135,27 +117,26 @@ def fit_robustly(
         scales=state.scales,
         doubted=state.doubted,
         grid=grid,
-        residual=state.residual,
+        residual=problem.residuals(state.unknowns, seen),
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
     )
 
 
-def _improved(
-    state: _State, problem: Problem, seen: Observations, system: LinearSystem, grid: Grid, *, told: bool
-) -> _State:
-    """Return the state after one solve, with the scales that it was told or those that the data speak for."""
-    normal = system.normal()
-    scales, doubted = (state.scales, state.doubted) if told else likely_scales(normal, grid)
-    marginal = marginal_fit(normal, grid.basis, scales)
-    return _State(
-        unknowns=marginal.unknowns,
-        residual=problem.residuals(marginal.unknowns, seen),
-        smooth=(system.waves @ marginal.waves.T)[system.member],
-        scales=scales,
-        doubted=doubted,
-    )
+def _judged(problem: Problem, seen: Observations, system: LinearSystem, state: _State) -> _State:
+    """Return the state with what a large field beside the model leaves over; the camera stays."""
+    marginal = marginal_fit(system.normal(), system.basis, state.scales)
+    explained = system.rows @ (marginal.unknowns - system.at) + system.waves @ marginal.waves.T
+    return replace(state, left=problem.residuals(state.unknowns, seen) - explained[system.member])
+
+
+def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: Grid) -> _State:
+    """Return the state after a solve with the scales that the data speak for."""
+    scales, doubted = likely_scales(system.normal(), grid)
+    unknowns, waves = settled(problem, system, scales)
+    smooth = (system.waves @ waves.T)[system.member]
+    return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales, doubted=doubted)
 
 
 def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:
@@ -173,25 +154,9 @@ def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins
     return deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
 
 
-def _noise(state: _State, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
+def _noise(left: FloatArray, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
     """Return the noise as it shows beside model and field."""
-    left = state.residual - state.smooth
     distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
     sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
     weight = tukey_weights(distance, sigma=sigma)
     return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(left, weight, follows, run))
-
-
-def _linearised(
-    problem: Problem, seen: Observations, bins: Bins, state: _State, *, noise: _Noise, grid: Grid
-) -> LinearSystem:
-    gathered, residual = bins.gathered(seen, state.residual, noise.information(seen))
-    _, rows = problem.linearised(state.unknowns, gathered)
-    return LinearSystem(
-        rows=rows,
-        waves=grid.basis.values(gathered.pixels),
-        residual=residual,
-        information=gathered.information,
-        at=state.unknowns,
-        member=bins.member,
-    )

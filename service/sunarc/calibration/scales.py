@@ -71,8 +71,8 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
 def likely_scales(normal: Normal, grid: Grid) -> tuple[Scales, Scales]:
     """Return the scales to fit with, and those to state uncertainties with.
 
-    Few sightings leave the field's amplitude open over a wide range. The fit takes the root of the mean of A² over
-    what is plausible; the uncertainty that of A⁴, for an amplitude that is too small breaks its promise sooner than
+    Few sightings leave the field's amplitude open over a wide range. The fit takes the mean of A over the plausible
+    range; the uncertainty the root of the mean of A³, for an amplitude that is too small breaks its promise sooner than
     one that is too large. With many sightings the two are one.
     """
     log_weight = grid.log_prior + log_evidences(
@@ -83,7 +83,7 @@ def likely_scales(normal: Normal, grid: Grid) -> tuple[Scales, Scales]:
     radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
     of_field = np.sum(weight, axis=2)
     found = []
-    for power in (2, 4):
+    for power in (1, 3):
         moment = of_field * grid.amplitudes[:, None] ** power
         length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
         found.append(Scales(float(moment.sum()) ** (1.0 / power), length, float(radial), float(decentering)))

@@ -1,0 +1,95 @@
+"""The bins' equations, and the solve with the field marginalised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.bins import Bins
+from sunarc.calibration.evidence import Normal, Scales, marginal_fit, normal_sums, penalty
+from sunarc.calibration.field import WaveBasis
+from sunarc.calibration.problem import Observations, Problem
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_STEPS = 8
+_HALVINGS = 6
+_REST = 1e-3
+"""Gain in twice the log posterior below which a solve rests: a thirtieth of a sigma."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearSystem:
+    """residual = rows · change of the unknowns + waves · coefficients + noise, one line a bin.
+
+    Attributes
+    ----------
+    seen : (b) one observation a bin, its pixel such that the residual is the bin's mean.
+    rows : (b, 2, p); waves: (b, m); residual: (b, 2) px; at: (p,) where it was made.
+    basis : the field's waves.
+    member : (n,) the bin of every sighting.
+    """
+
+    seen: Observations
+    rows: FloatArray
+    waves: FloatArray
+    residual: FloatArray
+    at: FloatArray
+    basis: WaveBasis
+    member: IntArray
+
+    def normal(self, which: NDArray[np.bool_] | slice = slice(None)) -> Normal:
+        """Return the sums over the bins that are picked."""
+        return normal_sums(
+            self.rows[which], self.waves[which], self.residual[which], self.seen.information[which], self.at
+        )
+
+    def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
+        """Return the system about other unknowns."""
+        residual, rows = problem.linearised(at, self.seen)
+        return replace(self, residual=residual, rows=rows, at=at)
+
+
+def linear_system(
+    problem: Problem,
+    seen: Observations,
+    bins: Bins,
+    unknowns: FloatArray,
+    *,
+    information: FloatArray,
+    basis: WaveBasis,
+) -> LinearSystem:
+    """Return the equations of sightings about some unknowns."""
+    gathered, residual = bins.gathered(seen, problem.residuals(unknowns, seen), information)
+    own, rows = problem.linearised(unknowns, gathered)
+    return LinearSystem(
+        seen=replace(gathered, pixels=gathered.pixels + residual - own),
+        rows=rows,
+        waves=basis.values(gathered.pixels),
+        residual=residual,
+        at=unknowns,
+        basis=basis,
+        member=bins.member,
+    )
+
+
+def settled(problem: Problem, system: LinearSystem, scales: Scales) -> tuple[FloatArray, FloatArray]:
+    """Return the most probable unknowns (p,) and field coefficients (2, m): Gauss-Newton with halved steps."""
+    normal = system.normal()
+    now = penalty(normal, system.basis, scales)
+    for _ in range(_STEPS):
+        best = marginal_fit(normal, system.basis, scales)
+        step, gain = best.unknowns - system.at, 0.0
+        for halving in range(_HALVINGS):
+            trial = system.moved(problem, system.at + 0.5**halving * step)
+            trial_normal = trial.normal()
+            gain = now - penalty(trial_normal, system.basis, scales)
+            if gain > 0.0:
+                system, normal, now = trial, trial_normal, now - gain
+                break
+        if gain < _REST:
+            break
+    return system.at, marginal_fit(normal, system.basis, scales).waves
