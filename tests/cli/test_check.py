@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from .conftest import Sunarc
+
+
+def findings(sunarc: Sunarc, config: Path) -> tuple[int, dict[str, tuple[str, str]]]:
+    answer = sunarc("check", "--config", str(config), "--json")
+    return answer.code, {found["what"]: (found["outcome"], found["text"]) for found in json.loads(answer.out)}
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "sunarc.toml"
+    path.write_text(
+        f'state = "{tmp_path}/state"\nsource = "replay"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n'
+        f'[replay]\nfolder = "{tmp_path}/absent"\n[api]\nport = 0\n'
+    )
+    return path
+
+
+def test_each_thing_is_looked_at_and_what_fails_names_its_remedy(sunarc: Sunarc, config: Path) -> None:
+    code, found = findings(sunarc, config)
+    assert code == 1
+    assert {what: outcome for what, (outcome, _) in found.items() if what not in {"clock", "camera"}} == {
+        "settings": "ok",
+        "state folder": "ok",
+        "database": "ok",
+        "port": "ok",
+    }
+    assert found["camera"][0] == "fail"
+    assert str(config.parent / "absent") in found["camera"][1]
+
+
+def test_a_port_in_use_and_a_state_folder_that_is_a_file_are_failures(sunarc: Sunarc, config: Path) -> None:
+    (config.parent / "state").write_text("in the way")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        config.write_text(config.read_text().replace("port = 0", f"port = {taken.getsockname()[1]}"))
+        _, found = findings(sunarc, config)
+    assert found["port"][0] == "fail"
+    assert found["state folder"][0] == "fail"
+    assert "make it writable" in found["state folder"][1]
+
+
+@pytest.mark.gige
+def test_a_camera_address_that_does_not_answer_is_one_clear_finding(sunarc: Sunarc, config: Path) -> None:
+    pytest.importorskip("gi", reason="python3-gi is not installed")
+    text = config.read_text().replace('source = "replay"\n', "").split("[replay]")[0]
+    config.write_text(f'{text}[camera]\naddress = "127.0.0.98"\n[api]\nport = 0\n')
+    code, found = findings(sunarc, config)
+    assert code == 1
+    assert found["camera"][0] == "fail"
+    assert "127.0.0.98" in found["camera"][1]
+
+
+def test_a_missing_camera_section_is_named(sunarc: Sunarc, config: Path) -> None:
+    config.write_text(config.read_text().replace('source = "replay"\n', ""))
+    _, found = findings(sunarc, config)
+    assert "setting camera is missing" in found["camera"][1]

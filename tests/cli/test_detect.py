@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import pytest
+
+from sunarc.simulation import SGP, Scene, SceneOptions, true_camera
+
+if TYPE_CHECKING:
+    from .conftest import Sunarc
+
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene(true_camera(), SGP, options=SceneOptions(nd_transmission=0.01))
+
+
+def test_the_sun_is_found_in_a_microsecond_frame_of_which_nothing_is_known(
+    sunarc: Sunarc, scene: Scene, tmp_path: Path
+) -> None:
+    path = tmp_path / "noon.png"
+    cv2.imwrite(str(path), scene.render(round(NOON.timestamp() * 1e6), exposure_us=20.0, full_scale=65535))
+    answer = sunarc("detect", str(path), "--json")
+    assert answer.code == 0
+    (found,) = json.loads(answer.out)
+    x, y = scene.sun_pixel(NOON.timestamp() + 10e-6)
+    assert found["x_px"] == pytest.approx(x, abs=0.05)
+    assert found["y_px"] == pytest.approx(y, abs=0.05)
+    assert found["file"] == str(path)
+    assert found["accepted"] is True
+
+
+def test_an_image_without_the_sun_exits_1_and_says_why(sunarc: Sunarc, tmp_path: Path) -> None:
+    path = tmp_path / "night.png"
+    cv2.imwrite(str(path), np.zeros((200, 300), dtype=np.uint8))
+    answer = sunarc("detect", str(path), "--json")
+    assert answer.code == 1
+    (found,) = json.loads(answer.out)
+    assert found["x_px"] is None
+    assert found["reason"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", b"not an image at all"])
+def test_a_file_that_is_no_image_is_told_in_one_line(sunarc: Sunarc, tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "torn.png"
+    path.write_bytes(content)
+    answer = sunarc("detect", str(path), "--json")
+    assert answer.code == 2
+    assert "torn.png: is no 8 or 16 bit image" in answer.err
+    assert answer.err.count("\n") == 1
+
+
+def test_a_file_that_is_not_there_is_told_in_one_line(sunarc: Sunarc, tmp_path: Path) -> None:
+    answer = sunarc("detect", str(tmp_path / "absent.png"))
+    assert answer.code == 2
+    assert answer.err.count("\n") == 1
