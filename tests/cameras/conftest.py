@@ -172,7 +172,7 @@ def library(camera: Camera) -> tuple[Any, Any]:
         BufferStatus=BufferStatus,
         DeviceError=DeviceError,
         GvStreamOption=SimpleNamespace(PACKET_SOCKET_DISABLED="udp"),
-        GvStreamSocketBuffer=SimpleNamespace(AUTO="auto"),
+        GvStreamSocketBuffer=SimpleNamespace(FIXED="fixed"),
         device_error_quark=lambda: "device",
     )
     return aravis, SimpleNamespace(Error=GLibError)

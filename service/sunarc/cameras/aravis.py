@@ -31,6 +31,7 @@ from sunarc.errors import (
 _log = logging.getLogger(__name__)
 
 _BUFFERS = 6
+_SOCKET_BUFFER_BYTES = 32 << 20  # the kernel grants up to net.core.rmem_max of it
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -145,7 +146,8 @@ class AravisCamera:
         if self._stream is None:
             raise CameraLostError(f"the camera at {options.address} gives no stream")
         if self._camera.is_gv_device():
-            self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.AUTO)
+            self._stream.set_property("socket-buffer-size", _SOCKET_BUFFER_BYTES)
+            self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
         for _ in range(_BUFFERS):
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
 
