@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.points import Usable
 from sunarc.calibration.priors import LENS, N_LENS, POSE, LensPrior
-from sunarc.optics import Camera, angle_limit, project, project_with_jacobian
+from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -104,7 +104,7 @@ class Problem:
         predicted = np.empty(seen.pixels.shape)
         for epoch in range(self.n_epochs):
             mine = seen.epoch == epoch
-            predicted[mine] = project(self.camera(unknowns, epoch), seen.directions[mine])
+            predicted[mine] = project_fast(self.camera(unknowns, epoch), seen.directions[mine])
         return np.asarray(np.nan_to_num(seen.pixels - predicted, nan=_UNREACHED_PX))
 
     def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
@@ -113,10 +113,11 @@ class Problem:
         rows = np.zeros((len(seen), 2, self.size))
         for epoch in range(self.n_epochs):
             mine = seen.epoch == epoch
-            camera = self.camera(unknowns, epoch)
-            pixel, by_parameters, _ = project_with_jacobian(camera, seen.directions[mine])
-            rows[mine, :, :N_LENS] = by_parameters[..., LENS] @ self.prior.basis
-            rows[mine, :, self.pose_slice(epoch)] = by_parameters[..., POSE]
+            pixel, by_parameters = project_with_rows_fast(self.camera(unknowns, epoch), seen.directions[mine])
+            to_unknowns = np.zeros((23, self.size))
+            to_unknowns[np.ix_(LENS, np.arange(N_LENS))] = self.prior.basis
+            to_unknowns[np.ix_(POSE, np.arange(self.size)[self.pose_slice(epoch)])] = np.eye(3)
+            rows[mine] = (by_parameters.reshape(-1, 23) @ to_unknowns).reshape(-1, 2, self.size)
             residual[mine] = seen.pixels[mine] - pixel
         lost = ~np.all(np.isfinite(residual), axis=-1)
         residual[lost], rows[lost] = _UNREACHED_PX, 0.0

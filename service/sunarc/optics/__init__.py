@@ -1,6 +1,7 @@
 """Where a direction lands: projections, the camera as a value, project, unproject and their derivatives."""
 
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
+from sunarc.optics.fast import InverseTable, inverse_table, project_fast, project_with_rows_fast
 from sunarc.optics.forward import project, project_with_jacobian
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
@@ -11,15 +12,19 @@ __all__ = [
     "PARAMETER_NAMES",
     "PROJECTIONS",
     "Camera",
+    "InverseTable",
     "PoseAngles",
     "Projection",
     "angle_limit",
     "ideal_angle",
     "ideal_radius",
+    "inverse_table",
     "local_stretch",
     "pose_angles",
     "project",
+    "project_fast",
     "project_with_jacobian",
+    "project_with_rows_fast",
     "rising_limit",
     "rotation_from_pose_angles",
     "rotation_matrix",

@@ -1,0 +1,205 @@
+"""The loops over many directions and pixels, compiled; the numpy path beside them says what they must equal.
+
+Compiled once and kept on disk (`cache=True`), without the interpreter's lock (`nogil`), never in parallel by
+themselves: who wants two threads starts two.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sunarc.optics.projections import PROJECTIONS
+
+FloatArray = NDArray[np.float64]
+
+PROJECTION_CODES = {name: code for code, name in enumerate(PROJECTIONS)}
+"""The projections by number, as the kernels know them."""
+
+_RIGHT_ANGLE = math.pi / 2
+_ON_AXIS = 1e-12
+_BLOCK = 512
+"""Pixels taken together, so that the simple loops run in vector registers."""
+
+
+@njit(cache=True, nogil=True)
+def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[float, float]:
+    if code == 0:
+        ideal, slope = math.tan(theta), 1.0 / math.cos(theta) ** 2
+    elif code == 1:
+        ideal, slope = theta, 1.0
+    elif code == 2:
+        ideal, slope = 2.0 * math.sin(0.5 * theta), math.cos(0.5 * theta)
+    elif code == 3:
+        ideal, slope = 2.0 * math.tan(0.5 * theta), 1.0 / math.cos(0.5 * theta) ** 2
+    else:
+        ideal, slope = math.sin(theta), math.cos(theta)
+    tau = theta / _RIGHT_ANGLE
+    value, derivative = 0.0, 0.0
+    for i in range(7, -1, -1):
+        derivative = derivative * tau + value
+        value = value * tau + radial[i]
+    # value = Σ k_n tau^(n-2): the distortion is tau² value, its slope 2 tau value + tau² derivative
+    return ideal + tau * tau * value, slope + (2.0 * tau * value + tau * tau * derivative) / _RIGHT_ANGLE
+
+
+@njit(cache=True, nogil=True)
+def pixels_of(
+    vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
+) -> FloatArray:
+    """Return (n, 2) pixels of directions (n, 3): `project` for the 23 parameters of `vector`.
+
+    `mirror` is width - 1 for a mirrored image, negative for one that is not.
+    """
+    n = directions.shape[0]
+    result = np.empty((n, 2))
+    radial, p1, p2, p3, p4 = vector[11:19], vector[19], vector[20], vector[21], vector[22]
+    for i in range(n):
+        e, north, up = directions[i, 0], directions[i, 1], directions[i, 2]
+        x = rotation[0, 0] * e + rotation[0, 1] * north + rotation[0, 2] * up + vector[8]
+        y = rotation[1, 0] * e + rotation[1, 1] * north + rotation[1, 2] * up + vector[9]
+        z = rotation[2, 0] * e + rotation[2, 1] * north + rotation[2, 2] * up + vector[10]
+        across = math.sqrt(x * x + y * y)
+        theta = math.atan2(across, z)
+        if not theta <= max_angle:
+            result[i, 0] = np.nan
+            result[i, 1] = np.nan
+            continue
+        radius, _ = _radius_and_slope(code, radial, theta)
+        u, v = (x / across, y / across) if across > _ON_AXIS else (1.0, 0.0)
+        square = radius * radius
+        profile = square * (1.0 + square * (p3 + square * p4))
+        x_hat = radius * u + profile * (p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v)
+        y_hat = radius * v + profile * (2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v))
+        column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
+        result[i, 0] = mirror - column if mirror >= 0.0 else column
+        result[i, 1] = vector[1] * y_hat + vector[4]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def pixels_and_rows_of(
+    vector: FloatArray,
+    code: int,
+    mirror: float,
+    max_angle: float,
+    rotation: FloatArray,
+    turn: FloatArray,
+    directions: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return pixels (n, 2) and their derivatives by the 23 parameters (n, 2, 23): `project_with_jacobian`.
+
+    `turn` is the right Jacobian of the rotation vector. Beyond the largest angle pixels are NaN, derivatives 0.
+    """
+    n = directions.shape[0]
+    pixels = np.empty((n, 2))
+    rows = np.zeros((n, 2, 23))
+    radial, p1, p2, p3, p4 = vector[11:19], vector[19], vector[20], vector[21], vector[22]
+    sign = -1.0 if mirror >= 0.0 else 1.0
+    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
+    for i in range(n):
+        e, north, up = directions[i, 0], directions[i, 1], directions[i, 2]
+        rx = rotation[0, 0] * e + rotation[0, 1] * north + rotation[0, 2] * up
+        ry = rotation[1, 0] * e + rotation[1, 1] * north + rotation[1, 2] * up
+        rz = rotation[2, 0] * e + rotation[2, 1] * north + rotation[2, 2] * up
+        x, y, z = rx + vector[8], ry + vector[9], rz + vector[10]
+        across = math.sqrt(x * x + y * y)
+        norm = x * x + y * y + z * z
+        theta = math.atan2(across, z)
+        if not theta <= max_angle:
+            pixels[i, 0], pixels[i, 1] = np.nan, np.nan
+            continue
+        radius, slope = _radius_and_slope(code, radial, theta)
+        on_axis = across <= _ON_AXIS
+        u, v = (1.0, 0.0) if on_axis else (x / across, y / across)
+        square = radius * radius
+        profile = square * (1.0 + square * (p3 + square * p4))
+        bx = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v
+        by = 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
+        x_hat, y_hat = radius * u + profile * bx, radius * v + profile * by
+        rise = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
+        gx, gy = u + rise * bx, v + rise * by
+        per_norm = slope / z if on_axis else radius / across
+        twist = 0.0 if on_axis else profile / across
+        sin2, cos2 = 2.0 * u * v, u * u - v * v
+        hx = -v * per_norm + twist * (-2.0 * p1 * sin2 + 2.0 * p2 * cos2)
+        hy = u * per_norm + twist * (2.0 * p1 * cos2 + 2.0 * p2 * sin2)
+        tx, ty, tz = z * u / norm, z * v / norm, -across / norm
+        column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
+        pixels[i, 0] = mirror - column if mirror >= 0.0 else column
+        pixels[i, 1] = vector[1] * y_hat + vector[4]
+        rows[i, 0, 0], rows[i, 1, 1], rows[i, 0, 2] = sign * x_hat, y_hat, sign * y_hat
+        rows[i, 0, 3], rows[i, 1, 4] = sign, 1.0
+        for a in range(3):
+            by_theta = tx if a == 0 else (ty if a == 1 else tz)
+            by_phi = -v if a == 0 else (u if a == 1 else 0.0)
+            cx, cy = slope * gx * by_theta + hx * by_phi, slope * gy * by_theta + hy * by_phi
+            rows[i, 0, 8 + a], rows[i, 1, 8 + a] = ax * cx + skew * cy, ay * cy
+        for c in range(2):
+            vx, vy, vz = rows[i, c, 8], rows[i, c, 9], rows[i, c, 10]
+            # the vector turns about the camera's own axes: d(R w) = R (dw × w), taken to the rotation vector
+            wx = vx * rotation[0, 0] + vy * rotation[1, 0] + vz * rotation[2, 0]
+            wy = vx * rotation[0, 1] + vy * rotation[1, 1] + vz * rotation[2, 1]
+            wz = vx * rotation[0, 2] + vy * rotation[1, 2] + vz * rotation[2, 2]
+            mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
+            for a in range(3):
+                rows[i, c, 5 + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
+        tau = theta / _RIGHT_ANGLE
+        power = tau * tau
+        for k in range(8):
+            rows[i, 0, 11 + k], rows[i, 1, 11 + k] = power * (ax * gx + skew * gy), power * ay * gy
+            power *= tau
+        d1x, d1y = profile * (1.0 + 2.0 * u * u), profile * 2.0 * u * v
+        d2x, d2y = profile * 2.0 * u * v, profile * (1.0 + 2.0 * v * v)
+        rows[i, 0, 19], rows[i, 1, 19] = ax * d1x + skew * d1y, ay * d1y
+        rows[i, 0, 20], rows[i, 1, 20] = ax * d2x + skew * d2y, ay * d2y
+        fourth, sixth = square * square, square * square * square
+        rows[i, 0, 21], rows[i, 1, 21] = fourth * (ax * bx + skew * by), fourth * ay * by
+        rows[i, 0, 22], rows[i, 1, 22] = sixth * (ax * bx + skew * by), sixth * ay * by
+    return pixels, rows
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def directions_of(
+    constants: FloatArray, rotation: FloatArray, table: FloatArray, rounds: int, pixels: FloatArray, result: FloatArray
+) -> None:
+    """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`)."""
+    ax, ay, skew, x0, y0, mirror, p1, p2, p3, p4, per_radius, limit = constants
+    sign, offset = (-1.0, mirror - x0) if mirror >= 0.0 else (1.0, -x0)
+    last = table.shape[0] - 1.0
+    xe, xn, xu = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    ye, yn, yu = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    ze, zn, zu = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    x_hat, y_hat = np.empty(_BLOCK), np.empty(_BLOCK)
+    x, y, radius = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    for begin in range(0, pixels.shape[0], _BLOCK):
+        size = min(_BLOCK, pixels.shape[0] - begin)
+        for k in range(size):
+            y_hat[k] = (pixels[begin + k, 1] - y0) * ay
+            x_hat[k] = (sign * pixels[begin + k, 0] + offset - skew * y_hat[k]) * ax
+            x[k], y[k] = x_hat[k], y_hat[k]
+        for _ in range(rounds):
+            for k in range(size):
+                xx, yy, xy = x[k] * x[k], y[k] * y[k], 2.0 * x[k] * y[k]
+                square = xx + yy
+                profile = 1.0 + square * (p3 + square * p4)
+                x[k] = x_hat[k] - profile * (p1 * (square + 2.0 * xx) + p2 * xy)
+                y[k] = y_hat[k] - profile * (p1 * xy + p2 * (square + 2.0 * yy))
+        for k in range(size):
+            radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
+        for k in range(size):
+            i = begin + k
+            if not radius[k] <= limit:
+                result[i, 0], result[i, 1], result[i, 2] = np.nan, np.nan, np.nan
+                continue
+            place = radius[k] * per_radius
+            piece = np.uint64(min(place, last))
+            s = place - piece
+            scale = table[piece, 0] + s * (table[piece, 1] + s * (table[piece, 2] + s * table[piece, 3]))
+            z = table[piece, 4] + s * (table[piece, 5] + s * (table[piece, 6] + s * table[piece, 7]))
+            result[i, 0] = scale * (xe * x[k] + ye * y[k]) + ze * z
+            result[i, 1] = scale * (xn * x[k] + yn * y[k]) + zn * z
+            result[i, 2] = scale * (xu * x[k] + yu * y[k]) + zu * z
