@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 
-from sunarc.optics import Camera, pose_angles, rising_limit
+from sunarc.calibration import from_document, project_with_covariance
+from sunarc.optics import Camera, pose_angles, project, rising_limit
 from sunarc.optics.forward import decentering_shift, distorted_radius
 from sunarc.simulation import SGP, true_camera, truth_document
+from sunarc.sky import direction_from_angles
 
 THETA = np.linspace(0.0, math.pi / 2, 2001)
 
@@ -56,24 +60,14 @@ def test_drawn_cameras_are_of_the_population(lens_seed: int) -> None:
     assert rising_limit(camera, up_to=math.radians(93.0)) == pytest.approx(math.radians(93.0))
 
 
-def test_the_document_describes_the_camera_in_full() -> None:
+def test_the_document_is_a_calibration_of_that_very_camera_and_sure_of_it() -> None:
     camera = true_camera(2)
     document = truth_document(camera, SGP, name="demo", created_at=datetime(2013, 5, 13, 12, tzinfo=UTC))
-    model = document["model"]
-    assert document["schema"] == "sunarc.calibration/1"
+    truth = from_document(json.loads(json.dumps(document)))
+    direction = direction_from_angles(zenith_deg=[0.0, 50.0], azimuth_deg=[0.0, 200.0])
+    pixels, covariance = project_with_covariance(truth, direction)
+    assert replace(truth.camera, max_angle=camera.max_angle) == camera
+    assert truth.camera.max_angle == pytest.approx(camera.max_angle)
     assert document["created_at"] == "2013-05-13T12:00:00Z"
-    assert document["image"] == {"width": 1748, "height": 1748, "mirrored": False}
-    rebuilt = Camera(
-        width=1748,
-        height=1748,
-        projection=model["projection"],
-        focal_length_px=tuple(model["focal_length_px"]),
-        principal_point_px=tuple(model["principal_point_px"]),
-        rotation_cam_enu=tuple(model["rotation_cam_enu"]),
-        skew_px=model["skew_px"],
-        translation=tuple(model["translation"]),
-        radial=tuple(model["radial"]),
-        decentering=tuple(model["decentering"]),
-        max_angle=math.radians(model["max_angle_deg"]),
-    )
-    assert rebuilt == camera
+    np.testing.assert_allclose(pixels, project(camera, direction), atol=1e-9)
+    np.testing.assert_array_equal(covariance, 0.0)

@@ -5,7 +5,8 @@ from sunarc.simulation.options import WEATHERS, Obstruction, SceneOptions, Senso
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.timeline import Timeline
-from sunarc.simulation.truth import SGP, true_camera, truth_document
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.simulation.truth_document import truth_document
 
 __all__ = [
     "SGP",

@@ -19,7 +19,8 @@ from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
 from sunarc.simulation.options import WEATHERS, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene
 from sunarc.simulation.timeline import Timeline
-from sunarc.simulation.truth import SGP, true_camera, truth_document
+from sunarc.simulation.truth import SGP, true_camera
+from sunarc.simulation.truth_document import truth_document
 from sunarc.sky import Site, solar_date
 
 _log = logging.getLogger(__name__)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.optics import Camera, PoseAngles, pose_angles, rotation_from_pose_angles
+from sunarc.optics import Camera, PoseAngles, rotation_from_pose_angles
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]
@@ -41,34 +37,6 @@ def true_camera(lens_seed: int = 0) -> Camera:
     so that the focal length keeps its meaning.
     """
     return _paper_camera() if lens_seed == 0 else _drawn_camera(np.random.default_rng(lens_seed))
-
-
-def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetime) -> dict[str, Any]:
-    """Return the camera as a calibration document ("sunarc.calibration/1") without evidence: it is the truth."""
-    return {
-        "schema": "sunarc.calibration/1",
-        "id": "truth",
-        "camera": name,
-        "state": "current",
-        "method": "truth",
-        "created_at": created_at.astimezone(UTC).isoformat().replace("+00:00", "Z"),
-        "valid_from": None,
-        "valid_until": None,
-        "pose_epoch": None,
-        "site": {"latitude": site.latitude, "longitude": site.longitude, "altitude": site.altitude},
-        "image": {"width": camera.width, "height": camera.height, "mirrored": camera.mirrored},
-        "model": _model_section(camera),
-        "pose": pose_angles(camera.rotation_cam_enu)._asdict(),
-        "software": {"name": "sunarc", "version": version("sunarc")},
-    }
-
-
-def _model_section(camera: Camera) -> dict[str, Any]:
-    fields = asdict(camera)
-    names = ("projection", "focal_length_px", "skew_px", "principal_point_px", "rotation_cam_enu", "translation")
-    section = {name: fields[name] for name in (*names, "radial", "decentering")}
-    listed = {name: list(value) if isinstance(value, tuple) else value for name, value in section.items()}
-    return {**listed, "max_angle_deg": math.degrees(camera.max_angle)}
 
 
 def _paper_camera() -> Camera:
