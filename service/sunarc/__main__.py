@@ -152,6 +152,7 @@ def calibrate(
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
     level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
+    plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Fit the camera to sightings; exit 1 when the fit is refused.
@@ -171,11 +172,14 @@ def calibrate(
             level_within_deg=level_within,
         ),
         clock=SystemClock(),
+        plots=plots,
     )
     if as_json:
         _print_json(document)
     else:
         _print_calibration(document)
+        if plots is not None:
+            print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
     if not document["verdict"]["accepted"]:
         raise typer.Exit(1)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
@@ -46,13 +47,21 @@ _PIXEL_PLACES = 8
 
 
 def calibrate_file(
-    path: Path, *, site: Site, image_size: tuple[int, int], options: CalibrationOptions, clock: Clock
+    path: Path,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    clock: Clock,
+    plots: Path | None = None,
 ) -> dict[str, Any]:
-    """Fit a file of sightings and return the calibration document."""
+    """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
     table = read_sightings(_lines(path), name=path.name)
     _require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
     solved = calibrate(points, site=site, image_size=image_size, options=options)
+    if plots is not None:
+        _draw(solved, points, folder=plots)
     now = clock.now()
     first = datetime.fromtimestamp(float(table.unix_s.min()), UTC) if table.unix_s.size else now
     return to_document(
@@ -183,6 +192,23 @@ def backup_database(state: Path, target: Path) -> str:
 def database_of(state: Path) -> Path:
     """Return the database file of a state folder."""
     return state / "sunarc.sqlite"
+
+
+def _draw(calibration: Calibration, points: SunPoints, *, folder: Path) -> None:
+    from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the service never needs matplotlib
+
+    with _writing(folder):
+        write_calibration_plots(calibration, points, folder=folder)
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            field=str(folder), problem=error.strerror or str(error), remedy="name a folder that can be written to"
+        ) from None
 
 
 def _detected(path: Path, *, method: str) -> dict[str, Any]:

@@ -1,0 +1,73 @@
+"""What a calibration leaves of its sightings, in px and in degrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration import Calibration, SunPoints
+from sunarc.optics import project, unproject
+from sunarc.sky import angles_from_direction, angular_distance, sun_directions
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Residuals:
+    """Sightings beside what the calibration predicts of them; only those that are finite and that the camera sees.
+
+    Attributes
+    ----------
+    unix_s : (n,) s.
+    pixels : (n, 2) where the sun was seen, px.
+    offset_px : (n, 2) seen minus predicted, px.
+    offset_deg : (n,) angle between where the pixel looks and where the sun was, degrees.
+    apparent_zenith_deg : (n,) of the sun.
+    azimuth_deg : (n,) of the sun.
+    used : (n,) whether the fit used the sighting: a calibration tells how many it used, and it uses the nearest ones.
+    """
+
+    unix_s: FloatArray
+    pixels: FloatArray
+    offset_px: FloatArray
+    offset_deg: FloatArray
+    apparent_zenith_deg: FloatArray
+    azimuth_deg: FloatArray
+    used: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return int(self.unix_s.size)
+
+
+def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
+    """Return the residuals of sightings, each against the pose of its epoch."""
+    times = np.where(np.isfinite(points.unix_s), points.unix_s, 0.0)
+    directions = sun_directions(times, calibration.site)
+    predicted, looked_at = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)
+    for epoch, pose in enumerate(calibration.poses):
+        camera, mine = replace(calibration.camera, rotation_cam_enu=pose), points.epoch == epoch
+        predicted[mine] = project(camera, directions[mine])
+        looked_at[mine] = unproject(camera, points.pixels[mine])
+    zenith, azimuth = angles_from_direction(directions)
+    offset = points.pixels - predicted
+    known = np.all(np.isfinite(offset), axis=-1) & np.isfinite(points.unix_s) & (zenith < 91.0)
+    return Residuals(
+        unix_s=points.unix_s[known],
+        pixels=points.pixels[known],
+        offset_px=offset[known],
+        offset_deg=np.degrees(angular_distance(looked_at[known], directions[known])),
+        apparent_zenith_deg=zenith[known],
+        azimuth_deg=azimuth[known],
+        used=_nearest(offset[known], points.sigma_px[known], calibration.evidence.n_used),
+    )
+
+
+def _nearest(offset: FloatArray, sigma_px: FloatArray, count: int) -> NDArray[np.bool_]:
+    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    typical = float(np.median(sigma_px[stated])) if np.any(stated) else 1.0
+    distance = np.linalg.norm(offset, axis=-1) / np.where(stated, sigma_px, typical)
+    used = np.zeros(distance.size, dtype=bool)
+    used[np.argsort(distance, kind="stable")[:count]] = True
+    return used
