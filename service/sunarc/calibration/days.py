@@ -21,6 +21,8 @@ DayKind = Literal["clear", "partly", "cloudy", "unusable"]
 
 _ORDER = 9
 _ROUNDS = 12
+_POLYNOMIAL_PX = 0.2
+"""How well a 9th-order polynomial follows a whole day's arc; finer sightings must not be blamed for its misfit."""
 _HORIZON_DEG = 89.6
 
 
@@ -136,7 +138,7 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
         root = np.sqrt(weight)[:, None]
         arc = waves @ np.linalg.lstsq(waves * root, pixels * root)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
-        sigma = core_sigma(distance, share=0.5 if number < 4 else 0.3, floor=1e-6)
+        sigma = core_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
         weight = 1.0 / (1.0 + (distance / sigma) ** 2) if number < 6 else tukey_weights(distance, sigma=sigma)
     return arc, pixels - arc, weight
 
