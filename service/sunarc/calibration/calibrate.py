@@ -6,13 +6,17 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from sunarc.calibration.assemble import Job, finished, refused
+from sunarc.calibration.assemble import Fitted, Job, finished, refused
 from sunarc.calibration.initial import first_cameras, single_problem
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.outcome import robust_outcome
+from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.priors import known_lens
 from sunarc.calibration.problem import Observations, observations
 from sunarc.calibration.result import Calibration
 from sunarc.calibration.robust import fit_robustly
+from sunarc.calibration.start import wahba
 from sunarc.calibration.verdict import Handedness, before_fit
 from sunarc.errors import InputError
 from sunarc.optics import Camera
@@ -65,12 +69,31 @@ def calibrate(
     if problems:
         return refused(job, problems)
     seen = observations(usable)
-    picked = _choose_hand(seen, job, start)
-    if picked is None:
-        return refused(job, ("no camera of this projection fits",))
-    problem = single_problem(seen, picked.cameras[0], chosen, circle, n_epochs=len(picked.cameras))
-    fit = fit_robustly(problem, seen, usable, problem.unknowns(picked.cameras), options=chosen)
-    return finished(fit, job, picked.handedness)
+    if chosen.free == "pose" and start is not None:
+        cameras, handedness = _turned_only(seen, start), Handedness(mirrored=start.mirrored, ambiguous=False)
+    else:
+        picked = _choose_hand(seen, job, start)
+        if picked is None:
+            return refused(job, ("no camera of this projection fits",))
+        cameras, handedness = picked
+    return finished(_fitted(job, seen, cameras), job, handedness)
+
+
+def _fitted(job: Job, seen: Observations, cameras: list[Camera]) -> Fitted:
+    """Return the fit by the method that was asked for."""
+    options = job.options
+    if options.method == "paper":
+        return fit_as_paper(seen, job.usable, cameras, options=options)
+    problem = single_problem(seen, cameras[0], options, job.circle, n_epochs=len(cameras))
+    if options.free == "pose":
+        problem = replace(problem, prior=known_lens(cameras[0], problem.prior))
+    fit = fit_robustly(problem, seen, job.usable, problem.unknowns(cameras), options=options)
+    return robust_outcome(fit, job.usable, options)
+
+
+def _turned_only(seen: Observations, lens: Camera) -> list[Camera]:
+    """Return a known lens, turned to meet the sightings of every epoch."""
+    return [wahba(lens, seen.select(seen.epoch == e))[0] for e in range(int(seen.epoch.max()) + 1)]
 
 
 def _choose_hand(

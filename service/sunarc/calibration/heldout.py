@@ -15,7 +15,7 @@ _FOLDS = 5
 
 
 def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
-    """Return the root mean square distance on days left out in turn, px; None with fewer than two days.
+    """Return the root mean square distance on days left out in turn, px; None with fewer than two days a pose.
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
     """
@@ -28,6 +28,8 @@ def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
     total, count = 0.0, 0
     for left_out in np.unique(fold):
         mine = fold == left_out
+        if np.setdiff1d(usable.epoch[mine], usable.epoch[~mine]).size:
+            continue  # a pose that no other day shows cannot be foretold
         inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
         change = marginal_fit(system.normal(inside), fit.grid.basis, fit.scales).unknowns - system.at
         counted = mine & (fit.weight > 0.0)

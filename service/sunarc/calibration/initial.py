@@ -13,7 +13,15 @@ from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.priors import N_LENS, lens_prior, precisions
 from sunarc.calibration.problem import Observations, Problem, problem_for
 from sunarc.calibration.solve import most_probable
-from sunarc.calibration.start import LARGEST_TILT, camera_from_circle, camera_from_size, candidates, tilt, wahba
+from sunarc.calibration.start import (
+    LARGEST_TILT,
+    as_far_as_it_rises,
+    camera_from_circle,
+    camera_from_size,
+    candidates,
+    tilt,
+    wahba,
+)
 from sunarc.optics import Camera, angle_limit, unproject
 
 FloatArray = NDArray[np.float64]
@@ -123,8 +131,7 @@ def single_problem(
 def field_angle(camera: Camera, seen: Observations, options: CalibrationOptions) -> float:
     """Return the largest angle off the axis, in radians, that the lens shows or the sun was seen at."""
     limit = min(angle_limit(camera.projection) * 0.999, math.radians(max(options.max_angle_deg, 30.0)))
-    level = replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=math.pi)
-    cosine = unproject(level, seen.pixels)[:, 2]
+    cosine = unproject(as_far_as_it_rises(camera), seen.pixels)[:, 2]
     cosine = cosine[np.isfinite(cosine)]
     furthest = math.acos(float(np.clip(np.min(cosine, initial=1.0), -1.0, 1.0)))
     if camera.projection == "perspective":

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.problem import Observations
-from sunarc.optics import Camera, ideal_radius, rotation_vector, unproject
+from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camer
     -------
     The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
     """
-    rays = unproject(replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=math.pi), seen.pixels)
+    rays = unproject(as_far_as_it_rises(camera), seen.pixels)
     good = np.all(np.isfinite(rays), axis=-1)
     if good.sum() < max(3, 0.5 * len(seen)):
         return camera, math.inf
@@ -89,6 +89,11 @@ def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camer
         chord = np.linalg.norm(rays - world @ matrix.T, axis=-1)
         weight = 1.0 / (1.0 + (chord / max(float(np.median(chord)), 1e-9)) ** 2)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix)), float(np.median(chord))
+
+
+def as_far_as_it_rises(camera: Camera) -> Camera:
+    """Return the camera level, answering at every angle up to which its radius rises."""
+    return replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=rising_limit(camera, up_to=math.pi))
 
 
 def candidates(seen: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:

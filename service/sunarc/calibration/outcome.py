@@ -1,0 +1,54 @@
+"""From the robust rounds to what every method hands over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.assemble import Fitted, tidied
+from sunarc.calibration.field import Field
+from sunarc.calibration.heldout import held_out_rmse
+from sunarc.calibration.options import CalibrationOptions
+from sunarc.calibration.points import Usable
+from sunarc.calibration.priors import FREE, FREE_NAMES, LENS, N_LENS, POSE
+from sunarc.calibration.robust import RobustFit
+from sunarc.optics import Camera
+from sunarc.optics.pose import right_jacobian
+
+FloatArray = NDArray[np.float64]
+
+
+def robust_outcome(fit: RobustFit, usable: Usable, options: CalibrationOptions) -> Fitted:
+    """Return the cameras of all epochs, and the covariance and field of the last one's."""
+    last = fit.problem.n_epochs - 1
+    cameras = [fit.problem.camera(fit.unknowns, epoch) for epoch in range(last + 1)]
+    chosen = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
+    to_parameters = np.zeros((23, N_LENS + 3))
+    to_parameters[np.ix_(LENS, np.arange(N_LENS))] = fit.problem.prior.basis
+    to_parameters[POSE, N_LENS:] = _turned(cameras[last], tidied(cameras[last], options))
+    to_parameters = to_parameters[FREE]
+    field = Field(
+        amplitude_px=fit.doubted.amplitude_px,
+        length_px=fit.doubted.length_px,
+        basis=fit.grid.basis,
+        cross=np.stack([to_parameters @ part[chosen] for part in fit.doubt.cross]),
+    )
+    return Fitted(
+        cameras=cameras,
+        parameter_names=FREE_NAMES,
+        covariance=to_parameters @ fit.doubt.covariance[np.ix_(chosen, chosen)] @ to_parameters.T,
+        field=field,
+        residual=fit.residual,
+        used=fit.weight > 0.0,
+        sigma_px=fit.sigma_px,
+        inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
+        radial_px=fit.scales.radial_px,
+        held_out_rmse_px=held_out_rmse(fit, usable),
+    )
+
+
+def _turned(fitted: Camera, tidy: Camera) -> FloatArray:
+    """Return the derivative of the tidied rotation vector by the fitted one: both turn the camera alike."""
+    return np.asarray(np.linalg.solve(right_jacobian(tidy.rotation_cam_enu), right_jacobian(fitted.rotation_cam_enu)))

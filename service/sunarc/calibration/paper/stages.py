@@ -1,0 +1,123 @@
+"""The three-stage Levenberg-Marquardt fit (section 4.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from sunarc.calibration.assemble import Fitted, no_field
+from sunarc.calibration.options import CalibrationOptions
+from sunarc.calibration.paper.constraints import penalties
+from sunarc.calibration.paper.dlt import direct_linear_pose
+from sunarc.calibration.points import Usable
+from sunarc.calibration.problem import Observations
+from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_BASIC = [0, 1, 2, 3, 4, 5, 6, 7]
+_TRANSLATION = [8, 9, 10]
+_RADIAL = list(range(11, 19))
+_DECENTERING = list(range(19, 23))
+_NUDGE = 1e-5
+"""p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
+_STEP = 1e-6
+_UNREACHED_PX = 1e4
+_PERSPECTIVE_EDGE = math.radians(60.0)
+
+
+def fit_as_paper(seen: Observations, usable: Usable, cameras: list[Camera], *, options: CalibrationOptions) -> Fitted:
+    """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
+
+    Parameters
+    ----------
+    seen : sightings; those of other epochs are left aside, for the paper knows one pose.
+    usable : the same sightings' times.
+    cameras : first cameras, one an epoch.
+    options : `options.paper` says what the paper leaves open.
+    """
+    last = len(cameras) - 1
+    mine = usable.epoch == last
+    one = seen.select(mine)
+    camera = _start(cameras[last], one, options)
+    moving = [*_BASIC, *(_TRANSLATION if options.paper.fit_translation else [])]
+    for stage in ([], _RADIAL, _DECENTERING):
+        moving = sorted([*moving, *stage])
+        if stage == _DECENTERING:
+            camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
+        camera, jacobian, misfit = _minimised(camera, one, np.array(moving), options)
+    residual = np.full((len(seen), 2), np.nan)
+    residual[mine] = -misfit[: 2 * len(one)].reshape(-1, 2)
+    left = max(2 * len(one) - len(moving), 1)
+    variance = float(np.sum(misfit[: 2 * len(one)] ** 2)) / left
+    return Fitted(
+        cameras=[*cameras[:last], camera],
+        parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
+        covariance=variance * _inverse(jacobian),
+        field=no_field(camera, size=len(moving)),
+        residual=np.nan_to_num(residual),
+        used=mine,
+        sigma_px=math.sqrt(variance),
+        inflation=1.0,
+        radial_px=math.nan,
+        held_out_rmse_px=None,
+    )
+
+
+def _inverse(jacobian: FloatArray) -> FloatArray:
+    """Return (J'J)⁻¹ with its columns brought to one size first; what nothing determines comes out large."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    scaled = jacobian / size
+    inverse = np.linalg.inv(scaled.T @ scaled + 1e-14 * np.eye(size.size))
+    return np.asarray(inverse / size[:, None] / size, dtype=np.float64)
+
+
+def _start(camera: Camera, seen: Observations, options: CalibrationOptions) -> Camera:
+    """Return K0 with the pose of the chosen start, without distortion."""
+    focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
+    plain = replace(camera, focal_length_px=(focal, focal), skew_px=0.0, radial=(0.0,) * 8, decentering=(0.0,) * 4)
+    if options.paper.pose_start == "wahba":
+        return plain
+    posed = direct_linear_pose(plain, seen)
+    return posed if options.paper.fit_translation else replace(posed, translation=(0.0, 0.0, 0.0))
+
+
+def _minimised(
+    camera: Camera, seen: Observations, moving: IntArray, options: CalibrationOptions
+) -> tuple[Camera, FloatArray, FloatArray]:
+    """Return the camera at the minimum of Eq. 26, with the Jacobian and the residuals there."""
+    whole = replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
+    edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
+
+    def built(values: FloatArray) -> Camera:
+        vector = whole.to_vector()
+        vector[moving] = values
+        return whole.with_parameters(vector)
+
+    def misfit(values: FloatArray) -> FloatArray:
+        now = built(values)
+        pixels, _ = project_with_rows_fast(now, seen.directions)
+        off = np.nan_to_num(pixels - seen.pixels, nan=_UNREACHED_PX)
+        return np.concatenate([off.ravel(), penalties(now, options.paper, largest_angle=edge)])
+
+    def slopes(values: FloatArray) -> FloatArray:
+        now = built(values)
+        _, rows = project_with_rows_fast(now, seen.directions)
+        steps = _STEP * np.maximum(np.abs(values), 1e-2)
+        held = [penalties(built(values + s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
+        back = [penalties(built(values - s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
+        of_penalties = np.stack([(h - b) / (2.0 * s) for h, b, s in zip(held, back, steps, strict=True)], axis=-1)
+        return np.concatenate([rows[..., moving].reshape(-1, moving.size), of_penalties])
+
+    first = whole.to_vector()[moving]
+    found = least_squares(misfit, first, jac=slopes, method="lm", x_scale="jac", max_nfev=400)
+    return replace(built(found.x), max_angle=camera.max_angle), np.asarray(found.jac), np.asarray(found.fun)
+
+
+def _axes(steps: FloatArray) -> list[tuple[float, FloatArray]]:
+    return list(zip(steps.tolist(), np.eye(steps.size), strict=True))
