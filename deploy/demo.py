@@ -20,7 +20,10 @@ from typing import Any
 
 SITE = {"latitude": 36.604043, "longitude": -97.484856, "altitude": 318.0}  # ARM SGP, as in the paper
 FIRST_DAY = "2013-05-13"
+CAMERA_ADDRESS = "127.0.0.1"
 GVCP_PORT = 3956
+BUFFER_LIMIT = Path("/proc/sys/net/core/rmem_max")
+BUFFER_BYTES = 32 * 1024 * 1024
 CADENCE_S = 120.0
 POLL_S = 0.5
 START_WITHIN_S = 60.0
@@ -47,7 +50,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="deploy/demo", description=__doc__)
     parser.add_argument("--headless", action="store_true", help="end by itself once the days are over")
     parser.add_argument("--days", type=int, default=1, metavar="N", help="simulated days (default 1)")
-    parser.add_argument("--speed", type=float, default=300.0, metavar="X", help="times faster than real (default 300)")
+    parser.add_argument("--speed", type=float, default=240.0, metavar="X", help="times faster than real (default 240)")
     parser.add_argument("--port", type=int, default=8080, metavar="P", help="of the dashboard (default 8080)")
     parser.add_argument("--state", type=Path, metavar="DIR", help="an empty folder (default: a new one)")
     parser.add_argument("--until-calibrated", action="store_true", help="exit 0 only when a calibration is current")
@@ -64,11 +67,12 @@ def parse_arguments() -> argparse.Namespace:
 def run(options: argparse.Namespace) -> int:
     """Start the imager and the service, follow them, and leave the results in the state folder."""
     state = prepare_state(options.state)
-    address = free_camera_address()
-    config = write_config(state, address=address, options=options)
+    require_free_camera_port()
+    allow_whole_frames()
+    config = write_config(state, options)
     with ExitStack() as stack:
-        print(f"demo: simulated imager at {address}, {options.speed:g} times faster than real; state in {state}")
-        stack.enter_context(running("imager", simulate_command(state, address, options), log=state / "imager.log"))
+        print(f"demo: simulated imager at {CAMERA_ADDRESS}, {options.speed:g} times faster than real; state in {state}")
+        stack.enter_context(running("imager", simulate_command(state, options), log=state / "imager.log"))
         wait_for((state / "truth.json").exists, what="the simulated imager", log=state / "imager.log")
         stack.enter_context(running("service", serve_command(config), log=state / "service.log"))
         url = f"http://127.0.0.1:{options.port}"
@@ -95,20 +99,32 @@ def prepare_state(folder: Path | None) -> Path:
     return state
 
 
-def free_camera_address() -> str:
-    """Return a loopback address whose GigE Vision control port is free."""
-    for last in range(1, 33):
-        address = f"127.0.0.{last}"
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
-            try:
-                trial.bind((address, GVCP_PORT))
-            except OSError:
-                continue
-            return address
-    raise DemoError(f"UDP port {GVCP_PORT} is taken on every loopback address tried; end other simulated imagers")
+def require_free_camera_port() -> None:
+    """Raise when another imager answers on loopback already."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind((CAMERA_ADDRESS, GVCP_PORT))
+        except OSError:
+            raise DemoError(
+                f"UDP port {GVCP_PORT} at {CAMERA_ADDRESS} is taken; end the other simulated imager"
+            ) from None
 
 
-def write_config(state: Path, *, address: str, options: argparse.Namespace) -> Path:
+def allow_whole_frames() -> None:
+    """Let a socket hold a whole frame, as the package's sysctl setting does; it lasts until the next boot."""
+    if int(BUFFER_LIMIT.read_text()) >= BUFFER_BYTES:
+        return
+    setting = ["sysctl", "-q", "-w", f"net.core.rmem_max={BUFFER_BYTES}"]
+    command = setting if os.geteuid() == 0 else ["sudo", "-n", *setting]
+    if subprocess.run(command, capture_output=True, check=False).returncode == 0:
+        print(
+            f"demo: net.core.rmem_max is now {BUFFER_BYTES} until the next boot, so that no packet of a frame is lost"
+        )
+    else:
+        print(f"demo: frames may be lost; as root, run: {' '.join(setting)}")
+
+
+def write_config(state: Path, options: argparse.Namespace) -> Path:
     """Write the service's settings."""
     config = state / "sunarc.toml"
     config.write_text(
@@ -122,7 +138,7 @@ longitude = {SITE["longitude"]}
 altitude = {SITE["altitude"]}
 
 [camera]
-address = "{address}"
+address = "{CAMERA_ADDRESS}"
 pixel_format = "Mono12"
 packet_size = 60000
 packet_socket = false
@@ -146,10 +162,10 @@ port = {options.port}
     return config
 
 
-def simulate_command(state: Path, address: str, options: argparse.Namespace) -> list[str]:
+def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
     """Return the command line of the simulated imager."""
     return [
-        *("simulate", "--address", address, "--start", f"{FIRST_DAY}T12:00:00Z"),
+        *("simulate", "--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T12:00:00Z"),
         *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),
@@ -237,7 +253,7 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
         if line != shown:
             print(f"demo: {line}", flush=True)
             shown = line
-        if len(days) >= options.days and not refit_under_way(url):
+        if len(days) >= options.days and not refit_under_way(url, days):
             break
         time.sleep(POLL_S)
     calibration = get_or_none(f"{url}/v1/calibration")
@@ -249,9 +265,13 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
     return 0
 
 
-def refit_under_way(url: str) -> bool:
-    """Return whether a refit waits or runs."""
-    return any(refit["state"] in {"requested", "running"} for refit in get(f"{url}/v1/refits"))
+def refit_under_way(url: str, days: list[Any]) -> bool:
+    """Return whether the newest day was worth a refit whose end is not told yet."""
+    newest = max(days, key=lambda day: str(day["date"]))
+    if newest["verdict"] not in {"clear", "partly"}:
+        return False
+    events = get(f"{url}/v1/events")["events"]
+    return not any(event["kind"].startswith("refit_") and event["time"] >= newest["decided_at"] for event in events)
 
 
 def describe(days: list[Any], calibration: Any, status: Any) -> str:

@@ -44,15 +44,18 @@ def free_port() -> int:
         return int(trial.getsockname()[1])
 
 
-def free_camera_address() -> str:
-    for last in range(40, 80):
+def wait_for_camera_port(log: Path) -> None:
+    """Wait until no other test's imager is left on loopback."""
+
+    def free() -> bool:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
             try:
-                trial.bind((f"127.0.0.{last}", 3956))
+                trial.bind(("127.0.0.1", 3956))
             except OSError:
-                continue
-            return f"127.0.0.{last}"
-    pytest.fail("no loopback address is free")
+                return False
+            return True
+
+    wait_for(free, within_s=60.0, log=log)
 
 
 @contextmanager
@@ -91,7 +94,9 @@ def answers(port: int) -> bool:
 @pytest.mark.gige
 @pytest.mark.slow
 def test_kill_9_in_mid_day_loses_and_doubles_nothing_and_sigterm_ends_within_5_s(tmp_path: Path) -> None:
-    port, address, log = free_port(), free_camera_address(), tmp_path / "log"
+    port, address, log = free_port(), "127.0.0.1", tmp_path / "log"
+    log.touch()
+    wait_for_camera_port(log)
     database = tmp_path / "state" / "sunarc.sqlite"
     config = tmp_path / "sunarc.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state", address=address, port=port))
