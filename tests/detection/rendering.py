@@ -59,7 +59,7 @@ def disc_image(scene: Scene, cover: FloatArray | None = None) -> FloatArray:
     u, v = inverse[0, 0] * gx + inverse[0, 1] * gy, inverse[1, 0] * gx + inverse[1, 1] * gy
     square = u * u + v * v
     edge = np.hypot(*np.einsum("ij,i...->j...", inverse, np.stack([u, v]))) / np.maximum(np.sqrt(square), 1e-9) / over
-    share = np.clip((1 - np.sqrt(square)) / edge + 0.5, 0, 1)
+    share = np.clip((1 - np.sqrt(square)) / np.maximum(edge, 1e-9) + 0.5, 0, 1)
     fine = share * (1 - scene.limb * (1 - np.sqrt(np.clip(1 - square, 0, 1))))
     if cover is not None:
         fine = fine * cover_on(cover, u, v)

@@ -1,22 +1,34 @@
 """Where the sun is seen: in microsecond frames (`detect_sun`) and in ordinary images (the paper's estimators).
 
 Map: `values` in and out, `options`; `search` finds bright spots, `window` cuts them out, `template` renders the disc,
-`model` and `fit` fit it, `judge` says what it was, `detect` joins them.
+`model` and `fit` fit it, `judge` says what it was, `detect` joins them. For ordinary images: `estimators` and `paper`
+are Appendix A, `blob` and `circles` the bright region's shape, `bias` what its centre is off, `photo` the verdict.
 """
 
+from sunarc.detection.bias import Lens, radial_bias_px
 from sunarc.detection.detect import detect_sun
 from sunarc.detection.options import DiscOptions
+from sunarc.detection.paper import Estimates, Planes, locate, planes_of
+from sunarc.detection.photo import PaperOptions, detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
     "Bayer",
     "Detection",
     "DiscOptions",
+    "Estimates",
     "Expectation",
     "Image",
+    "Lens",
     "Method",
+    "PaperOptions",
+    "Planes",
     "Sensor",
     "Verdict",
     "bayer_of",
     "detect_sun",
+    "detect_sun_in_photo",
+    "locate",
+    "planes_of",
+    "radial_bias_px",
 ]

@@ -83,26 +83,23 @@ def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: Di
 
 
 def _search(image: Image, *, sensor: Sensor, options: DiscOptions) -> Detection:
-    """Search the whole frame; of several discs the brightest must stand alone."""
+    """Search the whole frame; the brightest spot must stand out, and stand alone."""
     reach = math.ceil(1.5 * options.max_radius_px)
     spots = brightest_spots(image, count=_CANDIDATES, reach=reach, floor=_floor(sensor, options))
     if not spots:
         return _dark(image, sensor, options)
-    rivals = [spot for spot in spots if spot.contrast > 0.3 * spots[0].contrast]
-    found = [_fitted(image, spot, None, sensor=sensor, expectation=None, options=options) for spot in rivals]
-    believed = sorted((d for d in found if d.accepted), key=_flux, reverse=True)
-    if len(believed) > 1 and _flux(believed[1]) > 0.5 * _flux(believed[0]):
-        return replace(
-            believed[0],
-            accepted=False,
-            verdict="reflection",
-            reason="two discs of like brightness, one is a reflection",
-        )
-    return believed[0] if believed else found[0]
-
-
-def _flux(detection: Detection) -> float:
-    return (detection.peak_fraction or 0.0) * (detection.radius_px or 0.0) ** 2
+    first = spots[0]
+    if first.contrast < 0.5 * (first.level - sensor.black_level):
+        return _none("hidden", f"nothing stands out: the brightest region is at {first.level / sensor.full_scale:.3f}")
+    found = _fitted(image, first, None, sensor=sensor, expectation=None, options=options)
+    rivals = [
+        s for s in spots[1:] if s.contrast > 0.3 * first.contrast and s.semi_axes[1] > 0.7 * options.min_radius_px
+    ]
+    if found.accepted and rivals:
+        where = ", ".join(f"({spot.x:.0f}, {spot.y:.0f})" for spot in rivals)
+        reason = f"as bright elsewhere, at {where}: one of them is a reflection, or all are clouds"
+        return replace(found, accepted=False, verdict="reflection", reason=reason)
+    return found
 
 
 def _floor(sensor: Sensor, options: DiscOptions) -> float:

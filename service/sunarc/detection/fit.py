@@ -27,7 +27,7 @@ from sunarc.detection.template import SunSources
 from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
 
-_STEPS = 25
+_STEPS = 15
 _CONVERGED_PX = 2e-4
 _OUTLIER = 6.0
 _OUTLIER_SHARE = 0.01
@@ -107,7 +107,7 @@ def fit_disc(
 
 def _chi2(evaluation: Evaluation) -> float:
     """Return the reduced chi²."""
-    count, parameters = evaluation.jacobian.shape
+    count, parameters = int(evaluation.jacobian.shape[0]), int(evaluation.jacobian.shape[1])
     return float(evaluation.weight @ evaluation.residual**2) / max(count - parameters, 1)
 
 

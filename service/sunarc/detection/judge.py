@@ -12,6 +12,7 @@ from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
 _TIGHT_PX = 1.0
+_UNEXPECTED_LEVEL, _UNEXPECTED_RESIDUAL, _UNEXPECTED_SIGMA_PX = 0.08, 0.01, 0.03
 _SIGNIFICANT = 16.0  # chi² of four parameters
 
 
@@ -59,12 +60,22 @@ def _odd_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
 def _elsewhere(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:
-    del options, sensor
+    del options
     if expectation is None:
-        return None
+        return _unlikely(fit, sensor)
     distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
     if distance > _TIGHT_PX + 5.0 * expectation.uncertainty_px:
         return "reflection", f"a disc {distance:.1f} px from where the sun should be"
+    return None
+
+
+def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, str] | None:
+    """Judge a disc that nobody expected: the moon and small clouds are discs too, but none so bright and so clean."""
+    if fit.level < _UNEXPECTED_LEVEL * sensor.full_scale:
+        return "hidden", f"a disc of {fit.level / sensor.full_scale:.3f} of full scale, too faint to be the sun unasked"
+    poor = fit.residual > _UNEXPECTED_RESIDUAL or (fit.chi2 > 3.0 and fit.residual > 0.3 * _UNEXPECTED_RESIDUAL)
+    if poor or fit.sigma_px > _UNEXPECTED_SIGMA_PX:
+        return "hidden", f"hardly a disc: residuals {fit.residual:.3f} of its level, known to {fit.sigma_px:.3f} px"
     return None
 
 

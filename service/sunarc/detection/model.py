@@ -21,6 +21,8 @@ PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 """Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""
 
 
+_STEPPED = 0.1  # counts²
+
 _MOVED = [template.BY_X, template.BY_Y, template.BY_PSF, -1, template.BY_S11, template.BY_S12, template.BY_S22]
 
 
@@ -133,8 +135,10 @@ def _linear_columns(problem: Problem, planes: FloatArray) -> FloatArray:
 
 
 def _variance(sensor: Sensor, level: FloatArray) -> FloatArray:
+    """Return the variance in counts²; where noise is too small to blur the steps, rounding errs by up to 1/4."""
     gain = sensor.gain_e_per_count
-    return (sensor.read_noise_e / gain) ** 2 + np.maximum(level, 0.0) / gain + 1.0 / 12.0
+    noise = (sensor.read_noise_e / gain) ** 2 + np.maximum(level, 0.0) / gain
+    return np.asarray(np.where(noise < _STEPPED, 0.25, noise + 1.0 / 12.0))
 
 
 def evaluate(problem: Problem, state: State) -> Evaluation:

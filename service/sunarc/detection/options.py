@@ -40,11 +40,11 @@ class DiscOptions:
     min_peak_fraction: float = 0.01
     min_snr: float = 12.0
     min_radius_px: float = 1.2
-    max_radius_px: float = 30.0
+    max_radius_px: float = 10.0
     max_ellipticity: float = 0.6
     max_uneven_px: float = 0.03
-    max_residual_fraction: float = 0.06
-    max_sigma_px: float = 0.1
+    max_residual_fraction: float = 0.02
+    max_sigma_px: float = 0.06
     veiled_below: float = 0.5
     max_apparent_zenith_deg: float = 89.6
 

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, BY_S22 = range(11)
 """Planes of `render_disc`."""
 
+_MOST_RINGS = 24
 _REACH = 6.0  # point-spread widths beyond which a source is dark
 
 
@@ -58,7 +59,7 @@ def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Su
 
 def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Sources:
     """Return sources dense enough that a disc of this radius shows no grain through this point spread."""
-    rings = max(4, math.ceil(1.4 * radius_px / psf_px))
+    rings = min(max(4, math.ceil(1.4 * radius_px / psf_px)), _MOST_RINGS)
     nodes, node_weights = _legendre(rings)
     radii = 0.5 * (nodes + 1.0)
     ring_weights = node_weights * radii * (1.0 - limb_darkening * (1.0 - np.sqrt(1.0 - radii**2)))

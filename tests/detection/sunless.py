@@ -1,0 +1,68 @@
+"""Frames without a sun: night, overcast, hot pixels, bright cloud edges, the moon."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from tests.detection.rendering import FloatArray, Image, Scene, disc_image, equisolid_stretch, read_out
+
+KINDS = ("night", "overcast", "hot", "cloud_edge", "glint_blobs", "moon")
+
+
+def sunless(kind: str, rng: np.random.Generator, *, size: int = 128) -> Image:
+    """Return a 12-bit frame of a kind, drawn at random."""
+    scene = Scene(shape=(size, size), bits=int(rng.choice([8, 12])))
+    light = np.full((size, size), rng.uniform(0.0, 0.01))
+    if kind in {"overcast", "cloud_edge"}:
+        light = light + _clouds(rng, size, sharp=kind == "cloud_edge")
+    if kind == "glint_blobs":
+        for _ in range(3):
+            light = light + _blob(rng, size)
+    if kind == "moon":
+        light = light + _moon(rng, size)
+    image = read_out(light, scene, rng)
+    return _with_hot_pixels(image, scene, rng) if kind in {"hot", "night", "cloud_edge"} else image
+
+
+def _clouds(rng: np.random.Generator, size: int, *, sharp: bool) -> FloatArray:
+    texture = gaussian_filter(rng.normal(size=(size, size)), rng.uniform(2.0, 12.0), mode="wrap")
+    texture /= texture.std()
+    level = 10.0 ** rng.uniform(-2.0, 0.3)
+    if sharp:
+        islands = (texture > rng.uniform(0.0, 2.0)).astype(float)
+        return np.asarray(level * gaussian_filter(islands, rng.uniform(0.3, 2.0)))
+    return np.asarray(level * np.clip(1.0 + 0.3 * texture, 0.0, None))
+
+
+def _blob(rng: np.random.Generator, size: int) -> FloatArray:
+    rows, columns = np.mgrid[:size, :size]
+    x, y = rng.uniform(10, size - 10, 2)
+    wide, narrow, angle = rng.uniform(2.5, 15.0), rng.uniform(0.2, 1.0), rng.uniform(0, math.pi)
+    u = (columns - x) * math.cos(angle) + (rows - y) * math.sin(angle)
+    v = (rows - y) * math.cos(angle) - (columns - x) * math.sin(angle)
+    return np.asarray(10.0 ** rng.uniform(-2, 1) * np.exp(-0.5 * ((u / wide) ** 2 + (v / (narrow * wide)) ** 2)))
+
+
+def _moon(rng: np.random.Generator, size: int) -> FloatArray:
+    """Return the moon: no limb darkening, dark maria, a terminator, earthshine none."""
+    stretch = equisolid_stretch(zenith_deg=rng.uniform(10, 80), azimuth_deg=rng.uniform(0, 360))
+    scene = Scene(
+        shape=(size, size), x=rng.uniform(30, size - 30), y=rng.uniform(30, size - 30), stretch=stretch, limb=0.0
+    )
+    angle = rng.uniform(0, 2 * math.pi)
+    cover = np.array([math.cos(angle), math.sin(angle), rng.uniform(-1.0, 0.85), 0.03, 0.0])
+    maria = 1.0 - 0.4 * gaussian_filter((rng.random((size, size)) > 0.5).astype(float), 1.0)
+    return np.asarray(10.0 ** rng.uniform(-2, 0.5) * disc_image(scene, cover) * maria)
+
+
+def _with_hot_pixels(image: Image, scene: Scene, rng: np.random.Generator) -> Image:
+    hot: NDArray[np.integer] = rng.integers(0, scene.shape[0], (rng.integers(1, 20), 2))
+    out = image.copy()
+    for y, x in hot:
+        out[y, x] = rng.integers(1, 2**scene.bits)
+        if rng.random() < 0.2:
+            out[y, min(x + 1, scene.shape[1] - 1)] = rng.integers(1, 2**scene.bits)
+    return out
