@@ -36,6 +36,7 @@ class DemoError(Exception):
 def main() -> int:
     """Run the demo and return its exit code: 0 done, 1 not calibrated, 2 usage, 3 something outside failed."""
     options = parse_arguments()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # both end the imager and the service on the way out
     try:
         return run(options)
     except DemoError as error:

@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import logging
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -49,6 +50,8 @@ class FakeCamera:
         self._handle = handle
         self._camera = library.arv_gv_fake_camera_get_fake_camera(handle)
         self._callback: object = None
+        self._lock = threading.Lock()
+        self._closed = False
 
     def read(self, address: int) -> int:
         """Return the register at an address."""
@@ -79,6 +82,11 @@ class FakeCamera:
         """
 
         def called(buffer: int, _: object, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
+            with self._lock:
+                if not self._closed:
+                    answer(buffer, exposure_us, gain_steps, pixel_format)
+
+        def answer(buffer: int, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
             try:
                 addresses = (genicam.OFFSET_X, genicam.OFFSET_Y, genicam.WIDTH, genicam.HEIGHT)
                 x, y, width, height = (self.read(address) for address in addresses)
@@ -89,6 +97,14 @@ class FakeCamera:
 
         self._callback = _FILL(called)  # kept for as long as the library may call it
         self._library.arv_fake_camera_set_fill_pattern(self._camera, self._callback, None, None)
+
+    def close(self) -> None:
+        """Let a frame that is being filled be the last one.
+
+        A call that held the camera while it is let go would end it in its own thread, which then waits for itself.
+        """
+        with self._lock:
+            self._closed = True
 
     def _write_frame(self, buffer: int, image: Counts, timestamp_ns: int) -> None:
         # the library has compared the buffer with what the registers say; a larger image would end the process
@@ -125,7 +141,10 @@ def fake_camera(*, address: str, serial: str, description: str) -> Iterator[Fake
                 )
             camera = FakeCamera(library, handle)
             library.arv_fake_camera_set_trigger_frequency(camera._camera, _TRIGGER_POLLS_PER_S)  # noqa: SLF001 - its maker
-            yield camera
+            try:
+                yield camera
+            finally:
+                camera.close()
         finally:
             if handle:
                 library.g_object_unref(handle)
