@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope
+from sunarc.optics.inverse import unproject
 from sunarc.optics.kernels import PROJECTION_CODES, directions_of, pixels_and_rows_of, pixels_of
 from sunarc.optics.pose import right_jacobian, rotation_matrix
 from sunarc.optics.projections import angle_limit
@@ -19,6 +20,7 @@ FloatArray = NDArray[np.float64]
 
 _PIECES = 1024
 _NEWTON = 12
+_TABLE_ERROR = 3e-10
 _SMALLEST_ERROR = 1e-10
 _MOST_ROUNDS = 60
 
@@ -51,15 +53,20 @@ class InverseTable:
 
     Attributes
     ----------
+    camera : the camera.
     constants : (12,) inverse focal lengths, skew, principal point, mirror, p1 … p4, pieces per radius, largest radius.
     rotation : (3, 3) from east-north-up to the camera.
     pieces : (n, 8) coefficients.
+    exact_below : cosine of the angle off the axis below which the lens hardly rises and the table is too coarse:
+        there the exact inverse answers.
     rounds : fixed-point rounds that take out the decentering.
     """
 
     constants: FloatArray
+    camera: Camera
     rotation: FloatArray
     pieces: FloatArray
+    exact_below: float
     rounds: int
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
@@ -68,6 +75,9 @@ class InverseTable:
         flat = np.ascontiguousarray(pixel.reshape(-1, 2))
         result = np.empty((flat.shape[0], 3))
         directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, result)
+        if self.exact_below > -1.0:
+            steep = result @ self.rotation[2] < self.exact_below
+            result[steep] = unproject(self.camera, flat[steep])
         return result.reshape(*pixel.shape[:-1], 3)
 
 
@@ -102,11 +112,23 @@ def inverse_table(camera: Camera) -> InverseTable:
         ]
     )
     return InverseTable(
+        camera=camera,
         constants=constants,
         rotation=rotation_matrix(camera.rotation_cam_enu),
         pieces=np.ascontiguousarray(pieces),
+        exact_below=_exact_below(camera, pieces, radius, limit),
         rounds=_rounds(camera, largest),
     )
+
+
+def _exact_below(camera: Camera, pieces: FloatArray, radius: FloatArray, limit: float) -> float:
+    """Return the cosine at the first piece whose middle is off by more than a billionth; -1 where there is none."""
+    middle = 0.5 * (radius[1:] + radius[:-1])
+    half = 0.5 ** np.arange(4)
+    theta = _angles(camera, middle, limit)
+    off = np.abs(pieces[:, :4] @ half * middle - np.sin(theta)) + np.abs(pieces[:, 4:] @ half - np.cos(theta))
+    coarse = np.flatnonzero(off > _TABLE_ERROR)
+    return math.cos(float(_angles(camera, radius[coarse[:1]], limit)[0])) if coarse.size else -1.0
 
 
 def _mirror(camera: Camera) -> float:
