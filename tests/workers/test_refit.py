@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
+from sunarc.board import StatusBoard
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
+from sunarc.clock import SystemClock, VirtualClock
+from sunarc.optics import project
+from sunarc.simulation import SGP, true_camera
+from sunarc.sky import sun_angles, sun_directions
+from sunarc.workers import RefitOptions, RefitWorker
+from sunarc.workers import refit as refit_module
+from sunarc.workers.solve import Problem, SolveFailedError, solve_in_child
+
+NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
+SIZE = (1748, 1748)
+
+
+def sightings(*, every_s: float = 240.0, sigma_px: float = 0.02) -> SunPoints:
+    times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, every_s)
+    times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
+    noise = np.random.default_rng(3).normal(0.0, sigma_px, (times.size, 2))
+    return SunPoints(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
+
+
+@pytest.fixture(scope="module")
+def good() -> Calibration:
+    return calibrate(sightings(), site=SGP, image_size=SIZE)
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Archive:
+    upgrade(tmp_path / "sunarc.sqlite")
+    opened = open_archive(tmp_path / "sunarc.sqlite")
+    opened.save_camera(
+        CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
+    )
+    points = sightings()
+    epoch = opened.epoch_at("roof", datetime.fromtimestamp(points.unix_s[0], UTC), reason="first frame")
+    opened.add_sun_points(
+        SunPoint(
+            camera="roof",
+            pose_epoch=epoch.id,
+            time=datetime.fromtimestamp(time, UTC),
+            method="disc",
+            accepted=True,
+            verdict="clear",
+            x_px=x,
+            y_px=y,
+        )
+        for time, (x, y) in zip(points.unix_s.tolist(), points.pixels.tolist(), strict=True)
+    )
+    return opened
+
+
+@pytest.fixture
+def worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWorker:
+    return RefitWorker(
+        archive=archive,
+        camera="roof",
+        site=SGP,
+        options=RefitOptions(),
+        calibration=CalibrationOptions(),
+        clock=clock,
+        now=lambda: NOW,
+        board=board,
+    )
+
+
+Answer = Calibration | SolveFailedError | None
+Carry = Callable[[str, Answer], Refit]
+
+
+@pytest.fixture
+def carry_out(worker: RefitWorker, archive: Archive, monkeypatch: pytest.MonkeyPatch) -> Carry:
+    """Carry one refit out with a solve that is already known."""
+
+    def carry(name: str, answer: Answer) -> Refit:
+        def solved(*_: object, **__: object) -> Calibration | None:
+            if isinstance(answer, SolveFailedError):
+                raise answer
+            return answer
+
+        monkeypatch.setattr(refit_module, "solve_in_child", solved)
+        refit = archive.add_refit(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
+        worker.carry_out(refit, threading.Event(), lambda: None)
+        return archive.refit(refit.id)
+
+    return carry
+
+
+def test_the_first_accepted_fit_becomes_current_from_the_epochs_beginning(
+    carry_out: Carry, archive: Archive, good: Calibration, board: StatusBoard
+) -> None:
+    refit = carry_out("a", good)
+    current = archive.current_calibration("roof")
+    assert refit.state == "accepted"
+    assert current is not None
+    assert current.id == refit.calibration
+    (epoch,) = archive.epochs("roof")
+    assert current.valid_from == epoch.started_at
+    assert "no_calibration" not in {reason.code for reason in board.snapshot().reasons}
+
+
+def test_a_worse_fit_is_refused_kept_and_served_to_nobody(
+    carry_out: Carry, archive: Archive, good: Calibration
+) -> None:
+    first = carry_out("a", good)
+    worse = replace(good, sky_rms_deg=3.0 * good.sky_rms_deg)
+    second = carry_out("b", worse)
+    assert second.state == "refused"
+    current = archive.current_calibration("roof")
+    assert current is not None
+    assert current.id == first.calibration
+    assert second.calibration is not None
+    kept = archive.calibration(second.calibration)
+    assert kept.state == "refused"
+    assert kept.parent == first.calibration
+    assert "less sure of the sky" in kept.reasons[0]
+    assert archive.events("roof")[0].kind == "refit_refused"
+
+
+def test_a_fit_that_refuses_itself_is_kept_with_its_reasons(
+    carry_out: Carry, archive: Archive, good: Calibration
+) -> None:
+    refused = replace(good, verdict=Verdict(accepted=False, reasons=("tilted by 30 degrees",)))
+    refit = carry_out("a", refused)
+    assert (refit.state, refit.message) == ("refused", "tilted by 30 degrees")
+    assert archive.current_calibration("roof") is None
+
+
+def test_a_solve_that_fails_is_told_and_changes_nothing(carry_out: Carry, archive: Archive) -> None:
+    refit = carry_out("a", SolveFailedError("the solve took longer than 1 s"))
+    assert (refit.state, refit.message) == ("failed", "the solve took longer than 1 s")
+    assert archive.calibrations("roof") == ()
+
+
+def test_a_refit_that_was_cut_short_waits_to_be_begun_again(carry_out: Carry, archive: Archive) -> None:
+    refit = carry_out("a", None)
+    assert refit.state == "running"
+    assert [waiting.id for waiting in archive.refits("roof", unfinished=True)] == [refit.id]
+
+
+def solve(*, time_limit_s: float = 120.0, stop: threading.Event | None = None) -> Calibration | None:
+    problem = Problem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
+    return solve_in_child(
+        problem,
+        clock=SystemClock(),
+        time_limit_s=time_limit_s,
+        stop=stop or threading.Event(),
+        heartbeat=lambda: None,
+    )
+
+
+@pytest.mark.slow
+def test_the_child_process_answers_what_the_function_answers() -> None:
+    answer = solve()
+    assert answer is not None
+    here = calibrate(sightings(every_s=1200.0), site=SGP, image_size=SIZE)
+    assert answer.camera == here.camera
+
+
+def test_a_solve_beyond_its_time_limit_is_ended() -> None:
+    with pytest.raises(SolveFailedError, match=r"took longer than 0\.1 s"):
+        solve(time_limit_s=0.1)
+
+
+def test_a_solve_ends_when_the_service_stops() -> None:
+    stop = threading.Event()
+    stop.set()
+    assert solve(stop=stop) is None
