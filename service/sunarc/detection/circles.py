@@ -22,7 +22,8 @@ _LEAST_SCALE_PX = 0.5
 class Circle(NamedTuple):
     """A circle through the outline of a level set.
 
-    x, y, radius : px. share : of its angles at which the outline follows it. scatter : of the outline there, px.
+    x, y, radius : px. share : of its angles at which the outline follows it. scatter : typical distance of the outline
+    from it there, px.
     """
 
     x: float
@@ -93,5 +94,5 @@ def _fitted(points: FloatArray, start: Circle) -> Circle:
     followed = np.abs(residual) < max(_CUT * _LEAST_SCALE_PX, 0.1 * radius)
     angle = np.arctan2(points[followed, 1] - y, points[followed, 0] - x)
     sectors = np.unique(np.floor((angle + math.pi) / (2.0 * math.pi) * 72.0).astype(int))
-    scatter = float(np.sqrt(np.mean(residual[followed] ** 2))) if followed.any() else radius
+    scatter = 1.4826 * float(np.median(np.abs(residual[followed]))) if followed.any() else radius
     return Circle(x, y, radius, min(len(sectors), 72) / 72.0, scatter)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.detection.fit import fit_disc
+from sunarc.detection.fit import DiscFit, fit_disc
 from sunarc.detection.frames import require_raw
-from sunarc.detection.judge import detection_of, verdict_of
+from sunarc.detection.judge import detection_of, is_flat, verdict_of
 from sunarc.detection.model import Prior
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.search import Spot, brightest_spots, symmetric_root
@@ -155,14 +155,19 @@ def _fitted(
             saturated_px=window.saturated_px,
             peak_fraction=1.0,
         )
-    sources = sun_sources(
-        radius_px=math.sqrt(np.linalg.det(start)), psf_px=options.psf_px, limb_darkening=options.limb_darkening
-    )
     prior = Prior(math.log(options.psf_px), options.psf_tolerance, options.wings_tolerance, free_stretch=axes is None)
-    fit = fit_disc(window, start=(spot.x, spot.y), shapes=shapes, sources=sources, sensor=sensor, prior=prior)
+    radius_px = math.sqrt(np.linalg.det(start))
+
+    def fitted_with(limb_darkening: float) -> DiscFit | None:
+        sources = sun_sources(radius_px=radius_px, psf_px=options.psf_px, limb_darkening=limb_darkening)
+        return fit_disc(window, start=(spot.x, spot.y), shapes=shapes, sources=sources, sensor=sensor, prior=prior)
+
+    fit = fitted_with(options.limb_darkening)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
+    if verdict[1] and expectation is None and not window.saturated_px and is_flat(fit, fitted_with(0.0)):
+        verdict = ("hidden", False, "a disc without the sun's darker limb: the moon, or a lamp")
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 
@@ -174,9 +179,11 @@ def _first_shapes(
     if axes is not None:
         return [(factor * options.psf_px, axes) for factor in (_WIDTHS if saturated else (1.0,))]
     values, vectors = np.linalg.eigh(spot.axes)
-    halos = [halo * options.psf_px for halo in (_HALOS if saturated else (0.0,))]
-    sizes = [np.clip(values - halo, options.min_radius_px, options.max_radius_px) for halo in halos]
-    return [(options.psf_px, np.asarray((vectors * size) @ vectors.T)) for size in sizes]
+    if not saturated:
+        sizes = np.clip(values, options.min_radius_px, options.max_radius_px)
+        return [(factor * options.psf_px, np.asarray((vectors * sizes) @ vectors.T)) for factor in _WIDTHS]
+    smaller = [np.clip(values - h * options.psf_px, options.min_radius_px, options.max_radius_px) for h in _HALOS]
+    return [(options.psf_px, np.asarray((vectors * sizes) @ vectors.T)) for sizes in smaller]
 
 
 def _all_saturated(window: Window) -> bool:

@@ -30,7 +30,8 @@ from sunarc.detection.window import Window
 _STEPS = 15
 _CONVERGED_PX = 2e-4
 _OUTLIER = 6.0
-_OUTLIER_SHARE = 0.01
+_MOST_OUTLIERS = 3
+_CLEANINGS = 3
 _POOR = 1.3  # reduced chi² from which on the point spread is given wings
 
 
@@ -95,8 +96,10 @@ def fit_disc(
         return None
     first = min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
     state, evaluation, converged = _solve(problem, *first)
-    bad = _outliers(evaluation)
-    if bad.any():
+    for _ in range(_CLEANINGS):
+        bad = _outliers(evaluation)
+        if not bad.any():
+            break
         problem = without(problem, bad)
         state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
     if _chi2(evaluation) > _POOR:
@@ -148,9 +151,8 @@ def _outliers(evaluation: Evaluation) -> NDArray[np.bool_]:
     """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
     typical = 1.4826 * float(np.median(deviation))
-    bad = deviation > _OUTLIER * max(1.0, typical)
-    few = np.count_nonzero(bad) <= max(3, _OUTLIER_SHARE * bad.size)
-    return bad if few else np.zeros_like(bad)
+    bad = deviation > max(_OUTLIER * max(1.0, typical), 0.5 * float(deviation.max()))
+    return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
 
 def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converged: bool) -> DiscFit:

@@ -79,6 +79,11 @@ def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, str] | None:
     return None
 
 
+def is_flat(fit: DiscFit, flat: DiscFit | None) -> bool:
+    """Return whether a disc of even brightness explains the pixels clearly better than a limb-darkened one."""
+    return flat is not None and flat.chi2 * flat.used_px < fit.chi2 * fit.used_px - _SIGNIFICANT
+
+
 def _covered(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:

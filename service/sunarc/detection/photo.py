@@ -32,7 +32,7 @@ class PaperOptions:
     max_radius_fraction : a blob wider than this share of the image's smaller side is no sun.
     min_share : share of its circle that a level set's outline must follow.
     max_spread_px : largest rms distance between the level sets' centres.
-    max_disagreement_px : largest distance between their centre and the paper's medians, beyond a tenth of the radius.
+    max_scatter : the outline's typical distance from its circle, over the radius.
     max_growth : radius of the lowest level set over the highest's, above which the edge is no edge.
     sigma_px : 1-sigma per axis of an accepted position, at least (the paper finds 0.43 px).
     max_apparent_zenith_deg : a lower sun is below the horizon.
@@ -44,7 +44,7 @@ class PaperOptions:
     max_radius_fraction: float = 0.08
     min_share: float = 0.6
     max_spread_px: float = 1.5
-    max_disagreement_px: float = 3.0
+    max_scatter: float = 0.03
     max_growth: float = 2.5
     sigma_px: float = 0.43
     max_apparent_zenith_deg: float = 89.6
@@ -76,6 +76,10 @@ class _Seen(NamedTuple):
     @property
     def share(self) -> float:
         return float(np.median([c.share for c in self.circles]))
+
+    @property
+    def scatter(self) -> float:
+        return float(np.median([c.scatter / c.radius for c in self.circles]))
 
     @property
     def growth(self) -> float:
@@ -136,7 +140,7 @@ def detect_sun_in_photo(
     estimates = _estimates(planes, seen, zenith, options)
     if seen is None or estimates is None:
         return _none("hidden", "no bright region is round", exposure_us, peak)
-    verdict, reason = _verdict(seen, estimates, expectation, options)
+    verdict, reason = _verdict(seen, expectation, options)
     return _detection(seen, estimates, (verdict, reason), planes, options=options, lens=lens, exposure_us=exposure_us)
 
 
@@ -193,9 +197,7 @@ def _halo(part: Plane, center: tuple[float, float], radius: float) -> float:
     return float(np.median(ring)) if ring.size else 0.0
 
 
-def _verdict(
-    seen: _Seen, estimates: Estimates, expectation: Expectation | None, options: PaperOptions
-) -> tuple[Verdict, str]:
+def _verdict(seen: _Seen, expectation: Expectation | None, options: PaperOptions) -> tuple[Verdict, str]:
     x, y = seen.center
     if expectation is not None:
         distance = math.hypot(x - expectation.x_px, y - expectation.y_px)
@@ -203,6 +205,8 @@ def _verdict(
             return "reflection", f"a round bright region {distance:.0f} px from where the sun should be"
     if seen.share < options.min_share:
         return "partly_covered", f"only {seen.share:.2f} of the bright region's outline is a circle"
+    if seen.scatter > options.max_scatter:
+        return "veiled", f"the bright region's outline strays from a circle by {seen.scatter:.3f} of its radius"
     if seen.spread_px > options.max_spread_px:
         return "veiled", f"the centre moves by {seen.spread_px:.1f} px from level to level"
     if seen.growth > options.max_growth or len(seen.circles) < 4:
@@ -210,10 +214,6 @@ def _verdict(
             "veiled",
             f"the bright region has no edge: it grows {seen.growth:.1f}-fold over {len(seen.circles)} levels",
         )
-    x_paper, y_paper = estimates.position
-    apart = math.hypot(x - x_paper, y - y_paper)
-    if apart > options.max_disagreement_px + 0.1 * seen.radius:
-        return "veiled", f"the estimators disagree by {apart:.1f} px"
     return "clear", f"a round bright region of {2.0 * seen.radius:.0f} px, its levels agree to {seen.spread_px:.2f} px"
 
 

@@ -1,0 +1,73 @@
+"""Ordinary photographs without site or calibration."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.detection.photographs import Photograph, photograph
+
+from sunarc.detection import Expectation, detect_sun_in_photo
+
+
+def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:  # noqa: ANN401 - the scene's own fields
+    """Return the distance to the sun and whether it was accepted, for every picture with a position."""
+    rng, found = np.random.default_rng(seed), []
+    for _ in range(count):
+        picture = Photograph(zenith_deg=rng.uniform(10, 75), azimuth_deg=rng.uniform(0, 360), **scene)
+        seen = detect_sun_in_photo(photograph(picture, rng), full_scale=255)
+        if seen.x_px is not None and seen.y_px is not None:
+            x, y = picture.sun_px
+            found.append((math.hypot(seen.x_px - x, seen.y_px - y), seen.accepted))
+    return found
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param({}, id="clear"),
+        pytest.param({"streaks": 4}, id="streaks"),
+        pytest.param({"contrails": 3}, id="contrails"),
+        pytest.param({"bright_cloud": True}, id="saturated cloud beside the sun"),
+        pytest.param({"ghost": True}, id="reflection opposite the sun"),
+        pytest.param({"quality": 60}, id="poor JPEG"),
+    ],
+)
+def test_the_sun_is_found_to_two_pixels(scene: dict[str, Any]) -> None:
+    found = errors(5, **scene)
+    assert len(found) >= 4
+    assert np.median([distance for distance, _ in found]) < 2.0
+    assert all(distance < 5.0 for distance, accepted in found if accepted)
+
+
+@pytest.mark.parametrize("scene", [{}, {"streaks": 4}, {"ghost": True}])
+def test_most_clear_suns_are_accepted(scene: dict[str, Any]) -> None:
+    assert sum(accepted for _, accepted in errors(5, **scene)) >= 4
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"thin_cloud": 0.5},
+        {"thin_cloud": 1.0, "aureole": 4.0},
+        {"thin_cloud": 1.5, "aureole": 4.0, "sun": 5.0},
+        {"aureole": 4.0},
+    ],
+)
+def test_a_blob_pulled_off_the_sun_is_not_accepted(scene: dict[str, Any]) -> None:
+    assert not [distance for distance, accepted in errors(6, **scene) if accepted and distance > 5.0]
+
+
+@pytest.mark.parametrize("level", [0, 100, 255])
+def test_a_blank_picture_holds_no_sun(level: int) -> None:
+    seen = detect_sun_in_photo(np.full((300, 300, 3), level, np.uint8), full_scale=255)
+    assert not seen.accepted
+
+
+def test_a_sun_far_from_the_expectation_is_not_accepted() -> None:
+    picture = Photograph()
+    expectation = Expectation(x_px=picture.sun_px[0] - 200.0, y_px=picture.sun_px[1], uncertainty_px=3.0)
+    image = photograph(picture, np.random.default_rng(1))
+    assert not detect_sun_in_photo(image, full_scale=255, expectation=expectation).accepted
