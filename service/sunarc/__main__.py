@@ -21,6 +21,7 @@ from sunarc.clock import SystemClock
 from sunarc.errors import ConfigurationError, InputError, SunarcError
 from sunarc.settings import load_settings
 from sunarc.sky import Site
+from sunarc.studies.command_line import study_cli
 
 _SITE = "Where the camera stands"
 
@@ -35,6 +36,7 @@ points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of
 db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
 cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
+cli.add_typer(study_cli, name="study")
 
 Config = Annotated[
     Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)

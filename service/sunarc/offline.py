@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
@@ -41,6 +40,7 @@ from sunarc.detection import Detection, DiscOptions, Sensor, detect_sun
 from sunarc.errors import InputError
 from sunarc.settings import Settings
 from sunarc.sky import Site, angles_from_direction, direction_from_angles
+from sunarc.studies import write_calibration_plots
 
 _DIRECTION_PLACES = 10
 _PIXEL_PLACES = 8
@@ -61,7 +61,7 @@ def calibrate_file(
     points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
     solved = calibrate(points, site=site, image_size=image_size, options=options)
     if plots is not None:
-        _draw(solved, points, folder=plots)
+        write_calibration_plots(solved, points, folder=plots)
     now = clock.now()
     first = datetime.fromtimestamp(float(table.unix_s.min()), UTC) if table.unix_s.size else now
     return to_document(
@@ -192,23 +192,6 @@ def backup_database(state: Path, target: Path) -> str:
 def database_of(state: Path) -> Path:
     """Return the database file of a state folder."""
     return state / "sunarc.sqlite"
-
-
-def _draw(calibration: Calibration, points: SunPoints, *, folder: Path) -> None:
-    from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the service never needs matplotlib
-
-    with _writing(folder):
-        write_calibration_plots(calibration, points, folder=folder)
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            field=str(folder), problem=error.strerror or str(error), remedy="name a folder that can be written to"
-        ) from None
 
 
 def _detected(path: Path, *, method: str) -> dict[str, Any]:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from sunarc.calibration import Calibration, SunPoints
-from sunarc.studies.drawing import save_png
-from sunarc.studies.residual_plot import residual_figure
+from sunarc.studies.reports import writing_into
 from sunarc.studies.residuals import residuals_of
-from sunarc.studies.sky_plot import sky_figure
 
 
 def write_calibration_plots(calibration: Calibration, points: SunPoints, *, folder: Path) -> tuple[Path, ...]:
@@ -23,10 +21,19 @@ def write_calibration_plots(calibration: Calibration, points: SunPoints, *, fold
     Returns
     -------
     The files: `residuals.png` and `sky.png`.
+
+    Raises
+    ------
+    InputError
+        Where they cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - matplotlib is loaded when something is drawn
+    from sunarc.studies.residual_plot import residual_figure  # noqa: PLC0415 - same
+    from sunarc.studies.sky_plot import sky_figure  # noqa: PLC0415 - same
+
     residuals = residuals_of(calibration, points)
-    return (
-        save_png(residual_figure(calibration, residuals), folder / "residuals.png"),
-        save_png(sky_figure(calibration, residuals), folder / "sky.png"),
-    )
+    with writing_into(folder):
+        return (
+            save_png(residual_figure(calibration, residuals), folder / "residuals.png"),
+            save_png(sky_figure(calibration, residuals), folder / "sky.png"),
+        )

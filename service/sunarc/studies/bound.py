@@ -1,0 +1,93 @@
+"""The Cramér–Rao bound: how well an arc can tell a camera, for what each method holds to be known already.
+
+A method's unknowns u make the camera's parameters β = B u to first order, with prior precisions Λ: the paper's are 20
+parameters held to c1 = 0 and c2 = 0 exactly (t = 0), the service's 20 parameters with the priors of the lens.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space, solve_triangular
+
+from sunarc.calibration import ImageCircle, LensTolerances, hemisphere
+from sunarc.calibration.options import Method
+from sunarc.calibration.priors import FREE, LENS, N_LENS, POSE, lens_prior, precisions
+from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius, project_with_jacobian
+from sunarc.optics.camera import RADIAL_ORDERS
+from sunarc.studies.trials import QUANTITIES
+
+FloatArray = NDArray[np.float64]
+
+_RIGHT_ANGLE = math.pi / 2
+
+
+def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, sigma_px: float) -> FloatArray:
+    """Return the smallest 1-sigma of each of `QUANTITIES` that sightings allow (for an RMSE its own smallest size).
+
+    Parameters
+    ----------
+    camera : the truth.
+    directions : (n, 3) where the sun was sighted, east-north-up.
+    method : whose prior knowledge counts.
+    sigma_px : noise, px per axis.
+    """
+    if sigma_px <= 0.0:
+        return np.zeros(len(QUANTITIES))
+    basis, precision = known_beforehand(camera, method=method)
+    on_arc = _rows(camera, directions) @ basis
+    root = _covariance_root(np.concatenate([on_arc / sigma_px, np.diag(np.sqrt(precision))]))
+    spread = np.linalg.norm(basis @ root, axis=-1)
+    parameters = [spread[PARAMETER_NAMES.index(name)] for name in QUANTITIES[2:]]
+    on_sky = _rows(camera, hemisphere()) @ basis
+    return np.array([_rms(on_arc @ root), _rms(on_sky @ root), *parameters])
+
+
+def known_beforehand(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
+    """Return B (23, m) and the diagonal of Λ (m,)."""
+    return _constraints(camera) if method == "paper" else _priors(camera)
+
+
+def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return the directions in which c1 and c2 (skew 0, one focal length) let the parameters move, and no priors."""
+    theta = np.linspace(0.0, _RIGHT_ANGLE, 181)
+    powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
+    held = np.zeros((3, len(PARAMETER_NAMES)))
+    held[0, 11:19] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
+    held[1, :2] = 1.0, -1.0
+    held[2, 2] = 1.0
+    basis = np.zeros((len(PARAMETER_NAMES), FREE.size - 3))
+    basis[FREE] = null_space(held[:, FREE])
+    return basis, np.zeros(basis.shape[1])
+
+
+def _priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return the lens's whitened coordinates and the rotation, with the priors that the service starts from."""
+    tolerances = LensTolerances()
+    x, y = camera.principal_point_px
+    circle = ImageCircle(x=x, y=y, radius=camera.focal_length_px[0] * math.sqrt(2.0))
+    prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
+    basis = np.zeros((len(PARAMETER_NAMES), N_LENS + 3))
+    basis[LENS, :N_LENS] = prior.basis
+    basis[POSE, N_LENS:] = np.eye(3)
+    return basis, np.concatenate([precisions(tolerances.radial_px, tolerances.decentering_px), np.zeros(3)])
+
+
+def _rows(camera: Camera, directions: FloatArray) -> FloatArray:
+    """Return (2 n, 23): the derivatives of x and y by the parameters."""
+    _, by_parameters, _ = project_with_jacobian(camera, directions)
+    return by_parameters.reshape(-1, len(PARAMETER_NAMES))
+
+
+def _covariance_root(rows: FloatArray) -> FloatArray:
+    """Return R⁻¹ with R⁻¹ R⁻ᵀ = (A'A)⁻¹, by QR of A with its columns brought to one size."""
+    size = np.linalg.norm(rows, axis=0)
+    triangle = np.linalg.qr(rows / size, mode="r")
+    return np.asarray(solve_triangular(triangle, np.eye(size.size)) / size[:, None])
+
+
+def _rms(rows: FloatArray) -> float:
+    """Return the root mean square 2-D distance of unit-variance combinations of rows (2 n, m)."""
+    return float(np.sqrt(2.0 * np.mean(np.sum(rows**2, axis=-1))))

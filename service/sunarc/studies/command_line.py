@@ -1,0 +1,146 @@
+"""`sunarc study`: parse, run, write, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from sunarc.calibration.options import Method
+from sunarc.errors import InputError
+from sunarc.studies.published import CASES
+from sunarc.studies.reports import make_folder, write_tables, write_uncertainty
+from sunarc.studies.tables import study_tables
+from sunarc.studies.uncertainty import distribution_rows, study_uncertainty
+
+study_cli = typer.Typer(no_args_is_help=True, help="The paper's tables and figures, made again in simulation.")
+
+AnyRow = Mapping[str, str | int | float]
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for the CSV and PNG files.")]
+Methods = Annotated[str, typer.Option("--method", help="paper, robust or both.")]
+Seed = Annotated[int, typer.Option(help="Of everything that is drawn.", min=0)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+Sheet = dict[str, str]
+"""Columns of a printed table: what stands above, and what a row calls it."""
+
+_ERRORS: Sheet = {
+    "case": "case", "source": "source", "n": "n", "RMSE": "rmse_px", "MAE": "mae_px", "SD": "sd_of_distance_px",
+    "SD27c": "sd_px", "RMSDm": "rmsd_m_px", "SDm": "sd_m_px", "arc": "true_arc_rmse_px", "sky": "true_sky_rmse_px",
+}  # fmt: skip
+_CAMERAS: Sheet = {
+    "case": "case", "source": "source", "αx": "focal_length_x_px", "αy": "focal_length_y_px", "s": "skew_px",
+    "x0": "principal_point_x_px", "y0": "principal_point_y_px",
+    "φxz": "phi_xz_deg", "θzz": "theta_zz_deg", "ψz": "psi_z_deg",
+}  # fmt: skip
+_UNCERTAINTY: Sheet = {
+    "method": "method", "σ": "sigma_px", "quantity": "quantity", "mean": "mean", "5 %": "p05", "median": "median",
+    "95 %": "p95", "bound": "bound",
+}  # fmt: skip
+_SHOWN_LEVELS = 5
+
+
+@study_cli.command()
+def uncertainty(
+    *,
+    out: Out,
+    trials: Annotated[int, typer.Option(help="Fits at each level; the paper made 1000.", min=1)] = 25,
+    levels: Annotated[int, typer.Option(help="Noise levels from 0 to 10 px.", min=2)] = 41,
+    seed: Seed = 1,
+    method: Methods = "both",
+    jobs: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Make the paper's Figs. 4 and 5 again: noise of the sightings, error of the calibration.
+
+    Example: sunarc study uncertainty --trials 5 --levels 11 --out study
+    """
+    methods = _methods(method)
+    make_folder(out)
+    with _progress("fits", len(methods) * levels * trials) as advance:
+        study = study_uncertainty(
+            methods=methods, levels=levels, trials=trials, seed=seed, jobs=jobs, after_each=advance
+        )
+    files = write_uncertainty(study, folder=out)
+    rows = distribution_rows(study)
+    shown = {float(study.sigma_px[i * (levels - 1) // (_SHOWN_LEVELS - 1)]) for i in range(_SHOWN_LEVELS)}
+    errors = [row for row in rows if row["sigma_px"] in shown and str(row["quantity"]).endswith("rmse_px")]
+    sheets = {"true errors of the calibration, px": (_UNCERTAINTY, errors)}
+    _tell(rows, sheets, files=files, as_json=as_json)
+
+
+@study_cli.command()
+def tables(*, out: Out, seed: Seed = 1, method: Methods = "both", as_json: AsJson = False) -> None:
+    """Make the paper's Tables 1 to 3 again: its five cases, simulated.
+
+    Example: sunarc study tables --out study
+    """
+    methods = _methods(method)
+    make_folder(out)
+    with _progress("fits", len(methods) * len(CASES)) as advance:
+        rows = study_tables(methods=methods, seed=seed, after_each=advance)
+    sheets = {
+        "Tables 1 and 3, and the true error on the arc and over the sky, px": (_ERRORS, rows),
+        "Table 2, px and degrees": (_CAMERAS, rows),
+    }
+    _tell(rows, sheets, files=write_tables(rows, folder=out), as_json=as_json)
+
+
+def _methods(text: str) -> tuple[Method, ...]:
+    known: tuple[Literal["paper", "robust"], ...] = ("paper", "robust")
+    if text == "both":
+        return known
+    for method in known:
+        if method == text:
+            return (method,)
+    raise InputError(
+        field="--method", problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(get_args(Method))}, both"
+    )
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a bar on standard error where that is a terminal; give the function that moves it on."""
+    parts = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*parts, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def _tell(
+    rows: Sequence[AnyRow],
+    sheets: Mapping[str, tuple[Sheet, Sequence[AnyRow]]],
+    *,
+    files: Sequence[Path],
+    as_json: bool,
+) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps({"rows": list(rows), "files": [str(file) for file in files]}, indent=1) + "\n")
+        return
+    console = Console(soft_wrap=True)
+    for title, (columns, shown) in sheets.items():
+        table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+        for column in columns:
+            table.add_column(
+                column, no_wrap=True, justify="left" if column in {"source", "method", "quantity"} else "right"
+            )
+        for row in shown:
+            table.add_row(*(_cell(row.get(name, "")) for name in columns.values()))
+        console.print(table)
+    for file in files:
+        console.print(f"written: {file}")
+
+
+def _cell(value: str | float) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.2f}" if abs(value) >= 10.0 else f"{value:.3g}"

@@ -1,0 +1,71 @@
+"""What the studies write: tables as CSV, figures as PNG; the only place where they touch files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from sunarc.errors import InputError
+from sunarc.studies.tables import COLUMNS, TableRow
+from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
+
+_DIGITS = 9
+
+
+@contextmanager
+def writing_into(folder: Path) -> Iterator[None]:
+    """Make a folder to write into; one that cannot be is the caller's error.
+
+    Raises
+    ------
+    InputError
+        Where the folder or a file in it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise InputError(
+            field=str(folder), problem=error.strerror or str(error), remedy="name a folder that can be written to"
+        ) from None
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder to write into, before the work begins whose result goes there."""
+    with writing_into(folder):
+        pass
+
+
+def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
+    """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
+    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - matplotlib is loaded when something is drawn
+    from sunarc.studies.uncertainty_plot import parameter_figure, rmse_figure  # noqa: PLC0415 - same
+
+    with writing_into(folder):
+        distributions, trials = distribution_rows(study), trial_rows(study)
+        return (
+            _write_csv(folder / "uncertainty.csv", tuple(distributions[0]), distributions),
+            _write_csv(folder / "uncertainty_trials.csv", tuple(trials[0]), trials),
+            save_png(rmse_figure(study), folder / "uncertainty_rmse.png"),
+            save_png(parameter_figure(study), folder / "uncertainty_parameters.png"),
+        )
+
+
+def write_tables(rows: Sequence[TableRow], *, folder: Path) -> tuple[Path, ...]:
+    """Write `tables.csv`."""
+    with writing_into(folder):
+        return (_write_csv(folder / "tables.csv", COLUMNS, rows),)
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str | int | float]]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([_cell(row.get(column, "")) for column in columns] for row in rows)
+    return path
+
+
+def _cell(value: str | float) -> str:
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,109 @@
+"""One fit of a simulated arc, and many of them: every trial draws from its own seed, whoever runs it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing import get_context
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calibrate, hemisphere
+from sunarc.calibration.options import Method
+from sunarc.optics import Camera, angle_limit, project
+from sunarc.simulation import SGP, true_camera
+from sunarc.studies.arcs import SYNTHETIC_DAY, Arc, arcs
+
+FloatArray = NDArray[np.float64]
+
+QUANTITIES = (
+    "arc_rmse_px",
+    "sky_rmse_px",
+    "focal_length_x_px",
+    "focal_length_y_px",
+    "principal_point_x_px",
+    "principal_point_y_px",
+)
+"""What a trial tells: the true error on the arc (Eq. 28) and over the sky, and four of its parameters."""
+
+_CIRCLE_ERROR_PX = 2.0
+"""How well a Hough transform finds the image circle, per coordinate."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One fit to be made.
+
+    Attributes
+    ----------
+    method : of the fit.
+    sigma_px : noise, px per axis.
+    seed : the same for all methods, so that they are given the same sightings.
+    """
+
+    method: Method
+    sigma_px: float
+    seed: tuple[int, ...]
+
+
+def run_trial(trial: Trial) -> tuple[float, ...]:
+    """Fit once and return `QUANTITIES`."""
+    rng = np.random.default_rng(trial.seed)
+    truth, arc = true_camera(0), synthetic_arc()
+    points = SunPoints(unix_s=arc.unix_s, pixels=arc.pixels + rng.normal(0.0, trial.sigma_px, arc.pixels.shape))
+    fit = calibrate(
+        points,
+        site=SGP,
+        image_size=(truth.width, truth.height),
+        options=CalibrationOptions(method=trial.method),
+        circle=found_circle(rng, truth),
+    ).camera
+    on_arc, on_sky = true_error(fit, truth, arc.directions), true_error(fit, truth, hemisphere())
+    return on_arc, on_sky, *fit.focal_length_px, *fit.principal_point_px
+
+
+@cache
+def synthetic_arc() -> Arc:
+    """Return the paper's synthetic arc (Fig. 3): 1673 moments of 13 May 2013."""
+    return arcs(true_camera(0), [SYNTHETIC_DAY])
+
+
+def found_circle(rng: np.random.Generator, truth: Camera) -> ImageCircle:
+    """Return the image circle as it would be found in an image, off by about 2 px."""
+    dx, dy, dr = rng.normal(0.0, _CIRCLE_ERROR_PX, 3)
+    x, y = truth.principal_point_px
+    return ImageCircle(x=x + dx, y=y + dy, radius=truth.focal_length_px[0] * math.sqrt(2.0) + dr)
+
+
+def true_error(fit: Camera, truth: Camera, directions: FloatArray) -> float:
+    """Return the root mean square distance in px between where two cameras see directions (Eq. 28).
+
+    A fit that would not answer for a direction is judged there too, by its formula.
+    """
+    widest = angle_limit(truth.projection) * (1.0 - 1e-9)
+    found, true = (project(replace(camera, max_angle=widest), directions) for camera in (fit, truth))
+    square = np.sum((found - true) ** 2, axis=-1)
+    return float(np.sqrt(np.mean(square)))
+
+
+def run_trials(trials: Sequence[Trial], *, jobs: int = 1, after_each: Callable[[], None] = lambda: None) -> FloatArray:
+    """Run trials, in so many processes, and return (n, len(QUANTITIES)) in the order given."""
+    rows = []
+    for row in _mapped(run_trial, trials, jobs=jobs):
+        rows.append(row)
+        after_each()
+    return np.array(rows, dtype=np.float64).reshape(-1, len(QUANTITIES))
+
+
+def _mapped(
+    work: Callable[[Trial], tuple[float, ...]], trials: Iterable[Trial], *, jobs: int
+) -> Iterator[tuple[float, ...]]:
+    if jobs <= 1:
+        yield from map(work, trials)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(work, trials)
