@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.detection.smear import column_smear
 from sunarc.detection.values import Bayer, FloatArray, Image, Sensor
 
 BoolArray = NDArray[np.bool_]
@@ -18,7 +19,7 @@ _COLOURS = {"R": 0, "G": 1, "B": 2}
 class Window(NamedTuple):
     """A rectangle of the image.
 
-    counts : (rows, columns) above the black level; usable : (rows, columns); colour : (rows, columns) index of each
+    counts : (rows, columns) above the black level and the columns' smear; usable : (rows, columns); colour : (rows, columns) index of each
     pixel's colour, of `colours`; first : x and y of the top-left pixel; saturated_px : how many are.
     """
 
@@ -40,7 +41,7 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     saturated = part >= saturation_fraction * sensor.full_scale
     usable = ~_grown(saturated) if sensor.blooming else ~saturated
     colour, colours = _colours(part.shape, first=(x0, y0), bayer=sensor.bayer)
-    counts = part.astype(np.float64) - sensor.black_level
+    counts = part.astype(np.float64) - sensor.black_level - column_smear(image, x0=x0, x1=x1, y0=y0, y1=y1)
     return Window(counts, usable, colour, colours, (x0, y0), int(np.count_nonzero(saturated)))
 
 

@@ -48,8 +48,9 @@ class SunExposures:
             return self._state.exposures_us
 
     def report(self, frame: Frame, detection: Detection) -> None:
-        """Take note of what a sun exposure showed."""
+        """Take note of what a sun exposure showed; what is too bright to be believed still says "shorter"."""
         with self._lock:
             self._reported += 1
-            if detection.accepted and detection.peak_fraction is not None:
+            telling = detection.accepted or detection.saturated_px > 0
+            if telling and detection.peak_fraction is not None:
                 self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
