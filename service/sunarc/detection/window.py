@@ -19,8 +19,8 @@ _COLOURS = {"R": 0, "G": 1, "B": 2}
 class Window(NamedTuple):
     """A rectangle of the image.
 
-    counts : (rows, columns) above the black level and the columns' smear; usable : (rows, columns); colour : (rows, columns) index of each
-    pixel's colour, of `colours`; first : x and y of the top-left pixel; saturated_px : how many are.
+    counts : (rows, columns) above the black level and the columns' smear; usable : (rows, columns); colour : (rows,
+    columns) index of each pixel's colour, of `colours`; first : x and y of the top-left pixel; saturated_px : how many.
     """
 
     counts: FloatArray
