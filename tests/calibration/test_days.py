@@ -1,68 +1,76 @@
+"""What a day's sightings are worth, and the image circle."""
+
 from __future__ import annotations
 
-from datetime import date
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from sunarc.calibration import DayOptions, SunPoints, decide_day, measure_day
+from sunarc.calibration import SunPoints, decide_day, find_image_circle, measure_day
 from sunarc.errors import InputError
-from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import Site, day_bounds_unix_s, sun_angles, sun_directions
+from sunarc.sky import Site
 
-LIMA = Site(latitude=-12.05, longitude=-77.04, altitude=150.0)
-
-
-def day_of(site: Site, day: date, *, sigma_px: float = 0.003, every_s: float = 300.0) -> SunPoints:
-    begin, end = day_bounds_unix_s(day, longitude=site.longitude)
-    times = np.arange(begin, end, every_s)
-    times = times[sun_angles(times, site).apparent_zenith < 89.6]
-    noise = np.random.default_rng(0).normal(0.0, sigma_px, (times.size, 2))
-    return SunPoints(unix_s=times, pixels=project(true_camera(), sun_directions(times, site)) + noise)
+if TYPE_CHECKING:
+    from tests.calibration.conftest import Simulated, Simulator
 
 
-@pytest.mark.parametrize(
-    ("site", "day"),
-    [
-        pytest.param(SGP, date(2013, 5, 13), id="mid-latitude"),
-        pytest.param(LIMA, date(2013, 10, 25), id="sun-through-the-zenith"),
-        pytest.param(Site(latitude=78.92, longitude=11.93), date(2013, 5, 13), id="midnight-sun"),
-    ],
-)
-def test_a_precise_clear_day_lies_wholly_on_its_arc(site: Site, day: date) -> None:
-    points = day_of(site, day)
-    measure = measure_day(points, site=site, n_possible=len(points))
-    assert measure.n_on_arc == measure.n == len(points)
+def test_a_clear_day_is_clear(clear_day: Simulated) -> None:
+    measure = measure_day(clear_day.points, site=clear_day.site, cadence_s=120.0)
+    assert measure.date == "2013-05-13"
+    assert measure.n_on_arc == pytest.approx(measure.n_possible, abs=12)
+    assert measure.sd_px < 0.2
+    assert measure.arc_deg > 170.0
     assert decide_day(measure).kind == "clear"
 
 
-def test_the_scatter_about_the_arc_is_the_noise() -> None:
-    points = day_of(SGP, date(2013, 5, 13), sigma_px=0.5, every_s=30.0)
-    measure = measure_day(points, site=SGP, n_possible=len(points))
-    assert measure.core_sd_px == pytest.approx(0.5, rel=0.1)
-    assert measure.rmsd_px == pytest.approx(0.5 * np.sqrt(2.0), rel=0.1)
+def test_clouds_make_it_partly_cloudy_or_unusable(clear_day: Simulated) -> None:
+    kinds = []
+    for share in (0.4, 0.85, 0.98):
+        kept = np.random.default_rng(1).random(len(clear_day.points)) > share
+        measure = measure_day(clear_day.points.select(kept), site=clear_day.site, cadence_s=120.0)
+        kinds.append(decide_day(measure).kind)
+    assert kinds == ["partly", "cloudy", "unusable"]
 
 
-def test_a_day_of_which_little_was_seen_is_cloudy_or_unusable() -> None:
-    points = day_of(SGP, date(2013, 5, 13))
-    n = len(points)
-    morning = measure_day(points.select(np.arange(0, n // 4)), site=SGP, n_possible=n)
-    assert decide_day(morning).kind == "cloudy"
-    hour = measure_day(points.select(np.arange(60, 70)), site=SGP, n_possible=n)
-    assert decide_day(hour).kind == "unusable"
-    assert decide_day(measure_day(points.select([]), site=SGP, n_possible=n)).kind == "unusable"
+def test_outliers_do_not_bend_the_arc(clear_day: Simulated) -> None:
+    pixels = clear_day.points.pixels.copy()
+    bad = np.random.default_rng(2).random(pixels.shape[0]) < 0.25
+    pixels[bad] += [8.0, -5.0]
+    measure = measure_day(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site)
+    assert measure.n_on_arc == pytest.approx(int(np.sum(~bad)), abs=6)
+    assert measure.core_sd_px < 0.1
 
 
-def test_false_sightings_leave_the_arc_and_make_the_day_partly_clear() -> None:
-    points = day_of(SGP, date(2013, 5, 13))
-    wrong = np.random.default_rng(1).random(len(points)) < 0.3
-    pixels = points.pixels + wrong[:, None] * [12.0, -9.0]
-    measure = measure_day(SunPoints(unix_s=points.unix_s, pixels=pixels), site=SGP, n_possible=len(points))
-    assert measure.n_on_arc == len(points) - wrong.sum()
-    assert decide_day(measure).kind == "partly"
+def test_midnight_sun_is_one_day(simulator: Simulator) -> None:
+    site = Site(latitude=79.0, longitude=12.0)
+    seen = simulator(site=site)
+    measure = measure_day(seen.points, site=site, cadence_s=120.0)
+    assert measure.n_possible == 720
+    assert decide_day(measure).kind == "clear"
 
 
-def test_thresholds_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(InputError, match="partly_share, clear_share"):
-        DayOptions(clear_share=0.2, partly_share=0.5)
+def test_no_sightings_are_unusable(clear_day: Simulated) -> None:
+    nothing = clear_day.points.select(slice(0, 0))
+    assert decide_day(measure_day(nothing, site=clear_day.site)).kind == "unusable"
+
+
+def test_image_circle_is_found_to_a_pixel() -> None:
+    y, x = np.mgrid[0:900, 0:1100]
+    distance = np.hypot(x - 563.3, y - 441.7)
+    sky = np.where(distance < 398.5, 90.0 + 40.0 * np.cos(distance / 300.0), 6.0)
+    image = np.clip(sky + np.random.default_rng(0).normal(0.0, 2.0, sky.shape), 0.0, 255.0).astype(np.uint8)
+    image[300:320, 600:620] = 255
+    circle = find_image_circle(image)
+    assert circle is not None
+    assert (circle.x, circle.y) == pytest.approx((563.3, 441.7), abs=1.0)
+    assert circle.radius == pytest.approx(398.5, abs=1.5)
+
+
+def test_a_frame_without_a_circle_has_none() -> None:
+    assert find_image_circle(np.full((600, 600), 40, dtype=np.uint8)) is None
+
+
+def test_what_is_no_frame_is_refused() -> None:
+    with pytest.raises(InputError):
+        find_image_circle(np.zeros(10))

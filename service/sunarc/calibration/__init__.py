@@ -20,6 +20,7 @@ from sunarc.calibration.covariance import (
 from sunarc.calibration.days import DayMeasure, DayOptions, DayVerdict, decide_day, measure_day, smooth_arc
 from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.field import Field, WaveBasis
+from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
 from sunarc.calibration.points import SunPoints
@@ -27,6 +28,7 @@ from sunarc.calibration.result import Calibration, Evidence, Verdict
 
 __all__ = [
     "SCHEMA",
+    "BackProjectionMap",
     "BackwardModel",
     "Calibration",
     "CalibrationOptions",
@@ -44,6 +46,7 @@ __all__ = [
     "WaveBasis",
     "accept",
     "back_project",
+    "back_projection_map",
     "calibrate",
     "decide_day",
     "disagreement",

@@ -24,7 +24,7 @@ SCHEMA = "sunarc.calibration/1"
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]
 
-_SMALLEST_SHARE = 1e-6
+_SMALLEST_SHARE = 1e-8
 """Waves that hold less than this share of the largest one's variance do not travel."""
 
 
@@ -117,7 +117,7 @@ def _field(field: Field) -> Document:
         "center_px": list(field.basis.center_px),
         "half_px": list(field.basis.half_px),
         "orders": field.basis.orders[kept].tolist(),
-        "cross": [[[float(f"{v:.6g}") for v in row] for row in part] for part in field.cross[:, :, kept]],
+        "cross": [[[float(f"{v:.8g}") for v in row] for row in part] for part in field.cross[:, :, kept]],
     }
 
 

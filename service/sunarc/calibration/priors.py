@@ -35,7 +35,7 @@ DECENTERING = slice(13, 15)
 """Where z holds p1 and p2."""
 
 _GRID = 181
-_HELD = 1e-5
+_HELD = 1e-7
 _GAUGE = 0.3
 """How much of the residual radial distortion (root mean square) may still be a change of focal length."""
 _ROUGHNESS = 0.25

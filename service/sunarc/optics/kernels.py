@@ -47,7 +47,7 @@ def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[floa
 
 
 @njit(cache=True, nogil=True)
-def pixels_of(
+def pixels_of(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
 ) -> FloatArray:
     """Return (n, 2) pixels of directions (n, 3): `project` for the 23 parameters of `vector`.
@@ -81,7 +81,7 @@ def pixels_of(
 
 
 @njit(cache=True, nogil=True)
-def pixels_and_rows_of(
+def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray,
     code: int,
     mirror: float,
@@ -97,73 +97,110 @@ def pixels_and_rows_of(
     n = directions.shape[0]
     pixels = np.empty((n, 2))
     rows = np.zeros((n, 2, 23))
-    radial, p1, p2, p3, p4 = vector[11:19], vector[19], vector[20], vector[21], vector[22]
-    sign = -1.0 if mirror >= 0.0 else 1.0
-    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
+    shape = np.empty(11)
     for i in range(n):
-        e, north, up = directions[i, 0], directions[i, 1], directions[i, 2]
-        rx = rotation[0, 0] * e + rotation[0, 1] * north + rotation[0, 2] * up
-        ry = rotation[1, 0] * e + rotation[1, 1] * north + rotation[1, 2] * up
-        rz = rotation[2, 0] * e + rotation[2, 1] * north + rotation[2, 2] * up
-        x, y, z = rx + vector[8], ry + vector[9], rz + vector[10]
-        across = math.sqrt(x * x + y * y)
-        norm = x * x + y * y + z * z
-        theta = math.atan2(across, z)
-        if not theta <= max_angle:
+        x, y, z = (
+            rotation[0, 0] * directions[i, 0] + rotation[0, 1] * directions[i, 1] + rotation[0, 2] * directions[i, 2],
+            rotation[1, 0] * directions[i, 0] + rotation[1, 1] * directions[i, 1] + rotation[1, 2] * directions[i, 2],
+            rotation[2, 0] * directions[i, 0] + rotation[2, 1] * directions[i, 1] + rotation[2, 2] * directions[i, 2],
+        )
+        if not _shape_at(vector, code, max_angle, x + vector[8], y + vector[9], z + vector[10], shape):
             pixels[i, 0], pixels[i, 1] = np.nan, np.nan
             continue
-        radius, slope = _radius_and_slope(code, radial, theta)
-        on_axis = across <= _ON_AXIS
-        u, v = (1.0, 0.0) if on_axis else (x / across, y / across)
-        square = radius * radius
-        profile = square * (1.0 + square * (p3 + square * p4))
-        bx = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v
-        by = 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
-        x_hat, y_hat = radius * u + profile * bx, radius * v + profile * by
-        rise = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
-        gx, gy = u + rise * bx, v + rise * by
-        per_norm = slope / z if on_axis else radius / across
-        twist = 0.0 if on_axis else profile / across
-        sin2, cos2 = 2.0 * u * v, u * u - v * v
-        hx = -v * per_norm + twist * (-2.0 * p1 * sin2 + 2.0 * p2 * cos2)
-        hy = u * per_norm + twist * (2.0 * p1 * cos2 + 2.0 * p2 * sin2)
-        tx, ty, tz = z * u / norm, z * v / norm, -across / norm
-        column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
-        pixels[i, 0] = mirror - column if mirror >= 0.0 else column
-        pixels[i, 1] = vector[1] * y_hat + vector[4]
-        rows[i, 0, 0], rows[i, 1, 1], rows[i, 0, 2] = sign * x_hat, y_hat, sign * y_hat
-        rows[i, 0, 3], rows[i, 1, 4] = sign, 1.0
-        for a in range(3):
-            by_theta = tx if a == 0 else (ty if a == 1 else tz)
-            by_phi = -v if a == 0 else (u if a == 1 else 0.0)
-            cx, cy = slope * gx * by_theta + hx * by_phi, slope * gy * by_theta + hy * by_phi
-            rows[i, 0, 8 + a], rows[i, 1, 8 + a] = ax * cx + skew * cy, ay * cy
-        for c in range(2):
-            vx, vy, vz = rows[i, c, 8], rows[i, c, 9], rows[i, c, 10]
-            # the vector turns about the camera's own axes: d(R w) = R (dw × w), taken to the rotation vector
-            wx = vx * rotation[0, 0] + vy * rotation[1, 0] + vz * rotation[2, 0]
-            wy = vx * rotation[0, 1] + vy * rotation[1, 1] + vz * rotation[2, 1]
-            wz = vx * rotation[0, 2] + vy * rotation[1, 2] + vz * rotation[2, 2]
-            mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
-            for a in range(3):
-                rows[i, c, 5 + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
-        tau = theta / _RIGHT_ANGLE
-        power = tau * tau
-        for k in range(8):
-            rows[i, 0, 11 + k], rows[i, 1, 11 + k] = power * (ax * gx + skew * gy), power * ay * gy
-            power *= tau
-        d1x, d1y = profile * (1.0 + 2.0 * u * u), profile * 2.0 * u * v
-        d2x, d2y = profile * 2.0 * u * v, profile * (1.0 + 2.0 * v * v)
-        rows[i, 0, 19], rows[i, 1, 19] = ax * d1x + skew * d1y, ay * d1y
-        rows[i, 0, 20], rows[i, 1, 20] = ax * d2x + skew * d2y, ay * d2y
-        fourth, sixth = square * square, square * square * square
-        rows[i, 0, 21], rows[i, 1, 21] = fourth * (ax * bx + skew * by), fourth * ay * by
-        rows[i, 0, 22], rows[i, 1, 22] = sixth * (ax * bx + skew * by), sixth * ay * by
+        _lens_rows(vector, mirror, shape, pixels[i], rows[i])
+        _vector_rows(vector, mirror, shape, x + vector[8], y + vector[9], z + vector[10], rows[i])
+        _pose_rows(rotation, turn, directions[i], rows[i])
     return pixels, rows
 
 
+@njit(cache=True, nogil=True)
+def _shape_at(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray, code: int, max_angle: float, x: float, y: float, z: float, shape: FloatArray
+) -> bool:
+    """Write what the lens makes of a ray: θ, r̂, dr̂/dθ, u, v, profile, bracket, d(x̂, ŷ)/dr̂, distance from the axis."""
+    across = math.sqrt(x * x + y * y)
+    theta = math.atan2(across, z)
+    if not theta <= max_angle:
+        return False
+    radius, slope = _radius_and_slope(code, vector[11:19], theta)
+    p1, p2, p3, p4 = vector[19], vector[20], vector[21], vector[22]
+    u, v = (x / across, y / across) if across > _ON_AXIS else (1.0, 0.0)
+    square = radius * radius
+    bx = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v
+    by = 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
+    rise = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
+    shape[0], shape[1], shape[2], shape[3], shape[4] = theta, radius, slope, u, v
+    shape[5], shape[6], shape[7] = square * (1.0 + square * (p3 + square * p4)), bx, by
+    shape[8], shape[9], shape[10] = u + rise * bx, v + rise * by, across
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: FloatArray, row: FloatArray) -> None:
+    """Write the pixel and its derivatives by K, k and p."""
+    theta, radius, _, u, v, profile, bx, by, gx, gy, _ = shape
+    sign = -1.0 if mirror >= 0.0 else 1.0
+    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
+    x_hat, y_hat = radius * u + profile * bx, radius * v + profile * by
+    column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
+    pixel[0] = mirror - column if mirror >= 0.0 else column
+    pixel[1] = vector[1] * y_hat + vector[4]
+    row[0, 0], row[1, 1], row[0, 2] = sign * x_hat, y_hat, sign * y_hat
+    row[0, 3], row[1, 4] = sign, 1.0
+    tau = theta / _RIGHT_ANGLE
+    power = tau * tau
+    for k in range(8):
+        row[0, 11 + k], row[1, 11 + k] = power * (ax * gx + skew * gy), power * ay * gy
+        power *= tau
+    both = profile * 2.0 * u * v
+    first, second = profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
+    row[0, 19], row[1, 19] = ax * first + skew * both, ay * both
+    row[0, 20], row[1, 20] = ax * both + skew * second, ay * second
+    fourth = radius**4
+    row[0, 21], row[1, 21] = fourth * (ax * bx + skew * by), fourth * ay * by
+    sixth = fourth * radius * radius
+    row[0, 22], row[1, 22] = sixth * (ax * bx + skew * by), sixth * ay * by
+
+
+@njit(cache=True, nogil=True)
+def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray, mirror: float, shape: FloatArray, x: float, y: float, z: float, row: FloatArray
+) -> None:
+    """Write the derivatives by the vector in the camera frame, which are those by the translation."""
+    _, radius, slope, u, v, profile, _, _, gx, gy, across = shape
+    sign = -1.0 if mirror >= 0.0 else 1.0
+    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
+    p1, p2 = vector[19], vector[20]
+    on_axis = across <= _ON_AXIS
+    norm = x * x + y * y + z * z
+    per_norm = slope / z if on_axis else radius / across
+    twist = 0.0 if on_axis else profile / across
+    sin2, cos2 = 2.0 * u * v, u * u - v * v
+    hx = -v * per_norm + twist * (-2.0 * p1 * sin2 + 2.0 * p2 * cos2)
+    hy = u * per_norm + twist * (2.0 * p1 * cos2 + 2.0 * p2 * sin2)
+    by_theta = (slope * z * u / norm, slope * z * v / norm, -slope * across / norm)
+    by_phi = (-v, u, 0.0)
+    for a in range(3):
+        cx, cy = gx * by_theta[a] + hx * by_phi[a], gy * by_theta[a] + hy * by_phi[a]
+        row[0, 8 + a], row[1, 8 + a] = ax * cx + skew * cy, ay * cy
+
+
+@njit(cache=True, nogil=True)
+def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, row: FloatArray) -> None:
+    """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
+    e, north, up = direction
+    for c in range(2):
+        vx, vy, vz = row[c, 8], row[c, 9], row[c, 10]
+        wx = vx * rotation[0, 0] + vy * rotation[1, 0] + vz * rotation[2, 0]
+        wy = vx * rotation[0, 1] + vy * rotation[1, 1] + vz * rotation[2, 1]
+        wz = vx * rotation[0, 2] + vy * rotation[1, 2] + vz * rotation[2, 2]
+        mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
+        for a in range(3):
+            row[c, 5 + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
-def directions_of(
+def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positions
     constants: FloatArray, rotation: FloatArray, table: FloatArray, rounds: int, pixels: FloatArray, result: FloatArray
 ) -> None:
     """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`)."""

@@ -1,0 +1,97 @@
+"""Poor data get a refused verdict with reasons, malformed input one InputError; nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sunarc.calibration import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions, SunPoints, calibrate
+from sunarc.errors import InputError
+from sunarc.sky import Site
+
+if TYPE_CHECKING:
+    from tests.calibration.conftest import Simulated
+
+SIZE = (1748, 1748)
+
+
+def _refused(points: SunPoints, site: Site) -> str:
+    found = calibrate(points, site=site, image_size=SIZE)
+    assert not found.verdict.accepted
+    assert found.verdict.reasons
+    return " ".join(found.verdict.reasons)
+
+
+def test_no_sightings(clear_day: Simulated) -> None:
+    assert "0 usable" in _refused(SunPoints(unix_s=np.zeros(0), pixels=np.zeros((0, 2))), clear_day.site)
+
+
+def test_too_few_sightings(clear_day: Simulated) -> None:
+    assert "usable sightings" in _refused(clear_day.points.select(slice(0, 8)), clear_day.site)
+
+
+def test_one_minute_only(clear_day: Simulated) -> None:
+    times = clear_day.points.unix_s[200] + np.linspace(0.0, 60.0, 60)
+    pixels = clear_day.points.pixels[200] + np.linspace(0.0, 0.3, 60)[:, None]
+    assert "degrees only" in _refused(SunPoints(unix_s=times, pixels=pixels), clear_day.site)
+
+
+def test_all_on_one_pixel(clear_day: Simulated) -> None:
+    pixels = np.full_like(clear_day.points.pixels, 800.0)
+    assert "not the sun" in _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+
+
+def test_nothing_but_nan(clear_day: Simulated) -> None:
+    pixels = np.full_like(clear_day.points.pixels, np.nan)
+    assert "not finite" in _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+
+
+def test_duplicate_times_count_once(clear_day: Simulated) -> None:
+    times = np.repeat(clear_day.points.unix_s[:10], 30)
+    assert "already seen" in _refused(SunPoints(unix_s=times, pixels=np.zeros((300, 2))), clear_day.site)
+
+
+def test_random_pixels(clear_day: Simulated) -> None:
+    pixels = np.random.default_rng(0).uniform(0.0, 1748.0, clear_day.points.pixels.shape)
+    _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+
+
+def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
+    times = np.r_[clear_day.points.unix_s, clear_day.points.unix_s[:5], np.nan]
+    pixels = np.r_[clear_day.points.pixels, clear_day.points.pixels[:5], [[3.0, 4.0]]]
+    found = calibrate(SunPoints(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    assert found.verdict.accepted, found.verdict.reasons
+    assert any("left out before" in reason for reason in found.verdict.reasons)
+
+
+def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
+    late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
+    assert "time zone" in _refused(late, clear_day.site)
+
+
+@pytest.mark.parametrize(
+    ("times", "pixels"),
+    [(np.zeros(3), np.zeros((2, 2))), (np.zeros(3), np.zeros((3, 3))), (np.zeros((3, 1)), np.zeros((3, 2)))],
+)
+def test_columns_that_do_not_belong_together(times: np.ndarray, pixels: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        SunPoints(unix_s=times, pixels=pixels)
+
+
+def test_impossible_choices() -> None:
+    for wrong in ({"method": "magic"}, {"projection": "mercator"}, {"mirrored": "perhaps"}, {"max_rmse_px": -1.0}):
+        with pytest.raises(InputError):
+            CalibrationOptions(**wrong)
+    with pytest.raises(InputError):
+        LensTolerances(radial_px=0.0)
+    with pytest.raises(InputError):
+        PaperOptions(pose_start="guess")  # type: ignore[arg-type]
+    with pytest.raises(InputError):
+        ImageCircle(x=1.0, y=2.0, radius=-3.0)
+
+
+def test_no_image_size(clear_day: Simulated) -> None:
+    with pytest.raises(InputError):
+        calibrate(clear_day.points, site=clear_day.site, image_size=(0, 10))
