@@ -16,8 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from sunarc.calibration.backward import camera_sees
 from sunarc.calibration.field import Field
-from sunarc.optics import PARAMETER_NAMES, Camera, pose, project, project_with_jacobian, rising_limit, unproject
-from sunarc.optics.stretch import local_stretch
+from sunarc.optics import (
+    PARAMETER_NAMES,
+    Camera,
+    pose,
+    project,
+    project_with_rows_fast,
+    rising_limit,
+    rotation_matrix,
+    unproject,
+)
+from sunarc.optics.stretch import tangent_basis
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]
@@ -57,28 +66,37 @@ def project_with_covariance(calibration: _Uncertain, directions: ArrayLike) -> t
     covariance : (..., 2, 2) px²; NaN there too.
     """
     direction = np.asarray(directions, dtype=np.float64)
-    flat = direction.reshape(-1, 3)
-    parts = [_chunk(calibration, flat[i : i + _CHUNK]) for i in range(0, flat.shape[0], _CHUNK)]
-    pixels = np.concatenate([p for p, _ in parts]) if parts else np.zeros((0, 2))
-    covariance = np.concatenate([c for _, c in parts]) if parts else np.zeros((0, 2, 2))
-    shape = direction.shape[:-1]
+    flat, shape = direction.reshape(-1, 3), direction.shape[:-1]
+    pixels, covariance, _ = _predicted(calibration, flat)
     return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
 
 
-def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    pixels, by_parameters, _ = project_with_jacobian(calibration.camera, directions)
+def _predicted(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return pixels (n, 2), their covariance (n, 2, 2), and derivatives by the direction (n, 2, 3)."""
+    pixels, covariance = np.empty((directions.shape[0], 2)), np.empty((directions.shape[0], 2, 2))
+    by_direction = np.empty((directions.shape[0], 2, 3))
+    for begin in range(0, directions.shape[0], _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        pixels[part], covariance[part], by_direction[part] = _chunk(calibration, directions[part])
+    return pixels, covariance, by_direction
+
+
+def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
     chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
-    rows = by_parameters[..., chosen]
-    covariance = rows @ calibration.covariance @ np.swapaxes(rows, -1, -2)
-    field = calibration.field
+    rows = np.ascontiguousarray(by_parameters[..., chosen])
+    size, field = len(chosen), calibration.field
+    weighted = (rows.reshape(-1, size) @ calibration.covariance).reshape(rows.shape)
     seen = np.all(np.isfinite(pixels), axis=-1)
     if field.amplitude_px > 0.0 and np.any(seen):
         waves = field.basis.values(np.where(seen[:, None], pixels, 0.0))
-        with_field = np.stack([waves @ field.cross[a].T for a in (0, 1)], axis=-1)
-        mixed = rows @ with_field
-        covariance += mixed + np.swapaxes(mixed, -1, -2) + field.amplitude_px**2 * np.eye(2)
+        mixed = rows @ np.stack([waves @ field.cross[a].T for a in (0, 1)], axis=-1)
+        both = mixed + np.swapaxes(mixed, -1, -2) + field.amplitude_px**2 * np.eye(2)
+    else:
+        both = np.zeros((1, 2, 2))
+    covariance = np.einsum("nap,nbp->nab", weighted, rows) + both
     covariance[~seen] = np.nan
-    return pixels, covariance
+    return pixels, covariance, by_parameters[..., 8:11] @ rotation_matrix(calibration.camera.rotation_cam_enu)
 
 
 def unproject_with_sigma(calibration: _Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -107,14 +125,14 @@ def unproject_with_sigma(calibration: _Uncertain, pixels: ArrayLike) -> tuple[Fl
 
 def sigma_deg(calibration: _Uncertain, directions: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma per axis on the sphere of directions (n, 3), degrees."""
-    _, covariance = project_with_covariance(calibration, directions)
-    stretch = local_stretch(calibration.camera, directions)
-    with np.errstate(invalid="ignore"):
-        usable = np.abs(np.linalg.det(stretch)) > 1e-9
-    inverse = np.linalg.inv(np.where(usable[:, None, None], stretch, np.eye(2)))
-    on_sphere = inverse @ covariance @ np.swapaxes(inverse, -1, -2)
-    half_trace = 0.5 * np.trace(on_sphere, axis1=-2, axis2=-1)
-    return np.where(usable, np.degrees(np.sqrt(np.maximum(half_trace, 0.0))), np.nan)
+    _, covariance, by_direction = _predicted(calibration, directions)
+    stretch = by_direction @ tangent_basis(directions)
+    (a, b), (c, d) = np.moveaxis(stretch, 0, -1)
+    determinant = a * d - b * c
+    with np.errstate(invalid="ignore", divide="ignore"):
+        adjoint = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0) / determinant[:, None, None]
+        half_trace = 0.5 * np.einsum("nij,njk,nik->n", adjoint, covariance, adjoint, optimize=True)
+        return np.where(np.abs(determinant) > 1e-9, np.degrees(np.sqrt(np.maximum(half_trace, 0.0))), np.nan)
 
 
 def sigma_px(covariance: FloatArray) -> FloatArray:

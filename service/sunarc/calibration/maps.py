@@ -18,6 +18,7 @@ BoolArray = NDArray[np.bool_]
 
 _NODES = 90
 _PULLS = 8
+_ROWS = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,8 +40,14 @@ class BackProjectionMap:
 def back_projection_map(calibration: Calibration) -> BackProjectionMap:
     """Return the directions of all pixels, and their 1-sigma by cubic interpolation between 90 × 90 of them."""
     camera = calibration.camera
-    x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    directions = inverse_table(camera).directions(np.stack([x, y], axis=-1))
+    table = inverse_table(camera)
+    directions = np.empty((camera.height, camera.width, 3))
+    rows = np.empty((_ROWS, camera.width, 2))
+    rows[..., 0] = np.arange(camera.width)
+    for top in range(0, camera.height, _ROWS):
+        count = min(_ROWS, camera.height - top)
+        rows[:count, :, 1] = np.arange(top, top + count)[:, None]
+        table.write_directions(rows[:count], directions[top : top + count])
     inside = np.isfinite(directions[..., 2])
     sigma = _interpolated(_at_nodes(calibration), width=camera.width, height=camera.height)
     sigma[~inside] = np.nan

@@ -71,14 +71,18 @@ class InverseTable:
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
         """Return what `unproject` returns for pixels (..., 2), to about 1e-8 px."""
-        pixel = np.asarray(pixels, dtype=np.float64)
-        flat = np.ascontiguousarray(pixel.reshape(-1, 2))
-        result = np.empty((flat.shape[0], 3))
-        directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, result)
+        pixel = np.ascontiguousarray(pixels, dtype=np.float64)
+        result = np.empty((*pixel.shape[:-1], 3))
+        self.write_directions(pixel, result)
+        return result
+
+    def write_directions(self, pixels: FloatArray, result: FloatArray) -> None:
+        """Write into `result` (..., 3) what `directions` returns; both arrays are contiguous."""
+        flat, into = pixels.reshape(-1, 2), result.reshape(-1, 3)
+        directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into)
         if self.exact_below > -1.0:
-            steep = result @ self.rotation[2] < self.exact_below
-            result[steep] = unproject(self.camera, flat[steep])
-        return result.reshape(*pixel.shape[:-1], 3)
+            steep = into @ self.rotation[2] < self.exact_below
+            into[steep] = unproject(self.camera, flat[steep])
 
 
 def inverse_table(camera: Camera) -> InverseTable:
