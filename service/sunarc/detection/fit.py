@@ -121,8 +121,8 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     nonlinear[free] += np.clip(step[:count], -2.0, 2.0)
     nonlinear[PSF] = np.clip(nonlinear[PSF], problem.prior.log_psf - 1.5, problem.prior.log_psf + 1.5)
     nonlinear[WINGS] = np.clip(nonlinear[WINGS], 0.0, 0.3)
-    flux, background, slope = np.split(step[count:], [colours, 2 * colours])
-    return State(nonlinear, state.flux + flux, state.background + background, state.slope + slope)
+    flux, background, around = np.split(step[count:], [colours, 2 * colours])
+    return State(nonlinear, state.flux + flux, state.background + background, state.around + around)
 
 
 def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
@@ -160,7 +160,7 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
     covariance = _inverse(matrix)
     count = evaluation.residual.size
     chi2 = _chi2(evaluation)
-    first_flux = matrix.shape[0] - 2 - 2 * problem.window.colours
+    first_flux = matrix.shape[0] - state.around.size - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
     flux_sigma = math.sqrt(max(float(_inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))

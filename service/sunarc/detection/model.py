@@ -22,8 +22,10 @@ PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 
 
 _STEPPED = 0.1  # counts²
+_GLARE_CORE = 2.0  # solar radii within which scattered light is flat
 
-_MOVED = [template.BY_X, template.BY_Y, template.BY_PSF, -1, template.BY_S11, template.BY_S12, template.BY_S22]
+_BY_WINGS, _SMEAR, _GLARE = 11, 12, 13  # planes after the template's own
+_MOVED = [template.BY_X, template.BY_Y, template.BY_PSF, _BY_WINGS, template.BY_S11, template.BY_S12, template.BY_S22]
 
 
 class Prior(NamedTuple):
@@ -42,12 +44,15 @@ class Prior(NamedTuple):
 
 
 class State(NamedTuple):
-    """Parameters: nonlinear (7,), one flux and one background per colour, a slope in x and y."""
+    """Parameters: nonlinear (7,), one flux and one background per colour, and what is around.
+
+    around : the background's slope in x and y, the smear of the sun's columns, and the glare.
+    """
 
     nonlinear: FloatArray
     flux: FloatArray
     background: FloatArray
-    slope: FloatArray
+    around: FloatArray
 
     @property
     def stretch(self) -> FloatArray:
@@ -57,7 +62,7 @@ class State(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), planes (12, n)."""
+    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), planes (14, n)."""
 
     cost: float
     residual: FloatArray
@@ -99,39 +104,52 @@ def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
 
 
 def _planes(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
-    """Return the disc's planes and as a last one the derivative by the wings' share: (12, n)."""
+    """Return the disc's planes, the derivative by the wings' share, smear and glare: (14, n)."""
     share, psf = float(nonlinear[WINGS]), math.exp(float(nonlinear[PSF]))
-    core = _rendered(problem, nonlinear, stretch, psf=psf, sources=problem.sources.core)
+    image = _rendered(problem, nonlinear, stretch, psf=psf, sources=problem.sources.core)
+    core = image.reshape(len(image), -1)[:, problem.pixel]
+    columns = problem.pixel % problem.window.counts.shape[1]
+    around = [image[template.VALUE].sum(axis=0)[columns], _glare(problem, nonlinear, stretch)]
     if not problem.prior.free_wings:
-        return np.concatenate([core, np.zeros_like(core[:1])])
-    wings = _rendered(problem, nonlinear, stretch, psf=template.WING_PSF * psf, sources=problem.sources.wings)
-    return np.concatenate([core + share * (wings - core), wings[:1] - core[:1]])
+        return np.concatenate([core, np.zeros_like(core[:1]), around])
+    wide = _rendered(problem, nonlinear, stretch, psf=template.WING_PSF * psf, sources=problem.sources.wings)
+    wings = wide.reshape(len(wide), -1)[:, problem.pixel]
+    return np.concatenate([core + share * (wings - core), wings[:1] - core[:1], around])
 
 
 def _rendered(
     problem: Problem, nonlinear: FloatArray, stretch: FloatArray, *, psf: float, sources: Sources
 ) -> FloatArray:
     x, y, shape = float(nonlinear[0]), float(nonlinear[1]), problem.window.counts.shape
-    planes = template.render_disc(shape, x, y, psf, stretch, sources.positions, sources.weights)
-    return np.asarray(planes.reshape(len(planes), -1)[:, problem.pixel])
+    return np.asarray(template.render_disc(shape, x, y, psf, stretch, sources.positions, sources.weights))
+
+
+def _glare(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
+    """Return light scattered around the sun, falling with the square of the angle outside two solar radii: (n,)."""
+    rows, columns = np.divmod(problem.pixel, problem.window.counts.shape[1])
+    offset = np.stack([columns - nonlinear[0], rows - nonlinear[1]])
+    (a, b), (_, d) = stretch
+    unit = np.array([[d, -b], [-b, a]]) @ offset / max(abs(float(a * d - b * b)), 1e-9)
+    return np.asarray(1.0 / (1.0 + np.sum(unit**2, axis=0) / _GLARE_CORE**2))
 
 
 def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
     """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
-    state = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(2))
+    state = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
     planes = _planes(problem, nonlinear, state.stretch)
     design = _linear_columns(problem, planes)
     root = np.sqrt(1.0 / _variance(problem.sensor, problem.counts))
     solution = np.linalg.lstsq(design * root[:, None], problem.counts * root, rcond=1e-10)[0]
-    flux, background, slope = np.split(solution, [colours, 2 * colours])
-    best = State(nonlinear, np.maximum(flux, 1e-3), background, slope)
+    flux, background, around = np.split(solution, [colours, 2 * colours])
+    best = State(nonlinear, np.maximum(flux, 1e-3), background, around)
     return best, _evaluated(problem, best, planes)
 
 
 def _linear_columns(problem: Problem, planes: FloatArray) -> FloatArray:
     own = problem.colour[:, None] == np.arange(problem.window.colours)
-    return np.concatenate([own * planes[template.VALUE][:, None], own, problem.offset], axis=1)
+    around = [problem.offset, planes[[_SMEAR, _GLARE]].T]
+    return np.concatenate([own * planes[template.VALUE][:, None], own, *around], axis=1)
 
 
 def _variance(sensor: Sensor, level: FloatArray) -> FloatArray:
@@ -148,7 +166,12 @@ def evaluate(problem: Problem, state: State) -> Evaluation:
 
 def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation:
     flux = state.flux[problem.colour]
-    model = flux * planes[template.VALUE] + state.background[problem.colour] + problem.offset @ state.slope
+    model = (
+        flux * planes[template.VALUE]
+        + state.background[problem.colour]
+        + problem.offset @ state.around[:2]
+        + state.around[2:] @ planes[[_SMEAR, _GLARE]]
+    )
     residual, variance = problem.counts - model, _variance(problem.sensor, model)
     moved = flux[:, None] * planes[_MOVED].T
     moved[:, PSF] *= math.exp(state.nonlinear[PSF])
