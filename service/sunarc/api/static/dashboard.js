@@ -136,7 +136,7 @@ async function refreshSky() {
   drawSky(sun, track, last);
   fillFacts("sun", {
     Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
-    "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${fixed(sun.sigma_px, 2)}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
+    "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${fixed(sun.sigma_px, 4)}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
     "Last seen at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${fixed(last.sigma_px, 2)} (${moment(last.time)})` : "not yet",
   });
 }
