@@ -60,11 +60,13 @@ class Marginal:
     Attributes
     ----------
     unknowns : (p,) most probable unknowns.
+    gain : what the step there is expected to take from the penalty.
     waves : (2, m) most probable coefficients of the field.
     covariance : (p, p) of the unknowns; cross: (2, p, m) with the coefficients.
     """
 
     unknowns: FloatArray
+    gain: float
     waves: FloatArray
     covariance: FloatArray
     cross: FloatArray
@@ -101,18 +103,19 @@ def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
     matrix = normal.jj - reduced.taken(shrink) + np.diag(precision)
-    vector = normal.jr - np.einsum("apm,m,am->p", reduced.rows, shrink, reduced.residual) - precision * normal.at
+    vector = normal.jr - reduced.explained(shrink) - precision * normal.at
     scale = 1.0 / np.sqrt(np.diag(matrix))
     scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
     covariance = np.linalg.inv(scaled) * scale[:, None] * scale
     covariance = 0.5 * (covariance + covariance.T)
     step = covariance @ vector
-    left = reduced.residual - np.einsum("apm,p->am", reduced.rows, step)
+    left = reduced.residual - step @ reduced.rows
     return Marginal(
         unknowns=normal.at + step,
+        gain=float(step @ vector),
         waves=(shrink * left) @ reduced.turn.T,
         covariance=covariance,
-        cross=-np.einsum("pq,aqm,m,km->apk", covariance, reduced.rows, shrink, reduced.turn, optimize=True),
+        cross=-(covariance @ (reduced.rows * shrink)) @ reduced.turn.T,
     )
 
 
@@ -141,7 +144,7 @@ def _log_evidence(normal: Normal, reduced: _Reduced, amplitudes: FloatArray, pre
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
     shrink = reduced.shrinkage(amplitudes)
     taken = np.stack([reduced.taken(row) for row in shrink])
-    vector = normal.jr - np.einsum("apm,im,am->ip", reduced.rows, shrink, reduced.residual, optimize=True)
+    vector = normal.jr - np.stack([reduced.explained(row) for row in shrink])
     square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
     matrix = (normal.jj - taken)[:, None] + precision[:, :, None] * np.eye(normal.at.size)
@@ -179,6 +182,11 @@ class _Reduced:
         """Return (amplitudes, m): prior variance over one plus what is known, of each turned coefficient."""
         square = amplitudes[:, None] ** 2
         return np.asarray(square / (1.0 + square * self.power))
+
+    def explained(self, shrink: FloatArray) -> FloatArray:
+        """Return (p,): what the field takes from the sightings' pull on the parameters."""
+        first, second = (rows @ (shrink * left) for rows, left in zip(self.rows, self.residual, strict=True))
+        return np.asarray(first + second)
 
     def taken(self, shrink: FloatArray) -> FloatArray:
         """Return (p, p): what the field takes from the sightings' information on the parameters."""

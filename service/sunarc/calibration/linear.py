@@ -82,6 +82,8 @@ def settled(problem: Problem, system: LinearSystem, scales: Scales) -> tuple[Flo
     now = penalty(normal, system.basis, scales)
     for _ in range(_STEPS):
         best = marginal_fit(normal, system.basis, scales)
+        if best.gain < _REST:
+            break
         step, gain = best.unknowns - system.at, 0.0
         for halving in range(_HALVINGS):
             trial = system.moved(problem, system.at + 0.5**halving * step)

@@ -103,25 +103,30 @@ class Problem:
         """Return observed minus predicted pixels, (n, 2)."""
         predicted = np.empty(seen.pixels.shape)
         for epoch in range(self.n_epochs):
-            mine = seen.epoch == epoch
+            mine = self._of(epoch, seen)
             predicted[mine] = project_fast(self.camera(unknowns, epoch), seen.directions[mine])
-        return np.asarray(np.nan_to_num(seen.pixels - predicted, nan=_UNREACHED_PX))
+        residual = seen.pixels - predicted
+        residual[np.isnan(residual)] = _UNREACHED_PX
+        return np.asarray(residual)
 
     def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
         residual = np.empty(seen.pixels.shape)
-        rows = np.zeros((len(seen), 2, self.size))
+        rows = np.empty((len(seen), 2, self.size))
         for epoch in range(self.n_epochs):
-            mine = seen.epoch == epoch
+            mine = self._of(epoch, seen)
             pixel, by_parameters = project_with_rows_fast(self.camera(unknowns, epoch), seen.directions[mine])
             to_unknowns = np.zeros((23, self.size))
             to_unknowns[np.ix_(LENS, np.arange(N_LENS))] = self.prior.basis
             to_unknowns[np.ix_(POSE, np.arange(self.size)[self.pose_slice(epoch)])] = np.eye(3)
             rows[mine] = (by_parameters.reshape(-1, 23) @ to_unknowns).reshape(-1, 2, self.size)
             residual[mine] = seen.pixels[mine] - pixel
-        lost = ~np.all(np.isfinite(residual), axis=-1)
-        residual[lost], rows[lost] = _UNREACHED_PX, 0.0
+        residual[np.isnan(residual)] = _UNREACHED_PX
         return residual, rows
+
+    def _of(self, epoch: int, seen: Observations) -> slice | NDArray[np.bool_]:
+        """Return which observations belong to an epoch."""
+        return slice(None) if self.n_epochs == 1 else seen.epoch == epoch
 
 
 def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int) -> Problem:

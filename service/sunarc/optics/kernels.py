@@ -138,7 +138,8 @@ def _shape_at(  # noqa: PLR0917 - compiled functions take positions
 @njit(cache=True, nogil=True)
 def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: FloatArray, row: FloatArray) -> None:
     """Write the pixel and its derivatives by K, k and p."""
-    theta, radius, _, u, v, profile, bx, by, gx, gy, _ = shape
+    theta, radius, u, v, profile = shape[0], shape[1], shape[3], shape[4], shape[5]
+    bx, by, gx, gy = shape[6], shape[7], shape[8], shape[9]
     sign = -1.0 if mirror >= 0.0 else 1.0
     ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
     x_hat, y_hat = radius * u + profile * bx, radius * v + profile * by
@@ -167,7 +168,8 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, mirror: float, shape: FloatArray, x: float, y: float, z: float, row: FloatArray
 ) -> None:
     """Write the derivatives by the vector in the camera frame, which are those by the translation."""
-    _, radius, slope, u, v, profile, _, _, gx, gy, across = shape
+    radius, slope, u, v, profile = shape[1], shape[2], shape[3], shape[4], shape[5]
+    gx, gy, across = shape[8], shape[9], shape[10]
     sign = -1.0 if mirror >= 0.0 else 1.0
     ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
     p1, p2 = vector[19], vector[20]
@@ -188,7 +190,7 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
 @njit(cache=True, nogil=True)
 def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, row: FloatArray) -> None:
     """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
-    e, north, up = direction
+    e, north, up = direction[0], direction[1], direction[2]
     for c in range(2):
         vx, vy, vz = row[c, 8], row[c, 9], row[c, 10]
         wx = vx * rotation[0, 0] + vy * rotation[1, 0] + vz * rotation[2, 0]
