@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sunarc.__main__ import main
 from sunarc.calibration import Calibration, SunPoints, calibrate
 from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
@@ -17,7 +20,29 @@ MAY_13 = 1_368_424_800.0
 """2013-05-13 06:00 UTC: before sunrise at the site."""
 
 
+@dataclass(frozen=True, slots=True)
+class Answer:
+    code: int
+    out: str
+    err: str
+
+
+Sunarc = Callable[..., Answer]
 PngSize = Callable[[Path], tuple[int, int]]
+
+
+@pytest.fixture
+def sunarc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sunarc:
+    """Run the command line in this process."""
+
+    def run(*arguments: str) -> Answer:
+        monkeypatch.setattr(sys, "argv", ["sunarc", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        captured = capsys.readouterr()
+        return Answer(ended.value.code if isinstance(ended.value.code, int) else 0, captured.out, captured.err)
+
+    return run
 
 
 @pytest.fixture(scope="session")
