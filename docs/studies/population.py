@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration import SunPoints
-from sunarc.optics import Camera, PoseAngles, Projection, ideal_radius, project, rotation_from_pose_angles
+from sunarc.optics import Camera, PoseAngles, ideal_radius, project, rotation_from_pose_angles
 from sunarc.sky import Site, sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]

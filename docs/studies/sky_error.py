@@ -125,15 +125,17 @@ def main() -> None:
     parser.add_argument("--case", action="append", choices=list(CASES))
     parser.add_argument("--verbose", action="store_true")
     chosen = parser.parse_args()
-    print(f"{'case':22s} {'sky med':>8s} {'P90':>7s} {'track':>7s} {'cover':>6s} {'near':>6s} {'far':>6s} {'stated':>7s} {'s':>5s} {'field':>6s}")
+    heads = ("sky med", "P90", "track", "cover", "near", "far", "stated", "s", "field")
+    print(f"{'case':22s}" + "".join(f"{head:>8s}" for head in heads))
     for name in chosen.case or CASES:
         seeds = range(chosen.first, chosen.first + chosen.lenses)
         rows = np.array([one_lens(CASES[name], 1000 + s, CalibrationOptions(), chosen.verbose) for s in seeds])
         sky, track = np.median(rows[:, 0]), np.mean(rows[:, 1])
         cover = rows[:, 2:5].mean(axis=0)
         print(
-            f"{name:22s} {sky:8.4f} {np.quantile(rows[:, 0], 0.9):7.4f} {track:7.4f} {cover[0]:6.3f} {cover[1]:6.3f} "
-            f"{cover[2]:6.3f} {np.median(rows[:, 5]):7.4f} {rows[:, 6].mean():5.2f} {np.sqrt(np.mean(rows[:, 7] ** 2)):6.3f}",
+            f"{name:22s}{sky:8.4f}{np.quantile(rows[:, 0], 0.9):8.4f}{track:8.4f}"
+            + "".join(f"{share:8.3f}" for share in cover)
+            + f"{np.median(rows[:, 5]):8.4f}{rows[:, 6].mean():8.2f}{np.sqrt(np.mean(rows[:, 7] ** 2)):8.3f}",
             flush=True,
         )
 

@@ -32,7 +32,7 @@ class _Case:
         self.waves = basis.values(self.pixels)
 
     def normal(self) -> Normal:
-        return normal_sums(self.rows, self.waves, self.residual, self.information, self.at)
+        return normal_sums(self.rows, self.waves, self.residual, self.information, at=self.at)
 
 
 def _kernel(a: FloatArray, b: FloatArray, scales: Scales) -> FloatArray:

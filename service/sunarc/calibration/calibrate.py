@@ -65,7 +65,7 @@ def calibrate(
         chosen = replace(chosen, projection=start.projection)
     usable = usable_points(points, site=site)
     job = Job(points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle)
-    problems = before_fit(usable, site=site)
+    problems = before_fit(usable)
     if problems:
         return refused(job, problems)
     seen = observations(usable)

@@ -14,7 +14,7 @@ from sunarc.calibration.loss import core_sigma, tukey_weights
 from sunarc.calibration.metrics import measures
 from sunarc.calibration.points import SunPoints, usable_points
 from sunarc.errors import InputError
-from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles, sun_directions
+from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
 
 FloatArray = NDArray[np.float64]
 DayKind = Literal["clear", "partly", "cloudy", "unusable"]
@@ -24,6 +24,7 @@ _ROUNDS = 12
 _POLYNOMIAL_PX = 0.2
 """How well a 9th-order polynomial follows a whole day's arc; finer sightings must not be blamed for its misfit."""
 _HORIZON_DEG = 89.6
+_LARGEST_GAP = math.radians(5.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +104,6 @@ def measure_day(points: SunPoints, *, site: Site, n_possible: int | None = None,
     rmsd, _, _, sd = measures(residual)
     core = measures(residual[on_arc])[0] / math.sqrt(2.0)
     times = usable.unix_s[on_arc]
-    step = angular_distance(usable.directions[on_arc][1:], usable.directions[on_arc][:-1])
     return DayMeasure(
         date=(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=int(usable.day[0]))).date().isoformat(),
         n=len(usable),
@@ -112,7 +112,7 @@ def measure_day(points: SunPoints, *, site: Site, n_possible: int | None = None,
         sd_px=sd,
         rmsd_px=rmsd,
         core_sd_px=core,
-        arc_deg=math.degrees(float(np.sum(step[step < math.radians(5.0)]))),
+        arc_deg=arc_length_deg(usable.directions[on_arc]),
         largest_gap_s=float(np.max(np.diff(times), initial=0.0)),
     )
 
@@ -185,8 +185,7 @@ def _nothing(n: int, possible: int) -> DayMeasure:
     )
 
 
-def arc_length_deg(unix_s: FloatArray, site: Site) -> float:
-    """Return the length of the sun's way through these moments in degrees, gaps above 5 degrees left out."""
-    directions = sun_directions(np.sort(unix_s), site)
+def arc_length_deg(directions: FloatArray) -> float:
+    """Return the length of the way through directions (n, 3) in degrees, gaps above 5 degrees left out."""
     step = angular_distance(directions[1:], directions[:-1])
-    return math.degrees(float(np.sum(step[step < math.radians(5.0)])))
+    return math.degrees(float(np.sum(step[step < _LARGEST_GAP])))

@@ -73,9 +73,18 @@ class Marginal:
 
 
 def normal_sums(
-    rows: FloatArray, waves: FloatArray, residual: FloatArray, information: FloatArray, at: FloatArray
+    rows: FloatArray,
+    waves: FloatArray,
+    residual: FloatArray,
+    information: FloatArray,
+    *,
+    at: FloatArray,
+    ff: FloatArray | None = None,
 ) -> Normal:
-    """Return the sums over sightings: rows (n, 2, p), waves (n, m), residual (n, 2), information (n,)."""
+    """Return the sums over sightings: rows (n, 2, p), waves (n, m), residual (n, 2), information (n,).
+
+    `ff` does not change with the camera: who has it already gives it.
+    """
     root = np.sqrt(information)
     j = rows * root[:, None, None]
     f = waves * root[:, None]
@@ -84,7 +93,7 @@ def normal_sums(
     return Normal(
         jj=flat.T @ flat,
         jf=np.stack([j[:, a].T @ f for a in (0, 1)]),
-        ff=f.T @ f,
+        ff=f.T @ f if ff is None else ff,
         jr=flat.T @ r.ravel(),
         fr=np.stack([f.T @ r[:, a] for a in (0, 1)]),
         rr=float(np.sum(r**2)),

@@ -31,7 +31,7 @@ def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
         if np.setdiff1d(usable.epoch[mine], usable.epoch[~mine]).size:
             continue  # a pose that no other day shows cannot be foretold
         inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
-        change = marginal_fit(system.normal(inside), fit.grid.basis, fit.scales).unknowns - system.at
+        change = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales).unknowns - system.at
         counted = mine & (fit.weight > 0.0)
         foretold = fit.residual[counted] - (system.rows @ change)[system.member[counted]]
         total += float(np.sum(foretold**2))

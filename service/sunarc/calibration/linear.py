@@ -29,6 +29,7 @@ class LinearSystem:
     ----------
     seen : (b) one observation a bin, its pixel such that the residual is the bin's mean.
     rows : (b, 2, p); waves: (b, m); residual: (b, 2) px; at: (p,) where it was made.
+    wave_products : (m, m) products of the waves over the bins, the same for every camera.
     basis : the field's waves.
     member : (n,) the bin of every sighting.
     """
@@ -38,14 +39,20 @@ class LinearSystem:
     waves: FloatArray
     residual: FloatArray
     at: FloatArray
+    wave_products: FloatArray
     basis: WaveBasis
     member: IntArray
 
-    def normal(self, which: NDArray[np.bool_] | slice = slice(None)) -> Normal:
-        """Return the sums over the bins that are picked."""
+    def normal(self) -> Normal:
+        """Return the sums over all bins."""
         return normal_sums(
-            self.rows[which], self.waves[which], self.residual[which], self.seen.information[which], self.at
+            self.rows, self.waves, self.residual, self.seen.information, at=self.at, ff=self.wave_products
         )
+
+    def normal_of(self, which: NDArray[np.bool_]) -> Normal:
+        """Return the sums over the bins that are picked."""
+        picked = self.rows[which], self.waves[which], self.residual[which], self.seen.information[which]
+        return normal_sums(*picked, at=self.at)
 
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
@@ -65,12 +72,14 @@ def linear_system(
     """Return the equations of sightings about some unknowns."""
     gathered, residual = bins.gathered(seen, problem.residuals(unknowns, seen), information)
     own, rows = problem.linearised(unknowns, gathered)
+    waves = basis.values(gathered.pixels)
     return LinearSystem(
         seen=replace(gathered, pixels=gathered.pixels + residual - own),
         rows=rows,
-        waves=basis.values(gathered.pixels),
+        waves=waves,
         residual=residual,
         at=unknowns,
+        wave_products=waves.T @ (waves * gathered.information[:, None]),
         basis=basis,
         member=bins.member,
     )

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sunarc.errors import InputError
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.sky import Site, sun_directions
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_LOWEST_ZENITH_DEG = 91.0
+_LOWEST_UP = -math.sin(math.radians(1.0))
 _SECONDS_PER_DEGREE = 240.0
 _SECONDS_PER_DAY = 86_400.0
 
@@ -139,8 +140,9 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
     """
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
     finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
-    above = np.zeros_like(finite)
-    above[finite] = sun_angles(points.unix_s[finite], site).apparent_zenith < _LOWEST_ZENITH_DEG
+    directions = np.full((len(points), 3), np.nan)
+    directions[finite] = sun_directions(points.unix_s[finite], site)
+    above = finite & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
     order = np.flatnonzero(above)
     order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
     moments = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
@@ -155,7 +157,7 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
         index=kept,
         unix_s=times,
         pixels=points.pixels[kept],
-        directions=sun_directions(times, site),
+        directions=directions[kept],
         sigma_px=_relative_sigma(points.sigma_px[kept]),
         epoch=points.epoch[kept],
         day=days,

@@ -38,8 +38,8 @@ class Observations:
     def __len__(self) -> int:
         return int(self.information.size)
 
-    def select(self, which: NDArray[np.bool_] | IntArray) -> Observations:
-        """Return the observations that an index or a mask picks."""
+    def select(self, which: slice | NDArray[np.bool_] | IntArray) -> Observations:
+        """Return the observations that a slice, an index or a mask picks."""
         return Observations(
             directions=self.directions[which],
             pixels=self.pixels[which],

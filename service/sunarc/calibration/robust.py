@@ -30,6 +30,8 @@ IntArray = NDArray[np.int64]
 
 _ROUNDS = 5
 _SETTLING = 3
+_ENOUGH = 6000
+"""Sightings that the first fits look at; the last ones look at all."""
 _FIRST_FIELD_PX = 1.0
 _SMALLEST_SIGMA_PX = 1e-4
 _LOOSE_RADIAL_PX = 16.0
@@ -143,13 +145,14 @@ def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins
     """Return the robust fit without a field, the scale of the loss coming down to the core's."""
     precision = prior_precision(problem.size, _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
     at = consensus_start(problem, seen, start, precision=precision)
-    weight = np.ones(len(seen))
+    thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
+    sigma = 1.0
     for _ in range(_SETTLING):
-        distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
+        distance = np.linalg.norm(problem.residuals(at, thin), axis=-1) * np.sqrt(thin.information)
         sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
-        found = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20)
-        at, weight = found.unknowns, information(found.residual, seen, sigma)
-    gathered, residual = bins.gathered(seen, problem.residuals(at, seen), weight)
+        at = most_probable(problem, thin, at, precision=precision, sigma=sigma, iterations=20).unknowns
+    left = problem.residuals(at, seen)
+    gathered, residual = bins.gathered(seen, left, information(left, seen, sigma))
     pixels = gathered.pixels + residual - problem.residuals(at, gathered)
     return deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
 

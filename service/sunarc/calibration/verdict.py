@@ -11,7 +11,6 @@ from sunarc.calibration.days import arc_length_deg
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.result import Calibration, Verdict
-from sunarc.sky import Site
 
 _FEWEST = 20
 _SHORTEST_ARC_DEG = 10.0
@@ -25,13 +24,13 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: Usable, *, site: Site) -> tuple[str, ...]:
+def before_fit(usable: Usable) -> tuple[str, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, all on one pixel."""
     dropped = f" ({', '.join(usable.dropped)})" if usable.dropped else ""
     if len(usable) < _FEWEST:
         return (f"only {len(usable)} usable sightings{dropped}; at least {_FEWEST} are needed",)
     problems = []
-    arc = sum(arc_length_deg(usable.unix_s[usable.day == day], site) for day in np.unique(usable.day))
+    arc = sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))
     if arc < _SHORTEST_ARC_DEG:
         problems.append(f"the sun moved {arc:.1f} degrees only; at least {_SHORTEST_ARC_DEG:.0f} are needed")
     spread = float(np.linalg.norm(np.ptp(usable.pixels, axis=0)))
