@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
+from collections import Counter
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.progress import track
 
 from sunarc import __version__, app, doctor, offline
 from sunarc.archive import parse_time
 from sunarc.calibration import CalibrationOptions
 from sunarc.clock import SystemClock
+from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, SunarcError
+from sunarc.offline.command_line import Config, db_cli, points_cli
 from sunarc.settings import load_settings
 from sunarc.sky import Site
 from sunarc.studies.command_line import study_cli
+from sunarc.terminal import print_json, table
 
 _SITE = "Where the camera stands"
 
@@ -32,21 +34,18 @@ cli = typer.Typer(
     rich_markup_mode=None,
     help="Keeps the geometric calibration of an all-sky imager right, from the sun.",
 )
-points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
-db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
 cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
 cli.add_typer(study_cli, name="study")
 
-Config = Annotated[
-    Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
-]
-State = Annotated[Path, typer.Option("--state", help="The service's state folder.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)]
 Longitude = Annotated[float, typer.Option(help="Degrees, east positive.", rich_help_panel=_SITE)]
 Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=_SITE)]
+DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
 CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
+
+Choice = TypeVar("Choice", bound=str)
 
 _out = Console(soft_wrap=True)
 _err = Console(stderr=True, soft_wrap=True)
@@ -123,21 +122,70 @@ def simulate(
 def detect(
     images: Annotated[list[Path], typer.Argument(help="Image files.")],
     *,
-    method: Annotated[str, typer.Option(help="auto, disc or paper.")] = "auto",
+    method: DetectionMethod = "auto",
+    full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
+    bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
+    overlay: Annotated[Path | None, typer.Option(help="Write the (one) image with a cross on the sun.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find the sun in images; exit 1 when none shows it.
+    """Find the sun in images; exit 1 when none shows it, 2 when none is an image.
 
     Example: sunarc detect noon.png --json
     """
-    found = offline.detect_in_files(images, method=method)
+    if overlay is not None and len(images) != 1:
+        raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
+    chosen = _choice("--method", method, offline.METHODS)
+    mosaic = None if bayer is None else _choice("--bayer", bayer, BAYERS)
+    found = offline.detect_in_files(images, method=chosen, full_scale=full_scale, bayer=mosaic)
     if as_json:
-        _print_json(found)
+        print_json(found)
     else:
         columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
-        _out.print(_table(columns, [[row[column] for column in columns] for row in found]))
+        _out.print(table(columns, [[row[column] for column in columns] for row in found]))
+    unread = [row for row in found if row["verdict"] == "no_frame"]
+    for row in unread:
+        print(f"sunarc: {row['reason']}", file=sys.stderr)
+    if len(unread) == len(found):
+        raise typer.Exit(2)
+    if overlay is not None:
+        offline.draw_overlay(images[0], found[0], overlay)
     if not any(row["accepted"] for row in found):
         raise typer.Exit(1)
+
+
+@cli.command()
+def ingest(
+    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
+    *,
+    config: Config = None,
+    method: DetectionMethod = "auto",
+    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
+    as_json: AsJson = False,
+) -> None:
+    """Find the sun in a folder of archived images and fill the archive; what it has is skipped.
+
+    Example: sunarc ingest images/ --config sunarc.toml
+    """
+    answers = offline.ingest_folder(
+        load_settings(config),
+        folder,
+        method=_choice("--method", method, offline.METHODS),
+        time_pattern=time_pattern,
+        utc_offset_h=utc_offset,
+    )
+    outcomes: Counter[str] = Counter()
+    skipped: list[dict[str, str]] = []
+    for answer in track(answers, console=_err, description="ingesting", disable=not sys.stderr.isatty()):
+        outcomes[answer.outcome] += 1
+        if answer.outcome == "skipped":
+            skipped.append({"file": str(answer.path), "reason": answer.text})
+    if as_json:
+        print_json({**outcomes, "files_skipped": skipped})
+        return
+    for row in skipped:
+        print(f"skipped {row['file']}: {row['reason']}")
+    print(f"{outcomes['added']} added, {outcomes['known']} known already, {outcomes['skipped']} skipped")
 
 
 @cli.command()
@@ -177,7 +225,7 @@ def calibrate(
         plots=plots,
     )
     if as_json:
-        _print_json(document)
+        print_json(document)
     else:
         _print_calibration(document)
         if plots is not None:
@@ -213,69 +261,11 @@ def check(config: Config = None, *, as_json: AsJson = False) -> None:
     settings = load_settings(config)
     findings = list(doctor.examine(settings, clock=SystemClock()))
     if as_json:
-        _print_json([asdict(finding) for finding in findings])
+        print_json([asdict(finding) for finding in findings])
     else:
-        _out.print(_table(("", "", ""), [[finding.outcome, finding.what, finding.text] for finding in findings]))
+        _out.print(table(("", "", ""), [[finding.outcome, finding.what, finding.text] for finding in findings]))
     if any(finding.outcome == "fail" for finding in findings):
         raise typer.Exit(1)
-
-
-@points_cli.command("import")
-def import_points(file: Annotated[Path, typer.Argument(help="CSV of sightings.")], config: Config = None) -> None:
-    """Add sightings from a CSV file to the archive; what it has already is skipped.
-
-    Example: sunarc points import points.csv --config sunarc.toml
-    """
-    added, total = offline.import_points(load_settings(config), file)
-    print(f"{added} of {total} sightings added, {total - added} were there already")
-
-
-@points_cli.command("export")
-def export_points(
-    config: Config = None,
-    since: Annotated[str | None, typer.Option(help="First time, ISO 8601.")] = None,
-    until: Annotated[str | None, typer.Option(help="End, ISO 8601, exclusive.")] = None,
-) -> None:
-    """Write the accepted sightings of the archive as CSV to standard output.
-
-    Example: sunarc points export --config sunarc.toml > points.csv
-    """
-    offline.export_points(
-        load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until")
-    )
-
-
-@db_cli.command()
-def upgrade(state: State) -> None:
-    """Create the database, or bring it to this version's revision; a copy is kept.
-
-    Example: sunarc db upgrade --state /var/lib/sunarc
-    """
-    print(offline.upgrade_database(state))
-
-
-@db_cli.command("check")
-def check_database(state: State, *, as_json: AsJson = False) -> None:
-    """Check the database's revision and integrity; exit 1 when something is wrong.
-
-    Example: sunarc db check --state /var/lib/sunarc
-    """
-    found = offline.check_database(state)
-    if as_json:
-        _print_json(found)
-    else:
-        _out.print(_table(("what", "value"), [[key, str(value)] for key, value in found.items()]))
-    if not found["sound"]:
-        raise typer.Exit(1)
-
-
-@db_cli.command()
-def backup(target: Annotated[Path, typer.Argument(help="File to write.")], *, state: State) -> None:
-    """Copy the database, consistently, while the service runs.
-
-    Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
-    """
-    print(offline.backup_database(state, target))
 
 
 def _log_to_standard_error() -> None:
@@ -284,8 +274,11 @@ def _log_to_standard_error() -> None:
     logging.getLogger("alembic").setLevel(logging.WARNING)
 
 
-def _moment(text: str | None, option: str) -> datetime | None:
-    return None if text is None else parse_time(text, where=option)
+def _choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
+    for choice in choices:
+        if text == choice:
+            return choice
+    raise InputError(field=option, problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(choices)}")
 
 
 def _image_size(text: str) -> tuple[int, int]:
@@ -296,19 +289,6 @@ def _image_size(text: str) -> tuple[int, int]:
             field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
         ) from None
     return width, height
-
-
-def _print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
-    print(json.dumps(value, indent=1, allow_nan=False))
-
-
-def _table(columns: tuple[str, ...], rows: list[list[Any]]) -> Table:
-    table = Table(*columns)
-    for row in rows:
-        table.add_row(
-            *("" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row)
-        )
-    return table
 
 
 def _print_calibration(document: dict[str, Any]) -> None:
@@ -327,7 +307,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
         ["verdict", "accepted" if verdict["accepted"] else "refused"],
         *(["", reason] for reason in verdict["reasons"]),
     ]
-    _out.print(_table(("", ""), rows))
+    _out.print(table(("", ""), rows))
 
 
 if __name__ == "__main__":

@@ -61,3 +61,44 @@ def test_a_file_that_is_not_there_is_told_in_one_line(sunarc: Sunarc, tmp_path: 
     answer = sunarc("detect", str(tmp_path / "absent.png"))
     assert answer.code == 2
     assert answer.err.count("\n") == 1
+
+
+def test_an_overlay_shows_where_the_sun_was_found(sunarc: Sunarc, scene: Scene, tmp_path: Path) -> None:
+    path, overlay = tmp_path / "noon.png", tmp_path / "overlay.png"
+    cv2.imwrite(str(path), scene.render(round(NOON.timestamp() * 1e6), exposure_us=20.0, full_scale=65535))
+    assert sunarc("detect", str(path), "--overlay", str(overlay)).code == 0
+    drawn = cv2.imread(str(overlay))
+    assert drawn is not None
+    x, y = (round(float(value)) for value in scene.sun_pixel(NOON.timestamp()))
+    blue, green, red = drawn[y, x + 20].tolist()
+    assert green > max(blue, red) + 50
+
+
+def test_a_saturated_twelve_bit_frame_is_taken_for_one(sunarc: Sunarc, tmp_path: Path) -> None:
+    bare = Scene(true_camera(), SGP)
+    path = tmp_path / "noon.png"
+    cv2.imwrite(str(path), bare.render(round(NOON.timestamp() * 1e6), exposure_us=1.0, full_scale=4095))
+    answer = sunarc("detect", str(path), "--json")
+    (found,) = json.loads(answer.out)
+    assert answer.code == 0, found
+    assert found["saturated_px"] > 0
+    assert (found["x_px"], found["y_px"]) == pytest.approx(tuple(bare.sun_pixel(NOON.timestamp())), abs=0.05)
+
+
+def test_a_torn_file_among_others_is_listed_and_the_others_are_answered(
+    sunarc: Sunarc, scene: Scene, tmp_path: Path
+) -> None:
+    good, torn = tmp_path / "noon.png", tmp_path / "torn.png"
+    cv2.imwrite(str(good), scene.render(round(NOON.timestamp() * 1e6), exposure_us=20.0, full_scale=65535))
+    torn.write_bytes(b"torn")
+    answer = sunarc("detect", str(torn), str(good), "--json")
+    assert answer.code == 0
+    assert [row["verdict"] for row in json.loads(answer.out)] == ["no_frame", "clear"]
+    assert "torn.png" in answer.err
+
+
+@pytest.mark.parametrize(("option", "value"), [("--method", "magic"), ("--bayer", "XYZW")])
+def test_an_unknown_choice_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path: Path, option: str, value: str) -> None:
+    answer = sunarc("detect", str(tmp_path / "x.png"), option, value)
+    assert answer.code == 2
+    assert f"{value!r} is unknown" in answer.err

@@ -55,7 +55,7 @@ def _moon(rng: np.random.Generator, size: int) -> FloatArray:
     angle = rng.uniform(0, 2 * math.pi)
     cover = np.array([math.cos(angle), math.sin(angle), rng.uniform(-1.0, 0.85), 0.03, 0.0])
     maria = 1.0 - 0.4 * gaussian_filter((rng.random((size, size)) > 0.5).astype(float), 1.0)
-    return np.asarray(10.0 ** rng.uniform(-2, 0.5) * disc_image(scene, cover) * maria)
+    return np.asarray(10.0 ** rng.uniform(-2, 0) * disc_image(scene, cover) * maria)
 
 
 def _with_hot_pixels(image: Image, scene: Scene, rng: np.random.Generator) -> Image:

@@ -17,6 +17,7 @@ from sunarc.archive.csv_files import (
 )
 from sunarc.archive.images import ImageStore
 from sunarc.archive.schema import Check, backup, check, head_revision, upgrade
+from sunarc.archive.seen import sun_point_of
 from sunarc.archive.values import (
     CalibrationRecord,
     CalibrationState,
@@ -56,6 +57,7 @@ __all__ = [
     "parse_time",
     "read_pairs",
     "read_sightings",
+    "sun_point_of",
     "upgrade",
     "write_columns",
     "write_sightings",

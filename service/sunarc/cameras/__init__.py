@@ -3,7 +3,7 @@
 from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import CameraInfo, Counts, Frame, SkyCamera, full_scale_of
 from sunarc.cameras.options import AravisOptions, ReplayOptions
-from sunarc.cameras.replay import ReplayCamera, SkippedFile, open_replay
+from sunarc.cameras.replay import ReplayCamera, SkippedFile, exposure_of_name, open_replay
 
 __all__ = [
     "AravisCamera",
@@ -15,6 +15,7 @@ __all__ = [
     "ReplayOptions",
     "SkippedFile",
     "SkyCamera",
+    "exposure_of_name",
     "full_scale_of",
     "open_aravis",
     "open_replay",

@@ -10,9 +10,10 @@ from sunarc.detection.detect import detect_sun
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.paper import Estimates, Planes, locate, planes_of
 from sunarc.detection.photo import PaperOptions, detect_sun_in_photo
-from sunarc.detection.values import Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
+from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
+    "BAYERS",
     "Bayer",
     "Detection",
     "DiscOptions",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ Verdict = Literal[
     "clear", "veiled", "partly_covered", "hidden", "obstructed", "saturated", "below_horizon", "reflection", "no_frame"
 ]
 Bayer = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+BAYERS: tuple[Bayer, ...] = get_args(Bayer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

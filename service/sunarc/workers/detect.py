@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from sunarc.archive import Archive, SunPoint
+from sunarc.archive import Archive, sun_point_of
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, detect_sun
@@ -72,31 +72,17 @@ class DetectWorker:
             options=self._disc,
             exposure_us=frame.exposure_us,
         )
-        self._archive.add_sun_points([self._sun_point(frame, detection)])
+        epoch = self._archive.epoch_at(self._camera, frame.time, reason="first frame")
+        point = sun_point_of(
+            detection,
+            camera=self._camera,
+            pose_epoch=epoch.id,
+            time=frame.time,
+            exposure_us=frame.exposure_us,
+            clock_error_s=self._clock_error_s(),
+        )
+        self._archive.add_sun_points([point])
         self._report(frame, detection)
         if detection.accepted:
             self._board.note(last_sighting_at=frame.time)
         return detection
-
-    def _sun_point(self, frame: Frame, detection: Detection) -> SunPoint:
-        return SunPoint(
-            camera=self._camera,
-            pose_epoch=self._archive.epoch_at(self._camera, frame.time, reason="first frame").id,
-            time=frame.time,
-            method=detection.method,
-            accepted=detection.accepted,
-            verdict=detection.verdict,
-            reason=detection.reason,
-            exposure_us=frame.exposure_us,
-            x_px=detection.x_px,
-            y_px=detection.y_px,
-            sigma_px=detection.sigma_px,
-            peak_fraction=detection.peak_fraction,
-            background_fraction=detection.background_fraction,
-            radius_px=detection.radius_px,
-            ellipticity=detection.ellipticity,
-            residual_chi2=detection.residual_chi2,
-            snr=detection.snr,
-            saturated_px=detection.saturated_px,
-            clock_error_s=self._clock_error_s(),
-        )

@@ -268,7 +268,7 @@ function drawBySky(points) {
   compass(width, height).forEach(([name, at]) => parts.push(label(onto(at), name, 13, "")));
   const lengths = points.map((point) => point.residual.distance_px).sort((a, b) => a - b);
   const typical = lengths[Math.floor(lengths.length * 0.9)] || 1;
-  const unit = ticksOf(0, typical, 2).ticks.at(-1);
+  const unit = ticksOf(0, typical, 2).ticks.at(-1) || typical;
   const stride = Math.max(1, Math.ceil(points.length / 200));
   for (let k = 0; k < points.length; k += stride) {
     const { residual, x_px, y_px } = points[k];

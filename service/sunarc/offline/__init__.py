@@ -1,0 +1,34 @@
+"""Answers from files, with no service running: what the command line does at once and prints.
+
+fitting.py: sightings to a calibration · placing.py: directions to pixels and back · detecting.py: the sun in images ·
+ingesting.py: an archive of images to sightings · storing.py: the archive in and out · files.py: what is handed over.
+"""
+
+from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay
+from sunarc.offline.fitting import calibrate_file
+from sunarc.offline.ingesting import Ingested, ingest_folder
+from sunarc.offline.placing import project_csv, unproject_csv
+from sunarc.offline.storing import (
+    backup_database,
+    check_database,
+    export_points,
+    import_points,
+    upgrade_database,
+)
+
+__all__ = [
+    "METHODS",
+    "Ingested",
+    "backup_database",
+    "calibrate_file",
+    "check_database",
+    "detect_in_files",
+    "detect_in_image",
+    "draw_overlay",
+    "export_points",
+    "import_points",
+    "ingest_folder",
+    "project_csv",
+    "unproject_csv",
+    "upgrade_database",
+]

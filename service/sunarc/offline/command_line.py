@@ -1,0 +1,87 @@
+"""The commands of `sunarc points` and `sunarc db`: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from sunarc.archive import parse_time
+from sunarc.offline import storing
+from sunarc.settings import load_settings
+from sunarc.terminal import print_json, table
+
+points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
+db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
+
+Config = Annotated[
+    Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
+]
+State = Annotated[Path, typer.Option("--state", help="The service's state folder.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@points_cli.command("import")
+def import_points(file: Annotated[Path, typer.Argument(help="CSV of sightings.")], config: Config = None) -> None:
+    """Add sightings from a CSV file to the archive; what it has already is skipped.
+
+    Example: sunarc points import points.csv --config sunarc.toml
+    """
+    added, total = storing.import_points(load_settings(config), file)
+    print(f"{added} of {total} sightings added, {total - added} were there already")
+
+
+@points_cli.command("export")
+def export_points(
+    config: Config = None,
+    since: Annotated[str | None, typer.Option(help="First time, ISO 8601.")] = None,
+    until: Annotated[str | None, typer.Option(help="End, ISO 8601, exclusive.")] = None,
+) -> None:
+    """Write the accepted sightings of the archive as CSV to standard output.
+
+    Example: sunarc points export --config sunarc.toml > points.csv
+    """
+    storing.export_points(
+        load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until")
+    )
+
+
+@db_cli.command()
+def upgrade(state: State) -> None:
+    """Create the database, or bring it to this version's revision; a copy is kept.
+
+    Example: sunarc db upgrade --state /var/lib/sunarc
+    """
+    print(storing.upgrade_database(state))
+
+
+@db_cli.command("check")
+def check_database(state: State, *, as_json: AsJson = False) -> None:
+    """Check the database's revision and integrity; exit 1 when something is wrong.
+
+    Example: sunarc db check --state /var/lib/sunarc
+    """
+    found = storing.check_database(state)
+    if as_json:
+        print_json(found)
+    else:
+        Console(soft_wrap=True).print(table(("what", "value"), [[key, str(value)] for key, value in found.items()]))
+    if not found["sound"]:
+        raise typer.Exit(1)
+
+
+@db_cli.command()
+def backup(target: Annotated[Path, typer.Argument(help="File to write.")], *, state: State) -> None:
+    """Copy the database, consistently, while the service runs.
+
+    Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
+    """
+    print(storing.backup_database(state, target))
+
+
+def _moment(text: str | None, option: str) -> datetime | None:
+    return None if text is None else parse_time(text, where=option)

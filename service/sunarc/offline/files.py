@@ -1,0 +1,53 @@
+"""Files as people hand them over: read whole, or refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.detection import Image
+from sunarc.errors import InputError
+
+
+def read_file(path: Path) -> bytes:
+    """Return a file's bytes; InputError when it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            field=str(path), problem=error.strerror or str(error), remedy="name a file that can be read"
+        ) from None
+
+
+def read_lines(path: Path) -> list[str]:
+    """Return a text file's lines; InputError when it is not UTF-8."""
+    try:
+        return read_file(path).decode().splitlines()
+    except UnicodeDecodeError:
+        raise InputError(field=str(path), problem="is not text", remedy="give a CSV file in UTF-8") from None
+
+
+def read_image(path: Path) -> Image:
+    """Read an image file as it is, 8 or 16 bit."""
+    encoded = np.frombuffer(read_file(path), dtype=np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    if image is not None and image.dtype == np.uint8:
+        return image.astype(np.uint8)
+    if image is not None and image.dtype == np.uint16:
+        return image.astype(np.uint16)
+    raise InputError(field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file")
+
+
+def require_inside(pixels: NDArray[np.float64], image_size: tuple[int, int], *, name: str) -> None:
+    """Raise InputError when a sighting, (n, 2) px, lies outside the image."""
+    outside = np.flatnonzero(np.any((pixels < -0.5) | (pixels > np.array(image_size) - 0.5), axis=-1))
+    if outside.size:
+        x, y = pixels[outside[0]]
+        raise InputError(
+            field=f"{name}, sighting {outside[0] + 1}",
+            problem=f"pixel ({x:g}, {y:g}) is outside the {image_size[0]}x{image_size[1]} image",
+            remedy="correct the row, or the image size",
+        )

@@ -1,0 +1,48 @@
+"""A file of sightings in, a calibration document out."""
+
+from __future__ import annotations
+
+import uuid
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import sunarc
+from sunarc.archive import read_sightings
+from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, to_document
+from sunarc.clock import Clock
+from sunarc.offline.files import read_lines, require_inside
+from sunarc.sky import Site
+
+
+def calibrate_file(
+    path: Path,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    clock: Clock,
+    plots: Path | None = None,
+) -> dict[str, Any]:
+    """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
+    table = read_sightings(read_lines(path), name=path.name)
+    require_inside(table.pixels, image_size, name=path.name)
+    points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
+    solved = calibrate(points, site=site, image_size=image_size, options=options)
+    if plots is not None:
+        from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
+
+        write_calibration_plots(solved, points, folder=plots)
+    now = clock.now()
+    first = datetime.fromtimestamp(float(table.unix_s.min()), UTC) if table.unix_s.size else now
+    return to_document(
+        solved,
+        id=uuid.uuid4().hex,
+        camera=path.stem,
+        state="candidate" if solved.verdict.accepted else "refused",
+        created_at=now,
+        valid_from=first,
+        valid_until=None,
+        pose_epoch="",
+        software_version=sunarc.__version__,
+    )

@@ -1,0 +1,201 @@
+"""A folder of archived images to sightings in the archive; can be broken off and begun again at any file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from PIL import ExifTags, UnidentifiedImageError
+from PIL import Image as Pictures
+
+from sunarc.archive import Archive, CameraRecord, open_archive, parse_time, sun_point_of, upgrade
+from sunarc.cameras import exposure_of_name
+from sunarc.errors import InputError
+from sunarc.offline.detecting import Method, detect_in_image
+from sunarc.offline.files import read_image
+from sunarc.settings import Settings
+from sunarc.sky import sun_angles
+
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
+_NAME = re.compile(r"(\d{4})[-_]?(\d{2})[-_]?(\d{2})[-_T ]*(\d{2})[-_:h]?(\d{2})[-_:m]?(\d{2})(\.\d{1,6})?")
+
+
+class _Naming(NamedTuple):
+    pattern: str | None
+    offset: timedelta
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ingested:
+    """What became of one file: "added", "known" already, or "skipped", with the reason or the verdict."""
+
+    path: Path
+    outcome: str
+    text: str
+
+
+def ingest_folder(
+    settings: Settings,
+    folder: Path,
+    *,
+    method: Method = "auto",
+    time_pattern: str | None = None,
+    utc_offset_h: float = 0.0,
+) -> Iterator[Ingested]:
+    """Look for the sun in every image below a folder, in the order of their names, and store what was seen.
+
+    Parameters
+    ----------
+    settings : camera name, site and state folder.
+    folder : where the images are.
+    method : as in `detect_in_image`.
+    time_pattern : `strptime` pattern of the files' stems; unless given, any date and time in the name is found, then a
+        sidecar (`NAME.json` with `time_utc` and `exposure_us`) is asked, then EXIF.
+    utc_offset_h : hours that times without a zone are ahead of UTC.
+
+    Yields
+    ------
+    One answer a file.
+    """
+    files = _images(folder)
+    upgrade(settings.database)
+    archive = open_archive(settings.database)
+    try:
+        known = {point.time for point in archive.sun_points(settings.name)}
+        for path in files:
+            naming = _Naming(time_pattern, timedelta(hours=utc_offset_h))
+            yield _ingested(archive, settings, path, method=method, naming=naming, known=known)
+    finally:
+        archive.close()
+
+
+def _images(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise InputError(field=str(folder), problem="is no folder", remedy="name a folder of images")
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
+    if not files:
+        raise InputError(field=str(folder), problem="has no images", remedy="name a folder of PNG, JPEG or TIFF files")
+    return files
+
+
+def _ingested(
+    archive: Archive,
+    settings: Settings,
+    path: Path,
+    *,
+    method: Method,
+    naming: _Naming,
+    known: set[datetime],
+) -> Ingested:
+    try:
+        captured_at, exposure_us = _taken(path, naming.pattern, naming.offset)
+        if captured_at in known:
+            return Ingested(path=path, outcome="known", text="is in the archive already")
+        image = read_image(path)
+        _require_camera(archive, settings, (image.shape[1], image.shape[0]))
+        if float(sun_angles(captured_at.timestamp(), settings.site).apparent_zenith) > settings.capture.sun_zenith_deg:
+            return Ingested(path=path, outcome="skipped", text="the sun is below the horizon")
+        found = detect_in_image(image, method=method, exposure_us=exposure_us)
+    except InputError as error:
+        return Ingested(path=path, outcome="skipped", text=str(error))
+    epoch = archive.epoch_at(settings.name, captured_at, reason="first image")
+    point = sun_point_of(
+        found, camera=settings.name, pose_epoch=epoch.id, time=captured_at, exposure_us=exposure_us or 0.0
+    )
+    archive.add_sun_points([point])
+    known.add(captured_at)
+    return Ingested(path=path, outcome="added", text=f"{found.verdict}: {found.reason}")
+
+
+def _taken(path: Path, pattern: str | None, offset: timedelta) -> tuple[datetime, float | None]:
+    """Return when an image was taken, and with what exposure where that is known."""
+    exposure_us = exposure_of_name(path.name)
+    if pattern is not None:
+        try:
+            return _zoned(datetime.strptime(path.stem, pattern), offset), exposure_us  # noqa: DTZ007 - zoned here
+        except ValueError:
+            raise InputError(
+                field=path.name, problem=f"its name does not match {pattern!r}", remedy="correct --time-pattern"
+            ) from None
+    sidecar = path.with_suffix(".json")
+    if sidecar.exists():
+        return _from_sidecar(sidecar, exposure_us)
+    captured_at = _from_name(path.name, offset) or _from_exif(path, offset)
+    if captured_at is None:
+        raise InputError(field=path.name, problem="no time in its name, sidecar or EXIF", remedy="give --time-pattern")
+    return captured_at, exposure_us
+
+
+def _from_name(name: str, offset: timedelta) -> datetime | None:
+    match = _NAME.search(name)
+    if match is None:
+        return None
+    *numbers, fraction = match.groups()
+    try:
+        moment = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
+    except ValueError:
+        return None
+    moment += timedelta(seconds=float(fraction or 0.0))
+    return moment if name[match.end() :].startswith("Z") else moment - offset
+
+
+def _from_sidecar(path: Path, exposure_us: float | None) -> tuple[datetime, float | None]:
+    try:
+        told: dict[str, Any] = json.loads(path.read_text())
+        exposure = told.get("exposure_us", exposure_us)
+        return parse_time(str(told["time_utc"]), where=f"{path.name}, time_utc"), exposure
+    except (ValueError, KeyError, AttributeError, OSError):
+        raise InputError(
+            field=path.name, problem="no sidecar that could be read", remedy='write {"time_utc": "…Z"}'
+        ) from None
+
+
+def _from_exif(path: Path, offset: timedelta) -> datetime | None:
+    try:
+        with Pictures.open(path) as picture:
+            tags = picture.getexif()
+            details = tags.get_ifd(ExifTags.IFD.Exif)
+    except (OSError, UnidentifiedImageError, ValueError):
+        return None
+    text = details.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
+    zone = details.get(ExifTags.Base.OffsetTimeOriginal)
+    try:
+        moment = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - zoned below
+        if zone:
+            return datetime.fromisoformat(moment.isoformat() + str(zone)).astimezone(UTC)
+    except ValueError:
+        return None
+    return _zoned(moment, offset)
+
+
+def _zoned(moment: datetime, offset: timedelta) -> datetime:
+    return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC) - offset
+
+
+def _require_camera(archive: Archive, settings: Settings, size: tuple[int, int]) -> None:
+    """Write the camera down at its first image; refuse images of another size."""
+    for camera in archive.cameras():
+        if camera.name == settings.name:
+            if (camera.width, camera.height) != size:
+                raise InputError(
+                    field="image size",
+                    problem=f"{size} px, and camera {settings.name!r} makes {camera.width, camera.height}",
+                    remedy="give this camera another name",
+                )
+            return
+    site = settings.site
+    archive.save_camera(
+        CameraRecord(
+            name=settings.name,
+            latitude=site.latitude,
+            longitude=site.longitude,
+            altitude=site.altitude,
+            width=size[0],
+            height=size[1],
+        )
+    )

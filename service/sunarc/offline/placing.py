@@ -1,0 +1,59 @@
+"""Directions to pixels and back, by a calibration document alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from sunarc.archive import read_pairs, write_columns
+from sunarc.calibration import Calibration, from_document, project_with_covariance, unproject_with_sigma
+from sunarc.errors import InputError
+from sunarc.offline.files import read_file
+from sunarc.sky import angles_from_direction, direction_from_angles
+
+_PLACES = 10
+
+
+def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
+    """Read zenith_deg,azimuth_deg and write x_px,y_px,sigma_px,cov_xx,cov_xy,cov_yy,inside."""
+    solved = _calibration(calibration)
+    angles = read_pairs(source, columns=("zenith_deg", "azimuth_deg"), name="standard input")
+    direction = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
+    pixels, covariance = project_with_covariance(solved, direction)
+    camera = solved.camera
+    inside = np.all((pixels >= -0.5) & (pixels <= [camera.width - 0.5, camera.height - 0.5]), axis=-1)
+    columns = {
+        "x_px": pixels[:, 0],
+        "y_px": pixels[:, 1],
+        "sigma_px": np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0),
+        "cov_xx": covariance[:, 0, 0],
+        "cov_xy": covariance[:, 0, 1],
+        "cov_yy": covariance[:, 1, 1],
+        "inside": inside.astype(np.float64),
+    }
+    write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
+
+
+def unproject_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
+    """Read x_px,y_px and write zenith_deg,azimuth_deg,sigma_deg,inside."""
+    pixels = read_pairs(source, columns=("x_px", "y_px"), name="standard input")
+    direction, sigma_deg, inside = unproject_with_sigma(_calibration(calibration), pixels)
+    zenith, azimuth = angles_from_direction(direction)
+    columns = {
+        "zenith_deg": zenith,
+        "azimuth_deg": azimuth,
+        "sigma_deg": sigma_deg,
+        "inside": np.asarray(inside, dtype=np.float64),
+    }
+    write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
+
+
+def _calibration(path: Path) -> Calibration:
+    try:
+        document = json.loads(read_file(path))
+    except ValueError:
+        raise InputError(field=str(path), problem="is not JSON", remedy="give a calibration document") from None
+    return from_document(document)

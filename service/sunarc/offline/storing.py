@@ -1,0 +1,92 @@
+"""Sightings in and out of the archive, and the care of its database."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from sunarc.archive import SunPoint, backup, check, open_archive, read_sightings, upgrade, write_sightings
+from sunarc.errors import InputError
+from sunarc.offline.files import read_lines, require_inside
+from sunarc.settings import Settings
+
+
+def import_points(settings: Settings, path: Path) -> tuple[int, int]:
+    """Add a file's sightings to the archive; return how many were new, and how many the file has."""
+    table = read_sightings(read_lines(path), name=path.name)
+    archive = open_archive(settings.database)
+    known = {camera.name: camera for camera in archive.cameras()}
+    if settings.name not in known:
+        raise InputError(
+            field="name",
+            problem=f"the archive knows no camera {settings.name!r}",
+            remedy="start the service once with this camera, or correct the name",
+        )
+    camera = known[settings.name]
+    require_inside(table.pixels, (camera.width, camera.height), name=path.name)
+    times = [datetime.fromtimestamp(t, UTC) for t in table.unix_s]
+    points = [
+        SunPoint(
+            camera=settings.name,
+            pose_epoch=archive.epoch_at(settings.name, time, reason=f"imported from {path.name}").id,
+            time=time,
+            method="import",
+            accepted=True,
+            verdict="clear",
+            reason=f"imported from {path.name}",
+            x_px=float(x),
+            y_px=float(y),
+            sigma_px=None if np.isnan(sigma) else float(sigma),
+        )
+        for time, (x, y), sigma in zip(times, table.pixels, table.sigma_px, strict=True)
+    ]
+    return archive.add_sun_points(points), len(points)
+
+
+def export_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
+    """Write the accepted sightings as CSV and return how many."""
+    archive = open_archive(settings.database)
+    points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
+    return write_sightings(
+        target,
+        (
+            (point.time, point.x_px, point.y_px, point.sigma_px, point.body)
+            for point in points
+            if point.x_px is not None and point.y_px is not None
+        ),
+    )
+
+
+def upgrade_database(state: Path) -> str:
+    """Create or migrate the database of a state folder and say what was done."""
+    path = database_of(state)
+    existed = path.exists()
+    copy = upgrade(path)
+    if copy is not None:
+        return f"{path} was upgraded; the former one is kept as {copy.name}"
+    return f"{path} is up to date" if existed else f"{path} was made"
+
+
+def check_database(state: Path) -> dict[str, Any]:
+    """Return what a look at the database told."""
+    found = check(database_of(state))
+    return {
+        "sound": found.sound,
+        "revision": found.revision,
+        "head": found.head,
+        "integrity": list(found.integrity),
+        "rows": dict(found.rows),
+    }
+
+
+def backup_database(state: Path, target: Path) -> str:
+    """Copy the database and say where to."""
+    return f"copied to {backup(database_of(state), target)}"
+
+
+def database_of(state: Path) -> Path:
+    """Return the database file of a state folder."""
+    return state / "sunarc.sqlite"
