@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -50,7 +50,6 @@ def to_document(
     created_at, valid_from, valid_until : aware times; None where there is none.
     software_version : the version that made it.
     """
-    site = calibration.site
     return {
         "schema": SCHEMA,
         "id": id,
@@ -61,13 +60,7 @@ def to_document(
         "valid_from": _time(valid_from),
         "valid_until": _time(valid_until),
         "pose_epoch": pose_epoch,
-        "site": {
-            "latitude": site.latitude,
-            "longitude": site.longitude,
-            "altitude": site.altitude,
-            "pressure": site.pressure,
-            "temperature": site.temperature,
-        },
+        "site": asdict(calibration.site),
         "image": {
             "width": calibration.camera.width,
             "height": calibration.camera.height,
@@ -80,17 +73,21 @@ def to_document(
             "max_error_px": _number(calibration.backward.max_error_px),
         },
         "pose": calibration.pose._asdict(),
-        "uncertainty": {
-            "parameters": list(calibration.parameter_names),
-            "covariance": calibration.covariance.tolist(),
-            "field": _field(calibration.field),
-            "sky_rms_deg": _number(calibration.sky_rms_deg),
-            "sky_max_deg": _number(calibration.sky_max_deg),
-        },
+        "uncertainty": _uncertainty(calibration),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
         "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Evidence)},
         "verdict": {"accepted": calibration.verdict.accepted, "reasons": list(calibration.verdict.reasons)},
         "software": {"name": "sunarc", "version": software_version},
+    }
+
+
+def _uncertainty(calibration: Calibration) -> Document:
+    return {
+        "parameters": list(calibration.parameter_names),
+        "covariance": calibration.covariance.tolist(),
+        "field": _field(calibration.field),
+        "sky_rms_deg": _number(calibration.sky_rms_deg),
+        "sky_max_deg": _number(calibration.sky_max_deg),
     }
 
 
