@@ -25,7 +25,7 @@ def looked(scene: Scene, rng: np.random.Generator, cover: np.ndarray | None = No
 @pytest.mark.parametrize("peak", [0.5, 0.9, 3.0, 10.0])
 def test_partly_covered_discs_that_mislead_are_refused(peak: float) -> None:
     rng, misleading, refused = np.random.default_rng(1), 0, 0
-    for _ in range(100):
+    for _ in range(70):
         angle = rng.uniform(0, 2 * math.pi)
         edge = [math.cos(angle), math.sin(angle), rng.uniform(-1, 1), 10 ** rng.uniform(-2, 0.5), rng.uniform(0, 0.5)]
         x, y = 24 + rng.uniform(-1, 1, 2)
@@ -35,21 +35,21 @@ def test_partly_covered_discs_that_mislead_are_refused(peak: float) -> None:
         if math.hypot(found.x_px - x, found.y_px - y) > 0.1:
             misleading += 1
             refused += not found.accepted
-    assert misleading > 40
+    assert misleading > 25
     assert refused / misleading >= 0.95
 
 
 def test_clear_discs_are_rarely_refused() -> None:
     rng = np.random.default_rng(2)
-    peaks = 10 ** rng.uniform(-1, 2, 300)
+    peaks = 10 ** rng.uniform(-1, 2, 200)
     refused = sum(not looked(Scene(stretch=STRETCH, x=24.3, peak=float(peak)), rng).accepted for peak in peaks)
-    assert refused <= 3
+    assert refused <= 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_sun_is_found_where_there_is_none(kind: str) -> None:
     rng, accepted = np.random.default_rng(3), 0
-    for _ in range(60):
+    for _ in range(40):
         image = sunless(kind, rng)
         sensor = Sensor.from_full_well(full_scale=255 if image.dtype == np.uint8 else 4095)
         x, y = rng.uniform(20, 108, 2)

@@ -36,15 +36,15 @@ def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:
     ],
 )
 def test_the_sun_is_found_to_two_pixels(scene: dict[str, Any]) -> None:
-    found = errors(5, **scene)
-    assert len(found) >= 4
+    found = errors(3, **scene)
+    assert len(found) == 3
     assert np.median([distance for distance, _ in found]) < 2.0
     assert all(distance < 5.0 for distance, accepted in found if accepted)
 
 
 @pytest.mark.parametrize("scene", [{}, {"streaks": 4}, {"ghost": True}])
 def test_most_clear_suns_are_accepted(scene: dict[str, Any]) -> None:
-    assert sum(accepted for _, accepted in errors(5, **scene)) >= 4
+    assert sum(accepted for _, accepted in errors(4, **scene)) >= 3
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_most_clear_suns_are_accepted(scene: dict[str, Any]) -> None:
     ],
 )
 def test_a_blob_pulled_off_the_sun_is_not_accepted(scene: dict[str, Any]) -> None:
-    assert not [distance for distance, accepted in errors(6, **scene) if accepted and distance > 5.0]
+    assert not [distance for distance, accepted in errors(4, **scene) if accepted and distance > 5.0]
 
 
 @pytest.mark.parametrize("level", [0, 100, 255])

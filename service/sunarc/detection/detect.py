@@ -158,15 +158,18 @@ def _fitted(
     prior = Prior(math.log(options.psf_px), options.psf_tolerance, options.wings_tolerance, free_stretch=axes is None)
     radius_px = math.sqrt(np.linalg.det(start))
 
-    def fitted_with(limb_darkening: float) -> DiscFit | None:
+    def fitted_with(
+        limb_darkening: float, start: tuple[float, float], shapes: list[tuple[float, FloatArray]]
+    ) -> DiscFit | None:
         sources = sun_sources(radius_px=radius_px, psf_px=options.psf_px, limb_darkening=limb_darkening)
-        return fit_disc(window, start=(spot.x, spot.y), shapes=shapes, sources=sources, sensor=sensor, prior=prior)
+        return fit_disc(window, start=start, shapes=shapes, sources=sources, sensor=sensor, prior=prior)
 
-    fit = fitted_with(options.limb_darkening)
+    fit = fitted_with(options.limb_darkening, (spot.x, spot.y), shapes)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
-    if verdict[1] and expectation is None and not window.saturated_px and is_flat(fit, fitted_with(0.0)):
+    unasked = expectation is None and not window.saturated_px
+    if verdict[1] and unasked and is_flat(fit, fitted_with(0.0, (fit.x_px, fit.y_px), [(fit.psf_px, fit.stretch)])):
         verdict = ("hidden", False, "a disc without the sun's darker limb: the moon, or a lamp")
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 

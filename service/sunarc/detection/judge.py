@@ -12,7 +12,7 @@ from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
 _TIGHT_PX = 1.0
-_UNEXPECTED_LEVEL, _UNEXPECTED_RESIDUAL, _UNEXPECTED_SIGMA_PX = 0.08, 0.01, 0.03
+_UNEXPECTED_LEVEL, _UNEXPECTED_RESIDUAL, _UNEXPECTED_SIGMA_PX = 0.08, 0.01, 0.016
 _SIGNIFICANT = 16.0  # chi² of four parameters
 
 

@@ -72,13 +72,15 @@ class Evaluation(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is fitted: the used pixels' flat position, counts, colour and offset (n, 2) from the start, all (n,)."""
+    """What is fitted: of the used pixels flat position, counts, colour, column, and offset (n, 2) from the origin."""
 
     window: Window
     pixel: NDArray[np.intp]
     counts: FloatArray
     colour: NDArray[np.intp]
+    column: NDArray[np.intp]
     offset: FloatArray
+    origin: FloatArray
     sensor: Sensor
     sources: SunSources
     prior: Prior
@@ -92,14 +94,18 @@ def make_problem(
     rows, columns = np.divmod(index, window.counts.shape[1])
     offset = np.stack([columns - origin[0], rows - origin[1]], axis=-1)
     counts, colour = window.counts.ravel()[index], window.colour.ravel()[index]
-    return Problem(window, index, counts, colour, offset, sensor, sources, prior)
+    return Problem(window, index, counts, colour, columns, offset, origin, sensor, sources, prior)
 
 
 def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
     """Return the problem without some of its pixels."""
     good = ~bad
     return problem._replace(
-        pixel=problem.pixel[good], counts=problem.counts[good], colour=problem.colour[good], offset=problem.offset[good]
+        pixel=problem.pixel[good],
+        counts=problem.counts[good],
+        colour=problem.colour[good],
+        column=problem.column[good],
+        offset=problem.offset[good],
     )
 
 
@@ -108,8 +114,7 @@ def _planes(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> Flo
     share, psf = float(nonlinear[WINGS]), math.exp(float(nonlinear[PSF]))
     image = _rendered(problem, nonlinear, stretch, psf=psf, sources=problem.sources.core)
     core = image.reshape(len(image), -1)[:, problem.pixel]
-    columns = problem.pixel % problem.window.counts.shape[1]
-    around = [image[template.VALUE].sum(axis=0)[columns], _glare(problem, nonlinear, stretch)]
+    around = [image[template.VALUE].sum(axis=0)[problem.column], _glare(problem, nonlinear, stretch)]
     if not problem.prior.free_wings:
         return np.concatenate([core, np.zeros_like(core[:1]), around])
     wide = _rendered(problem, nonlinear, stretch, psf=template.WING_PSF * psf, sources=problem.sources.wings)
@@ -126,11 +131,11 @@ def _rendered(
 
 def _glare(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
     """Return light scattered around the sun, falling with the square of the angle outside two solar radii: (n,)."""
-    rows, columns = np.divmod(problem.pixel, problem.window.counts.shape[1])
-    offset = np.stack([columns - nonlinear[0], rows - nonlinear[1]])
-    (a, b), (_, d) = stretch
-    unit = np.array([[d, -b], [-b, a]]) @ offset / max(abs(float(a * d - b * b)), 1e-9)
-    return np.asarray(1.0 / (1.0 + np.sum(unit**2, axis=0) / _GLARE_CORE**2))
+    dx, dy = (problem.offset + (problem.origin - nonlinear[:2])).T
+    a, b, d = float(stretch[0, 0]), float(stretch[0, 1]), float(stretch[1, 1])
+    scale = max(abs(a * d - b * b), 1e-9) * _GLARE_CORE
+    u, v = (d * dx - b * dy) / scale, (a * dy - b * dx) / scale
+    return np.asarray(1.0 / (1.0 + u * u + v * v))
 
 
 def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
