@@ -60,7 +60,7 @@ def uncertainty(
     jobs: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Make the paper's Figs. 4 and 5 again: noise of the sightings, error of the calibration.
+    """Make Figures 4 and 5 again: noise of the sightings, error of the calibration.
 
     Example: sunarc study uncertainty --trials 5 --levels 11 --out study
     """
@@ -80,7 +80,7 @@ def uncertainty(
 
 @study_cli.command()
 def tables(*, out: Out, seed: Seed = 1, method: Methods = "both", as_json: AsJson = False) -> None:
-    """Make the paper's Tables 1 to 3 again: its five cases, simulated.
+    """Make Tables 1 to 3 again: the paper's five cases, simulated.
 
     Example: sunarc study tables --out study
     """
@@ -126,7 +126,7 @@ def _tell(
     if as_json:
         sys.stdout.write(json.dumps({"rows": list(rows), "files": [str(file) for file in files]}, indent=1) + "\n")
         return
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, highlight=False)
     for title, (columns, shown) in sheets.items():
         table = Table(title=title, title_justify="left", box=None, pad_edge=False)
         for column in columns:
