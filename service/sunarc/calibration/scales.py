@@ -23,6 +23,8 @@ _DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
 _DECENTERING_DOUBT = math.log(1.6)
 _USUAL_FIELD_PX = 0.05
 _FIELD_DOUBT = math.log(8.0)
+_NO_FIELD = 1.5
+"""Odds, before the sightings are looked at, that there is no field but the floor's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,6 +61,7 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
     of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_DOUBT) ** 2
     of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_DOUBT) ** 2
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
+    of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))
     return Grid(
         amplitudes=amplitudes,
         lengths=lengths,
