@@ -51,7 +51,7 @@ def test_the_literal_path_is_a_convolution_of_the_whole_image() -> None:
     found = locate(planes, apparent_zenith=math.radians(50), full_image=True)
     assert found is not None
     for index, kernel in enumerate(kernels(diameter=found.diameter, sigma=found.sigma)):
-        response = fftconvolve(planes.value.astype(np.float64), kernel, mode="same")
+        response = fftconvolve(planes.value().astype(np.float64), kernel, mode="same")
         row, column = np.unravel_index(int(np.argmax(response)), response.shape)
         assert abs(found.columns[index] - column) <= 1.0
         assert abs(found.rows[index] - row) <= 1.0

@@ -31,13 +31,22 @@ class Blob(NamedTuple):
 
 def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
     """Return the largest connected regions of a mask, largest first."""
-    count, raw_labels, stats, centroids = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    x, y, width, height = cv2.boundingRect(mask)
+    part = np.ascontiguousarray(mask[y : y + height, x : x + width])
+    if part.size == 0:
+        return []
+    count, raw_labels, stats, centroids = cv2.connectedComponentsWithStats(part, connectivity=8)
     labels = np.asarray(raw_labels, dtype=np.int32)
     order = np.argsort(stats[1:count, cv2.CC_STAT_AREA], kind="stable")[::-1][:most] + 1
-    return [_blob(labels, int(k), np.asarray(stats[k], np.int32), np.asarray(centroids[k], np.float64)) for k in order]
+    return [
+        _blob(labels, int(k), np.asarray(stats[k], np.int32), np.asarray(centroids[k], np.float64), (x, y))
+        for k in order
+    ]
 
 
-def _blob(labels: NDArray[np.int32], k: int, stats: NDArray[np.int32], centroid: FloatArray) -> Blob:
+def _blob(
+    labels: NDArray[np.int32], k: int, stats: NDArray[np.int32], centroid: FloatArray, first: tuple[int, int]
+) -> Blob:
     x, y, width, height, area = (int(value) for value in stats)
     own = (labels[y : y + height, x : x + width] == k).astype(np.uint8)
     contours, _ = cv2.findContours(np.pad(own, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -45,11 +54,11 @@ def _blob(labels: NDArray[np.int32], k: int, stats: NDArray[np.int32], centroid:
     perimeter = max(float(cv2.arcLength(outline, closed=True)), 1.0)
     filled = max(float(cv2.contourArea(outline)), float(area))
     return Blob(
-        float(centroid[0]),
-        float(centroid[1]),
+        float(centroid[0]) + first[0],
+        float(centroid[1]) + first[1],
         2.0 * math.sqrt(area / math.pi),
         min(4.0 * math.pi * filled / perimeter**2, 1.0),
-        (x, y, width, height),
+        (x + first[0], y + first[1], width, height),
         own,
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.detection.blob import Blob, blobs_of, opened
-from sunarc.detection.values import FloatArray
+from sunarc.detection.values import FloatArray, Image
 
 Plane = NDArray[np.float32]
 
@@ -34,10 +34,14 @@ def gaussian_sigma_px(apparent_zenith: float) -> float:
     return min(3.0 * math.log(argument) ** 2 + 1.0, _SIGMA_CAP_PX)
 
 
-def sun_blob(value: Plane) -> Blob | None:
+def sun_blob(counts: Image) -> Blob | None:
     """Return the largest region at or above the 99.99th percentile of the V-image, after erosion and dilation."""
-    level = np.percentile(value, _PERCENTILE, method="lower")
-    found = blobs_of(opened((value >= level).astype(np.uint8), 3), most=1)
+    bins = int(np.iinfo(counts.dtype).max) + 1
+    histogram = np.asarray(cv2.calcHist([np.ascontiguousarray(counts)], [0], None, [bins], [0, bins])).ravel()
+    brighter = np.cumsum(histogram[::-1], dtype=np.float64)[::-1]
+    level = int(np.flatnonzero(brighter >= max((1.0 - _PERCENTILE / 100.0) * counts.size, 1.0))[-1])
+    mask = (counts >= level).astype(np.uint8)
+    found = blobs_of(opened(mask, 3), most=1)
     return found[0] if found else None
 
 

@@ -16,6 +16,9 @@ from sunarc.errors import InputError
 
 Plane = NDArray[np.float32]
 
+_ALL = slice(None)
+_SPARE_PX = 8
+
 
 class Estimates(NamedTuple):
     """What the single estimators say.
@@ -48,14 +51,37 @@ class Estimates(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """An image as fractions of full scale: V (the largest colour) and the mean of the colours, both (rows, columns)."""
+    """An image as the estimators want it.
 
-    value: Plane
-    grey: Plane
+    counts : V, the largest colour, (rows, columns), counts. image : as it was given. full_scale : of both.
+    """
+
+    counts: Image
+    image: Image
+    full_scale: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.image.shape[0], self.image.shape[1]
+
+    def value(self, rows: slice = _ALL, columns: slice = _ALL) -> Plane:
+        """Return a part of V as fractions of full scale."""
+        return self.counts[rows, columns].astype(np.float32) * np.float32(1.0 / self.full_scale)
+
+    def grey(self, rows: slice = _ALL, columns: slice = _ALL) -> Plane:
+        """Return a part of the mean of the colours as fractions of full scale."""
+        part = self.image[rows, columns].astype(np.float32)
+        mean = part if part.ndim == 2 else cv2.transform(part, np.full((1, 3), 1.0 / 3.0, np.float32))
+        return np.asarray(mean, dtype=np.float32) * np.float32(1.0 / self.full_scale)
+
+    def part(self, rows: slice, columns: slice) -> Planes:
+        """Return a rectangle of the image."""
+        return Planes(self.counts[rows, columns], self.image[rows, columns], self.full_scale)
 
 
 def planes_of(image: Image, *, full_scale: int) -> Planes:
-    """Return V and grey of a mono (rows, columns) or colour (rows, columns, 3) image, uint8 or uint16.
+    """Return the planes of a mono (rows, columns) or colour (rows, columns, 3) image, uint8 or uint16.
 
     Raises
     ------
@@ -70,12 +96,13 @@ def planes_of(image: Image, *, full_scale: int) -> Planes:
             field="image", problem=f"{image.dtype} with full scale {full_scale}", remedy="give uint8 or uint16 counts"
         )
     if image.ndim == 2:
-        plane = image.astype(np.float32) * np.float32(1.0 / full_scale)
-        return Planes(plane, plane)
+        return Planes(image, image, full_scale)
     first, second, third = cv2.split(image)
-    value = cv2.max(cv2.max(first, second), third).astype(np.float32) * np.float32(1.0 / full_scale)
-    total = first.astype(np.float32) + second + third
-    return Planes(np.asarray(value), np.asarray(total * np.float32(1.0 / 3.0 / full_scale)))
+    value = np.asarray(cv2.max(cv2.max(first, second), third))
+    counts: Image = (
+        value.astype(np.uint8, copy=False) if image.dtype == np.uint8 else value.astype(np.uint16, copy=False)
+    )
+    return Planes(counts, image, full_scale)
 
 
 def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = False) -> Estimates | None:
@@ -88,23 +115,25 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
     full_image : convolve the whole image, as the paper does; otherwise only the sun's surroundings, which gives the
         same answer as long as nothing else in the image is as large and bright.
     """
-    value = planes.value
-    blob = estimators.sun_blob(value)
+    blob = estimators.sun_blob(planes.counts)
     if blob is None:
         return None
     sigma = estimators.gaussian_sigma_px(apparent_zenith) if apparent_zenith is not None else _blob_sigma(blob)
     kernels = estimators.kernels(diameter=blob.diameter, sigma=sigma)
-    x0, y0, part = (0, 0, value) if full_image else _around(value, blob, kernels[0].shape[0])
+    rows, columns = (_ALL, _ALL) if full_image else _around(planes, blob, kernels[0].shape[0] // 2)
+    part = planes.value(rows, columns)
     found = [estimators.strongest(part, kernel) for kernel in kernels]
-    columns, rows = [x + x0 for x, _ in found], [y + y0 for _, y in found]
-    smear = estimators.smear_column(value[0].astype(np.float64), 3.0 * planes.grey[0].astype(np.float64))
-    middle = smear if smear is not None and abs(smear - blob.x) < blob.diameter else float(np.median(columns))
-    x1 = max(0, round(middle - 5.0 * sigma - 0.5 * blob.diameter))
-    strip = value[:, x1 : round(middle + 5.0 * sigma + 0.5 * blob.diameter) + 1]
-    top, bottom = (0, value.shape[0]) if full_image else (y0, y0 + part.shape[0])
-    x, y = estimators.forstner(np.ascontiguousarray(strip[top:bottom]), sigma=sigma)
-    columns, rows = [*columns, x + x1], [*rows, y + top]
-    return Estimates(tuple(columns if smear is None else [*columns, smear]), tuple(rows), blob.diameter, sigma, blob)
+    xs, ys = [x + (columns.start or 0) for x, _ in found], [y + (rows.start or 0) for _, y in found]
+    first_row = slice(0, 1)
+    smear = estimators.smear_column(
+        planes.value(first_row)[0].astype(np.float64), 3.0 * planes.grey(first_row)[0].astype(np.float64)
+    )
+    middle = smear if smear is not None and abs(smear - blob.x) < blob.diameter else float(np.median(xs))
+    half = 5.0 * sigma + 0.5 * blob.diameter
+    strip = slice(max(0, round(middle - half)), round(middle + half) + 1)
+    x, y = estimators.forstner(planes.value(rows, strip), sigma=sigma)
+    xs, ys = [*xs, x + strip.start], [*ys, y + (rows.start or 0)]
+    return Estimates(tuple(xs if smear is None else [*xs, smear]), tuple(ys), blob.diameter, sigma, blob)
 
 
 def _blob_sigma(blob: Blob) -> float:
@@ -112,10 +141,12 @@ def _blob_sigma(blob: Blob) -> float:
     return max(0.5 * blob.diameter, 1.0)
 
 
-def _around(value: Plane, blob: Blob, kernel_size: int) -> tuple[int, int, Plane]:
-    """Cut the blob's surroundings, so wide that its convolution's maximum sees all that it would in the whole image."""
+def _around(planes: Planes, blob: Blob, reach: int) -> tuple[slice, slice]:
+    """Return the blob's surroundings, so wide that a kernel of that reach sees all from any place in the blob."""
     x, y, width, height = blob.box
-    margin = kernel_size
-    x0, y0 = max(0, x - margin), max(0, y - margin)
-    part = value[y0 : y + height + margin, x0 : x + width + margin]
-    return x0, y0, np.ascontiguousarray(part)
+    margin = reach + _SPARE_PX
+    bottom, right = planes.shape
+    return (
+        slice(max(0, y - margin), min(bottom, y + height + margin)),
+        slice(max(0, x - margin), min(right, x + width + margin)),
+    )

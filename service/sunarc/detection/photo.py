@@ -133,7 +133,7 @@ def detect_sun_in_photo(
     zenith = None if expectation is None else expectation.apparent_zenith
     if zenith is not None and zenith > math.radians(options.max_apparent_zenith_deg):
         return _none("below_horizon", f"the sun is at {math.degrees(zenith):.2f} degrees from the zenith", exposure_us)
-    peak = float(planes.value.max())
+    peak = float(planes.counts.max()) / full_scale
     if peak < options.min_peak_fraction:
         return _none("hidden", f"the brightest pixel is {peak:.2f} of full scale", exposure_us, peak)
     seen = _best_blob(planes, peak, expectation, options)
@@ -151,8 +151,7 @@ def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, options
     half = math.ceil(3.0 * seen.radius) + 8
     x0, y0 = (max(0, round(value) - half) for value in seen.center)
     rows, columns = slice(y0, round(seen.center[1]) + half + 1), slice(x0, round(seen.center[0]) + half + 1)
-    part = Planes(*(np.ascontiguousarray(plane[rows, columns]) for plane in planes))
-    found = locate(part, apparent_zenith=zenith)
+    found = locate(planes.part(rows, columns), apparent_zenith=zenith)
     return None if found is None else found.shifted(x0, y0)
 
 
@@ -164,22 +163,24 @@ def _none(verdict: Verdict, reason: str, exposure_us: float | None, peak: float 
 
 def _best_blob(planes: Planes, peak: float, expectation: Expectation | None, options: PaperOptions) -> _Seen | None:
     """Return the roundest of the brightest regions; with an expectation only those around it count."""
-    mask = (planes.grey >= _LEVELS[1] * min(float(planes.grey.max()), peak)).astype(np.uint8)
+    grey = planes.grey()
+    top = float(grey.max())
+    mask = (grey >= _LEVELS[1] * min(top, peak)).astype(np.uint8)
     seeds = thickest(mask, most=_SEEDS, least_radius=_LEAST_SEED_PX)
     if expectation is not None:
         reach = 5.0 * expectation.uncertainty_px + options.max_radius_fraction * min(mask.shape)
         seeds = [(x, y) for x, y in seeds if math.hypot(x - expectation.x_px, y - expectation.y_px) < reach]
-    seen = [found for seed in seeds if (found := _circles(planes, seed, options)) is not None]
+    seen = [found for seed in seeds if (found := _circles(grey, top, seed, options)) is not None]
     return max(seen, key=lambda each: each.score, default=None)
 
 
-def _circles(planes: Planes, seed: tuple[float, float], options: PaperOptions) -> _Seen | None:
+def _circles(grey: Plane, top: float, seed: tuple[float, float], options: PaperOptions) -> _Seen | None:
     """Return the level circles around a point that look like circles at all."""
-    largest = options.max_radius_fraction * min(planes.grey.shape)
+    largest = options.max_radius_fraction * min(grey.shape)
     half = math.ceil(2.5 * largest)
     x0, y0 = max(0, round(seed[0]) - half), max(0, round(seed[1]) - half)
-    part = np.ascontiguousarray(planes.grey[y0 : round(seed[1]) + half + 1, x0 : round(seed[0]) + half + 1])
-    near, top, circles = (seed[0] - x0, seed[1] - y0), float(planes.grey.max()), []
+    part = np.ascontiguousarray(grey[y0 : round(seed[1]) + half + 1, x0 : round(seed[0]) + half + 1])
+    near, circles = (seed[0] - x0, seed[1] - y0), list[Circle]()
     for level in _LEVELS:
         circle = level_circle(part, level=level * top, near=near)
         if circle is None or circle.radius > largest or circle.share < 0.5 * options.min_share:
@@ -236,11 +237,11 @@ def _detection(
         x_px=x,
         y_px=y,
         sigma_px=math.hypot(options.sigma_px, seen.spread_px),
-        peak_fraction=float(planes.value.max()),
-        background_fraction=float(np.median(planes.value[::16, ::16])),
+        peak_fraction=float(planes.counts.max()) / planes.full_scale,
+        background_fraction=float(np.median(planes.counts[::16, ::16])) / planes.full_scale,
         radius_px=seen.radius,
         ellipticity=1.0 - seen.share,
-        saturated_px=int(np.count_nonzero(planes.value >= 0.995)),
+        saturated_px=int(np.count_nonzero(planes.counts >= 0.995 * planes.full_scale)),
         spread_px=estimates.spread_px,
         radial_bias_px=None if lens is None else bias_at(lens, x_px=x, y_px=y, radius_px=seen.radius),
         exposure_us=exposure_us,
