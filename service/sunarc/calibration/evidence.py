@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""
 _RIDGE = 1e-13
+_ROUNDING = 1e-10
+"""Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
 
 
 class Scales(NamedTuple):
@@ -111,7 +113,7 @@ def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
-    matrix = normal.jj - reduced.taken(shrink) + np.diag(precision)
+    matrix = normal.jj - reduced.taken(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
     vector = normal.jr - reduced.explained(shrink) - precision * normal.at
     scale = 1.0 / np.sqrt(np.diag(matrix))
     scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
@@ -156,7 +158,8 @@ def _log_evidence(normal: Normal, reduced: _Reduced, amplitudes: FloatArray, pre
     vector = normal.jr - np.stack([reduced.explained(row) for row in shrink])
     square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
-    matrix = (normal.jj - taken)[:, None] + precision[:, :, None] * np.eye(normal.at.size)
+    rounding = _ROUNDING * np.diag(normal.jj)
+    matrix = (normal.jj - taken)[:, None] + (precision + rounding)[:, :, None] * np.eye(normal.at.size)
     right = vector[:, None] - precision * normal.at
     scale = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(normal.at.size)

@@ -15,8 +15,8 @@ FloatArray = NDArray[np.float64]
 
 _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""
-_LARGEST_AMPLITUDE_PX = 3.2
-_AMPLITUDES = 14
+_LARGEST_AMPLITUDE_PX = 1.0
+_AMPLITUDES = 12
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
 _RADIAL_DOUBT = math.log(2.5)
 _DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
