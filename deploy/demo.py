@@ -181,7 +181,7 @@ def serve_command(config: Path) -> list[str]:
 @contextmanager
 def running(name: str, arguments: list[str], *, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run a sunarc command in the background; end it on the way out."""
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1", "OPENBLAS_NUM_THREADS": "1"}
     with log.open("wb") as output:
         process = subprocess.Popen(
             [sys.executable, "-m", "sunarc", *arguments], stdout=output, stderr=output, env=environment

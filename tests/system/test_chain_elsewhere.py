@@ -20,7 +20,7 @@ from sunarc.simulation import Scene, SceneCamera, SensorModel, true_camera
 from sunarc.sky import Site, day_bounds_unix_s, direction_from_angles, sun_angles, sun_directions
 from sunarc.workers import CaptureOptions, SensorOptions
 
-CADENCE_S = 300.0
+CADENCE_S = 600.0
 
 LIMA = Site(latitude=-12.05, longitude=-77.04, altitude=150.0)
 WELLINGTON = Site(latitude=-41.29, longitude=174.78, altitude=10.0)

@@ -49,6 +49,7 @@ def solve_in_child(
     ------
     SolveFailedError : when the process died or took longer than `time_limit_s`.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_solve, args=(sending, problem), name="solve", daemon=True)
