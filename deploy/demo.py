@@ -56,7 +56,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--state", type=Path, metavar="DIR", help="an empty folder (default: a new one)")
     parser.add_argument("--until-calibrated", action="store_true", help="exit 0 only when a calibration is current")
     parser.add_argument("--lens-seed", type=int, default=0, metavar="N", help="draw another true camera")
-    parser.add_argument("--clouds", choices=["clear", "broken", "overcast"], default="clear", help="the sky's weather")
+    parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
