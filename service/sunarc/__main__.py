@@ -99,7 +99,7 @@ def simulate(
     longitude: Longitude = -97.484856,
     altitude: Altitude = 318.0,
     lens_seed: Annotated[int, typer.Option(help="Draws another true camera; 0 is the paper's.")] = 0,
-    clouds: Annotated[str, typer.Option(help="clear, veil, broken or overcast; several, by commas: one a day.")] = "clear",
+    clouds: Annotated[str, typer.Option(help="clear, veil, broken, overcast; by commas: one a day.")] = "clear",
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback.
