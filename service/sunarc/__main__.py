@@ -195,6 +195,9 @@ def calibrate(
     latitude: Latitude,
     longitude: Longitude,
     image_size: Annotated[str, typer.Option(help="W,H in px.")],
+    image_circle: Annotated[
+        str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.")
+    ] = None,
     altitude: Altitude = 0.0,
     pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
     temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
@@ -222,6 +225,7 @@ def calibrate(
             level_within_deg=level_within,
         ),
         clock=SystemClock(),
+        circle=None if image_circle is None else offline.image_circle_of(image_circle),
         plots=plots,
     )
     if as_json:

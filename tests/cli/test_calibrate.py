@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import pytest
 
@@ -121,6 +122,28 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     assert answer.code == 2
     assert told in answer.err
     assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("circle", ["874,874,850", "image"])
+def test_an_image_circle_is_taken_as_numbers_or_from_a_daytime_image(
+    sunarc: Sunarc, points: Path, tmp_path: Path, circle: str
+) -> None:
+    if circle == "image":
+        circle = str(tmp_path / "noon.png")
+        rows, columns = np.mgrid[:1748, :1748]
+        inside = np.hypot(columns - 874.0, rows - 874.0) < 850.0
+        cv2.imwrite(circle, np.where(inside, 160, 4).astype(np.uint8))
+    answer = sunarc("calibrate", str(points), *AT_SGP, "--image-circle", circle, "--json")
+    assert answer.code == 0, answer.err
+    assert json.loads(answer.out)["metrics"]["rmse_px"] < 0.05
+
+
+def test_an_image_without_a_circle_is_one_line_and_exit_2(sunarc: Sunarc, points: Path, tmp_path: Path) -> None:
+    plain = tmp_path / "plain.png"
+    cv2.imwrite(str(plain), np.zeros((400, 400), dtype=np.uint8))
+    answer = sunarc("calibrate", str(points), *AT_SGP, "--image-circle", str(plain))
+    assert answer.code == 2
+    assert "shows no image circle" in answer.err
 
 
 def test_a_malformed_row_is_named_by_its_line(sunarc: Sunarc, points: Path) -> None:

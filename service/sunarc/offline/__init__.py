@@ -5,7 +5,7 @@ ingesting.py: an archive of images to sightings · storing.py: the archive in an
 """
 
 from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay
-from sunarc.offline.fitting import calibrate_file
+from sunarc.offline.fitting import calibrate_file, image_circle_of
 from sunarc.offline.ingesting import Ingested, ingest_folder
 from sunarc.offline.placing import project_csv, unproject_csv
 from sunarc.offline.storing import (
@@ -26,6 +26,7 @@ __all__ = [
     "detect_in_image",
     "draw_overlay",
     "export_points",
+    "image_circle_of",
     "import_points",
     "ingest_folder",
     "project_csv",

@@ -9,9 +9,10 @@ from typing import Any
 
 import sunarc
 from sunarc.archive import read_sightings
-from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, to_document
+from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calibrate, find_image_circle, to_document
 from sunarc.clock import Clock
-from sunarc.offline.files import read_lines, require_inside
+from sunarc.errors import InputError
+from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.sky import Site
 
 
@@ -22,13 +23,14 @@ def calibrate_file(
     image_size: tuple[int, int],
     options: CalibrationOptions,
     clock: Clock,
+    circle: ImageCircle | None = None,
     plots: Path | None = None,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
-    solved = calibrate(points, site=site, image_size=image_size, options=options)
+    solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle)
     if plots is not None:
         from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
@@ -46,3 +48,17 @@ def calibrate_file(
         pose_epoch="",
         software_version=sunarc.__version__,
     )
+
+
+def image_circle_of(text: str) -> ImageCircle:
+    """Return the image circle that X,Y,RADIUS names, or that a normal daytime image shows (Hough transform)."""
+    try:
+        x, y, radius = (float(part) for part in text.split(","))
+    except ValueError:
+        found = find_image_circle(read_image(Path(text)))
+        if found is None:
+            raise InputError(
+                field="--image-circle", problem=f"{text} shows no image circle", remedy="give X,Y,RADIUS in px"
+            ) from None
+        return found
+    return ImageCircle(x=x, y=y, radius=radius)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, Refit, RefitState
 from sunarc.board import Reason, StatusBoard
-from sunarc.calibration import Calibration, CalibrationOptions, accept, from_document, to_document
+from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, accept, from_document, to_document
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.sky import Site
@@ -30,10 +30,12 @@ class RefitOptions:
     ----------
     check_every_s : how often ended days are looked for, real seconds.
     time_limit_s : a solve that takes longer is given up, real seconds.
+    image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
     """
 
     check_every_s: float = 60.0
     time_limit_s: float = 900.0
+    image_circle_px: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse durations that are none."""
@@ -113,6 +115,7 @@ class RefitWorker:
             site=self._site,
             image_size=(record.width, record.height),
             options=self._calibration,
+            circle=None if self._options.image_circle_px is None else _circle(self._options.image_circle_px),
         )
 
     def _judge(self, refit: Refit, solved: Calibration) -> None:
@@ -173,3 +176,8 @@ class RefitWorker:
                 remedy="wait for a clear day, or import sightings with `sunarc points import`",
             )
         )
+
+
+def _circle(numbers: tuple[float, float, float]) -> ImageCircle:
+    x, y, radius = numbers
+    return ImageCircle(x=x, y=y, radius=radius)

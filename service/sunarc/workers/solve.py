@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
+from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, SunPoints, calibrate
 from sunarc.clock import Clock
 from sunarc.sky import Site
 
@@ -29,6 +29,7 @@ class Problem:
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
+    circle: ImageCircle | None = None
 
 
 def solve_in_child(
@@ -91,7 +92,11 @@ def _solve(sending: Connection[object, object], problem: Problem) -> None:
     os.nice(_NICENESS)
     try:
         answer: object = calibrate(
-            problem.points, site=problem.site, image_size=problem.image_size, options=problem.options
+            problem.points,
+            site=problem.site,
+            image_size=problem.image_size,
+            options=problem.options,
+            circle=problem.circle,
         )
     except Exception as error:  # noqa: BLE001 - the parent tells it; the process ends anyway
         answer = f"{type(error).__name__}: {error}"
