@@ -11,6 +11,7 @@ from sunarc.detection.fit import DiscFit, fit_disc
 from sunarc.detection.frames import require_raw
 from sunarc.detection.judge import detection_of, is_flat, verdict_of
 from sunarc.detection.model import Prior
+from sunarc.detection.obstruction import obstructed_reason
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.search import Spot, brightest_spots, symmetric_root
 from sunarc.detection.template import sun_sources
@@ -72,7 +73,26 @@ def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: Di
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
         return _none("hidden", "the sun is outside the image")
     axes = _expected_axes(expectation, options)
-    reach = 2.0 + 5.0 * expectation.uncertainty_px + 2.0 * (options.max_radius_px if axes is None else _major(axes))
+    size = 2.0 * (options.max_radius_px if axes is None else _major(axes))
+    reach = 2.0 + 5.0 * expectation.uncertainty_px + size
+    found = _look_within(reach, image, axes, sensor=sensor, expectation=expectation, options=options)
+    if found.verdict == "hidden":
+        near = size + 2.0 * expectation.uncertainty_px
+        reason = obstructed_reason(image, sensor=sensor, expectation=expectation, reach_px=near, options=options)
+        return replace(found, verdict="obstructed", reason=reason) if reason else found
+    return found
+
+
+def _look_within(
+    reach: float,
+    image: Image,
+    axes: FloatArray | None,
+    *,
+    sensor: Sensor,
+    expectation: Expectation,
+    options: DiscOptions,
+) -> Detection:
+    """Look for the brightest spot within `reach` px of the expected pixel."""
     x0, y0 = max(0, round(expectation.x_px - reach)), max(0, round(expectation.y_px - reach))
     part = image[y0 : round(expectation.y_px + reach) + 1, x0 : round(expectation.x_px + reach) + 1]
     spots = brightest_spots(part, count=1, reach=max(part.shape), floor=_floor(sensor, options))

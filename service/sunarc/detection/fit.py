@@ -32,6 +32,7 @@ _CONVERGED_PX = 2e-4
 _OUTLIER = 6.0
 _MOST_OUTLIERS = 3
 _CLEANINGS = 3
+_DOUBTFUL = 1.12  # reduced chi² from which on other starts are tried
 _POOR = 1.3  # reduced chi² from which on the point spread is given wings
 
 
@@ -94,8 +95,7 @@ def fit_disc(
     problem = make_problem(window, usable=window.usable, origin=position, sensor=sensor, sources=sources, prior=prior)
     if problem.counts.size < 30 + 4 * window.colours:
         return None
-    first = min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
-    state, evaluation, converged = _solve(problem, *first)
+    state, evaluation, converged = _from_best(problem, starts)
     for _ in range(_CLEANINGS):
         bad = _outliers(evaluation)
         if not bad.any():
@@ -106,6 +106,23 @@ def fit_disc(
         problem = problem._replace(prior=prior._replace(free_wings=True))
         state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
+
+
+def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation, bool]:
+    """Fit from the first start, and from the best of the others where that leaves a doubt.
+
+    A saturated disc hides its shape, so that a poor start may fit well: there the best of all is taken at once.
+    """
+    if problem.window.saturated_px:
+        return _solve(problem, *_best_start(problem, starts))
+    end = _solve(problem, *with_levels(problem, starts[0]))
+    if len(starts) == 1 or _chi2(end[1]) < _DOUBTFUL:
+        return end
+    return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
+
+
+def _best_start(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation]:
+    return min((with_levels(problem, nonlinear) for nonlinear in starts), key=lambda start: start[1].cost)
 
 
 def _chi2(evaluation: Evaluation) -> float:

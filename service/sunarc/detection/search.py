@@ -45,23 +45,20 @@ def _tile_maxima(image: Image, tile: int) -> tuple[NDArray[np.int64], NDArray[np
     height, width = image.shape
     down, across = (height + tile - 1) // tile, (width + tile - 1) // tile
     best, where = np.full(down * across, -1, np.int64), np.zeros(down * across, np.int64)
-    pairs = np.empty(width // 2, image.dtype)
+    least = np.zeros(across * tile, image.dtype)
     for y in range(0, height - 1, 2):
         upper, lower = image[y], image[y + 1]
-        for i in range(width // 2):
-            pairs[i] = min(upper[2 * i], upper[2 * i + 1], lower[2 * i], lower[2 * i + 1])
+        for x in range(width - 1):
+            least[x] = min(upper[x], upper[x + 1], lower[x], lower[x + 1])
         for tile_x in range(across):
-            first, last = tile_x * tile // 2, min((tile_x + 1) * tile // 2, pairs.size)
-            top = pairs[first] if first < last else image.dtype.type(0)
-            for i in range(first, last):
-                top = max(top, pairs[i])
+            row = least[tile_x * tile : (tile_x + 1) * tile]
+            top = row[0]
+            for value in row:
+                top = max(top, value)
             k = (y // tile) * across + tile_x
             if top > best[k]:
                 best[k] = top
-                for i in range(first, last):
-                    if pairs[i] == top:
-                        where[k] = y * width + 2 * i
-                        break
+                where[k] = y * width + tile_x * tile + np.argmax(row)
     return best, where
 
 

@@ -2,41 +2,56 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
 from sunarc.detection.values import FloatArray, Image
 
-_STEP = 8  # even, so that a Bayer mosaic's rows stay apart
+_STEP, _FINE_STEP = 32, 8  # rows looked at first, and where smear shows; even: a Bayer mosaic's rows stay apart
+_FEWEST_ROWS = 8
 _MEDIAN_NOISE = 1.2533
 _SIGNIFICANT = 5.0
 
 
-def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int) -> FloatArray:
+def column_smear(image: Image, *, x0: int, x1: int, y0: int, y1: int, mosaic: bool) -> FloatArray:
     """Return the smear in a window, judged from the rows beyond it.
 
     Parameters
     ----------
     image : (rows, columns) counts.
     x0, x1, y0, y1 : the window, ends exclusive.
+    mosaic : whether even and odd rows have different colours.
 
     Returns
     -------
     (y1 - y0, x1 - x0) counts, lowest column 0; all 0 where no column stands out of its noise, so that a sensor without
     smear loses nothing.
     """
-    profiles = np.stack([_profile(image[parity::_STEP, x0:x1], y0, y1, parity) for parity in (0, 1)])
-    return profiles[np.arange(y0, y1) % 2]
+    profiles = np.zeros((2, x1 - x0))
+    for parity in range(2 if mosaic else 1):
+        rows = _rows_beyond(image.shape[0], parity, y0, y1)
+        for step in (_STEP, _FINE_STEP):
+            profile = _profile(image[rows[:: step // _FINE_STEP], x0:x1])
+            if not profile.any():
+                break
+        profiles[parity] = profile
+    return profiles[np.arange(y0, y1) % 2 * mosaic]
 
 
-def _profile(sampled: Image, y0: int, y1: int, parity: int) -> FloatArray:
-    rows = parity + _STEP * np.arange(sampled.shape[0])
-    beyond = sampled[(rows < y0) | (rows >= y1)].astype(np.float64)
-    if beyond.shape[0] < 2 * _STEP or beyond.shape[1] == 0:
-        return np.zeros(sampled.shape[1])
+def _rows_beyond(height: int, parity: int, y0: int, y1: int) -> NDArray[np.intp]:
+    rows = np.arange(parity, height, _FINE_STEP)
+    return rows[(rows < y0) | (rows >= y1)]
+
+
+def _profile(beyond: Image) -> FloatArray:
+    """Return what each column of some rows has in excess; zeros where it is noise."""
+    nothing = np.zeros(beyond.shape[1])
+    if beyond.shape[0] < _FEWEST_ROWS or beyond.shape[1] == 0:
+        return nothing
     level = np.median(beyond, axis=0)
     spread = 1.4826 * float(np.median(np.abs(beyond - level)))
     excess = level - float(np.min(level))
-    noise = _MEDIAN_NOISE * max(spread, 0.3) / np.sqrt(beyond.shape[0])
-    if float(np.max(excess)) < _SIGNIFICANT * noise:
-        return np.zeros(sampled.shape[1])
-    return np.asarray(excess)
+    noise = _MEDIAN_NOISE * max(spread, 0.3) / math.sqrt(beyond.shape[0])
+    return np.asarray(excess) if float(np.max(excess)) >= _SIGNIFICANT * noise else nothing

@@ -20,7 +20,8 @@ VALUE, BY_X, BY_Y, BY_PSF, SLOPE_U, SLOPE_V, BEND_UU, BEND_UV, BY_S11, BY_S12, B
 """Planes of `render_disc`."""
 
 _MOST_RINGS = 24
-_REACH = 6.0  # point-spread widths beyond which a source is dark
+_DENSITIES = 8.0  # steps per unit of radius over point spread in which sources are made and kept
+_REACH = 5.0  # point-spread widths beyond which a source is dark
 
 
 class Sources(NamedTuple):
@@ -42,12 +43,6 @@ WING_PSF = 3.0
 """The wings' point spread over the core's."""
 
 
-@lru_cache(maxsize=64)
-def _legendre(count: int) -> tuple[FloatArray, FloatArray]:
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return nodes, weights
-
-
 def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> SunSources:
     """Return the sources of a disc of this radius for a core of this point spread and its wings."""
     core, wings = (
@@ -59,17 +54,24 @@ def sun_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Su
 
 def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> Sources:
     """Return sources dense enough that a disc of this radius shows no grain through this point spread."""
-    rings = min(max(4, math.ceil(1.4 * radius_px / psf_px)), _MOST_RINGS)
-    nodes, node_weights = _legendre(rings)
+    return _sources(math.ceil(_DENSITIES * radius_px / psf_px) / _DENSITIES, limb_darkening)
+
+
+@lru_cache(maxsize=64)
+def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
+    rings = min(max(4, math.ceil(1.4 * radius_in_psf)), _MOST_RINGS)
+    nodes, node_weights = np.polynomial.legendre.leggauss(rings)
     radii = 0.5 * (nodes + 1.0)
     ring_weights = node_weights * radii * (1.0 - limb_darkening * (1.0 - np.sqrt(1.0 - radii**2)))
-    counts = np.maximum(6, np.ceil(2.0 * math.pi * radii * radius_px / (1.1 * psf_px))).astype(int)
+    counts = np.maximum(6, np.ceil(2.0 * math.pi * radii * radius_in_psf / 1.1)).astype(int)
     ring = np.repeat(np.arange(rings), counts)
     within = np.arange(ring.size) - np.repeat(np.cumsum(counts) - counts, counts)
     angle = 2.0 * math.pi * (within + 0.5 * (ring % 2)) / counts[ring]
-    positions = radii[ring, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    positions = np.ascontiguousarray(radii[ring, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
     weights = ring_weights[ring] / counts[ring]
-    return Sources(np.ascontiguousarray(positions), weights / weights.sum(), 1.0 - limb_darkening / 3.0)
+    weights /= weights.sum()
+    positions.flags.writeable = weights.flags.writeable = False
+    return Sources(positions, weights, 1.0 - limb_darkening / 3.0)
 
 
 @njit(cache=True, nogil=True)

@@ -41,7 +41,8 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     saturated = part >= saturation_fraction * sensor.full_scale
     usable = ~_grown(saturated) if sensor.blooming else ~saturated
     colour, colours = _colours(part.shape, first=(x0, y0), bayer=sensor.bayer)
-    counts = part.astype(np.float64) - sensor.black_level - column_smear(image, x0=x0, x1=x1, y0=y0, y1=y1)
+    smear = column_smear(image, x0=x0, x1=x1, y0=y0, y1=y1, mosaic=sensor.bayer is not None)
+    counts = part.astype(np.float64) - sensor.black_level - smear
     return Window(counts, usable, colour, colours, (x0, y0), int(np.count_nonzero(saturated)))
 
 
