@@ -86,7 +86,7 @@ def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray,
     chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
     rows = np.ascontiguousarray(by_parameters[..., chosen])
     size, field = len(chosen), calibration.field
-    weighted = (rows.reshape(-1, size) @ calibration.covariance).reshape(rows.shape)
+    weighted = (rows.reshape(2 * rows.shape[0], size) @ calibration.covariance).reshape(rows.shape)
     seen = np.all(np.isfinite(pixels), axis=-1)
     if field.amplitude_px > 0.0 and np.any(seen):
         waves = field.basis.values(np.where(seen[:, None], pixels, 0.0))
