@@ -205,6 +205,10 @@ def calibrate(
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
     level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
+    start: Annotated[Path | None, typer.Option(help="Begin at the camera of this calibration document.")] = None,
+    pose_only: Annotated[
+        bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
+    ] = False,
     plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -212,6 +216,8 @@ def calibrate(
 
     Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
     """
+    if pose_only and start is None:
+        raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
     document = offline.calibrate_file(
         points,
         site=Site(
@@ -223,9 +229,11 @@ def calibrate(
             projection=projection,  # type: ignore[arg-type]
             mirrored=mirrored,  # type: ignore[arg-type]
             level_within_deg=level_within,
+            free="pose" if pose_only else "all",
         ),
         clock=SystemClock(),
         circle=None if image_circle is None else offline.image_circle_of(image_circle),
+        start=start,
         plots=plots,
     )
     if as_json:

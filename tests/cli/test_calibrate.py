@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,13 +31,11 @@ CAMERA = Camera(
 )
 
 
-@pytest.fixture
-def points(tmp_path: Path) -> Path:
+def write_day(path: Path, camera: Camera) -> Path:
     """Write a clear day of sightings, one every four minutes, with 0.02 px of noise."""
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SITE).apparent_zenith < 88.0]
-    pixels = project(CAMERA, sun_directions(times, SITE)) + np.random.default_rng(1).normal(0.0, 0.02, (times.size, 2))
-    path = tmp_path / "points.csv"
+    pixels = project(camera, sun_directions(times, SITE)) + np.random.default_rng(1).normal(0.0, 0.02, (times.size, 2))
     with path.open("w") as file:
         write_sightings(
             file,
@@ -46,6 +45,11 @@ def points(tmp_path: Path) -> Path:
             ],
         )
     return path
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    return write_day(tmp_path / "points.csv", CAMERA)
 
 
 def test_a_clear_day_is_accepted_and_its_document_answers_for_pixels_and_directions(
@@ -144,6 +148,21 @@ def test_an_image_without_a_circle_is_one_line_and_exit_2(sunarc: Sunarc, points
     answer = sunarc("calibrate", str(points), *AT_SGP, "--image-circle", str(plain))
     assert answer.code == 2
     assert "shows no image circle" in answer.err
+
+
+def test_after_a_move_the_lens_can_be_kept_and_the_pose_alone_fitted(
+    sunarc: Sunarc, points: Path, tmp_path: Path
+) -> None:
+    before, moved = tmp_path / "before.json", tmp_path / "moved.csv"
+    before.write_text(sunarc("calibrate", str(points), *AT_SGP, "--json").out)
+    write_day(moved, replace(CAMERA, rotation_cam_enu=rotation_from_pose_angles(PoseAngles(20.0, 4.0, 30.0))))
+    kept = sunarc("calibrate", str(moved), *AT_SGP, "--start", str(before), "--pose-only", "--json")
+    assert kept.code == 0, kept.err
+    document, lens = json.loads(kept.out), json.loads(before.read_text())["model"]
+    assert document["model"]["focal_length_px"] == pytest.approx(lens["focal_length_px"])
+    assert document["pose"]["phi_xz_deg"] == pytest.approx(20.0, abs=0.05)
+    assert document["metrics"]["rmse_px"] < 0.1
+    assert sunarc("calibrate", str(moved), *AT_SGP, "--pose-only").code == 2
 
 
 def test_a_malformed_row_is_named_by_its_line(sunarc: Sunarc, points: Path) -> None:

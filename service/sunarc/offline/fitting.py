@@ -13,6 +13,7 @@ from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calib
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.offline.files import read_image, read_lines, require_inside
+from sunarc.offline.placing import read_calibration
 from sunarc.sky import Site
 
 
@@ -24,13 +25,15 @@ def calibrate_file(
     options: CalibrationOptions,
     clock: Clock,
     circle: ImageCircle | None = None,
+    start: Path | None = None,
     plots: Path | None = None,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
-    solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle)
+    known = None if start is None else read_calibration(start).camera
+    solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle, start=known)
     if plots is not None:
         from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 

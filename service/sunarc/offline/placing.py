@@ -19,7 +19,7 @@ _PLACES = 10
 
 def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     """Read zenith_deg,azimuth_deg and write x_px,y_px,sigma_px,cov_xx,cov_xy,cov_yy,inside."""
-    solved = _calibration(calibration)
+    solved = read_calibration(calibration)
     angles = read_pairs(source, columns=("zenith_deg", "azimuth_deg"), name="standard input")
     direction = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
     pixels, covariance = project_with_covariance(solved, direction)
@@ -40,7 +40,7 @@ def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
 def unproject_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     """Read x_px,y_px and write zenith_deg,azimuth_deg,sigma_deg,inside."""
     pixels = read_pairs(source, columns=("x_px", "y_px"), name="standard input")
-    direction, sigma_deg, inside = unproject_with_sigma(_calibration(calibration), pixels)
+    direction, sigma_deg, inside = unproject_with_sigma(read_calibration(calibration), pixels)
     zenith, azimuth = angles_from_direction(direction)
     columns = {
         "zenith_deg": zenith,
@@ -51,7 +51,8 @@ def unproject_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
 
 
-def _calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> Calibration:
+    """Return the calibration of a document's file; InputError when it is none."""
     try:
         document = json.loads(read_file(path))
     except ValueError:
