@@ -51,7 +51,7 @@ class Scene:
 
 def disc_image(scene: Scene, cover: FloatArray | None = None) -> FloatArray:
     """Return the noiseless light of the disc, of unit central brightness, in full scales of `peak` 1."""
-    half, over = 26, scene.over
+    half, over = 16, scene.over
     cx, cy = round(scene.x), round(scene.y)
     steps = (np.arange((2 * half + 1) * over) - ((2 * half + 1) * over - 1) / 2) / over
     gx, gy = np.meshgrid(steps - (scene.x - cx), steps - (scene.y - cy))

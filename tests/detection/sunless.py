@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from tests.detection.rendering import FloatArray, Image, Scene, disc_image, equisolid_stretch, read_out
 
-KINDS = ("night", "overcast", "hot", "cloud_edge", "glint_blobs", "moon")
+KINDS = ("night", "overcast", "hot", "cloud_edge", "glint_blobs", "moon", "long_moon")
+SUN_PER_US = 3.0  # full scales of a bare camera
+MOON_SHARE = 2.5e-6  # of the sun's brightness: a full moon, 400 000 times fainter
 
 
-def sunless(kind: str, rng: np.random.Generator, *, size: int = 128) -> Image:
-    """Return a 12-bit frame of a kind, drawn at random."""
+def exposure_us_of(kind: str, rng: np.random.Generator) -> float:
+    """Return an exposure as the controller may choose it; "long_moon": of milliseconds to seconds, which it may not."""
+    return float(10.0 ** (rng.uniform(3.0, 6.3) if kind == "long_moon" else rng.uniform(0.0, 3.0)))
+
+
+def sunless(kind: str, rng: np.random.Generator, *, exposure_us: float = 30.0, size: int = 128) -> Image:
+    """Return a frame of a kind, drawn at random; the exposure matters to the moon only, the others are of any level."""
     scene = Scene(shape=(size, size), bits=int(rng.choice([8, 12])))
     light = np.full((size, size), rng.uniform(0.0, 0.01))
     if kind in {"overcast", "cloud_edge"}:
@@ -21,10 +28,10 @@ def sunless(kind: str, rng: np.random.Generator, *, size: int = 128) -> Image:
     if kind == "glint_blobs":
         for _ in range(3):
             light = light + _blob(rng, size)
-    if kind == "moon":
-        light = light + _moon(rng, size)
+    if kind in {"moon", "long_moon"}:
+        light = light + SUN_PER_US * MOON_SHARE * exposure_us * _moon(rng, size)
     image = read_out(light, scene, rng)
-    return _with_hot_pixels(image, scene, rng) if kind in {"hot", "night", "cloud_edge"} else image
+    return _with_hot_pixels(image, scene, rng) if kind in {"hot", "night", "cloud_edge", "moon"} else image
 
 
 def _clouds(rng: np.random.Generator, size: int, *, sharp: bool) -> FloatArray:
@@ -47,15 +54,15 @@ def _blob(rng: np.random.Generator, size: int) -> FloatArray:
 
 
 def _moon(rng: np.random.Generator, size: int) -> FloatArray:
-    """Return the moon: no limb darkening, dark maria, a terminator, earthshine none."""
+    """Return a moon of unit brightness: no limb darkening, dark maria, any phase up to full, no earthshine."""
     stretch = equisolid_stretch(zenith_deg=rng.uniform(10, 80), azimuth_deg=rng.uniform(0, 360))
     scene = Scene(
         shape=(size, size), x=rng.uniform(30, size - 30), y=rng.uniform(30, size - 30), stretch=stretch, limb=0.0
     )
     angle = rng.uniform(0, 2 * math.pi)
-    cover = np.array([math.cos(angle), math.sin(angle), rng.uniform(-1.0, 0.85), 0.03, 0.0])
+    cover = np.array([math.cos(angle), math.sin(angle), rng.uniform(-1.0, 1.3), 0.03, 0.0])
     maria = 1.0 - 0.4 * gaussian_filter((rng.random((size, size)) > 0.5).astype(float), 1.0)
-    return np.asarray(10.0 ** rng.uniform(-2, 0) * disc_image(scene, cover) * maria)
+    return np.asarray(disc_image(scene, cover) * maria)
 
 
 def _with_hot_pixels(image: Image, scene: Scene, rng: np.random.Generator) -> Image:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
-from tests.detection.sunless import KINDS, sunless
+from tests.detection.sunless import KINDS, SUN_PER_US, exposure_us_of, sunless
 
-from sunarc.detection import Detection, Expectation, Sensor, detect_sun
+from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
 from sunarc.errors import InputError
 
 SENSOR = Sensor.from_full_well(full_scale=4095)
@@ -50,12 +50,16 @@ def test_clear_discs_are_rarely_refused() -> None:
 def test_no_sun_is_found_where_there_is_none(kind: str) -> None:
     rng, accepted = np.random.default_rng(3), 0
     for _ in range(40):
-        image = sunless(kind, rng)
+        exposure_us = exposure_us_of(kind, rng)
+        image = sunless(kind, rng, exposure_us=exposure_us)
         sensor = Sensor.from_full_well(full_scale=255 if image.dtype == np.uint8 else 4095)
         x, y = rng.uniform(20, 108, 2)
         expected = Expectation(x_px=x, y_px=y, uncertainty_px=3.0, stretch_px_per_rad=STRETCH)
-        accepted += detect_sun(image, sensor=sensor).accepted
-        accepted += detect_sun(image, sensor=sensor, expectation=expected).accepted
+        options = DiscOptions(clear_level_per_us=SUN_PER_US if kind == "long_moon" else 0.0)
+        for told in (None, expected):
+            accepted += detect_sun(
+                image, sensor=sensor, expectation=told, options=options, exposure_us=exposure_us
+            ).accepted
     assert accepted == 0
 
 

@@ -41,7 +41,7 @@ def detect_sun(
     sensor : full scale, noise, colours.
     expectation : where to look; without one the whole frame is searched, and the disc's size is free.
     options : the search's and the verdict's.
-    exposure_us : told on in the answer.
+    exposure_us : told on in the answer, and with `clear_level_per_us` what the sun's brightness is judged by.
 
     Returns
     -------
@@ -52,6 +52,9 @@ def detect_sun(
     InputError : the array is no image of this sensor.
     """
     require_raw(image, sensor)
+    clear = _clear_level(expectation, options, exposure_us)
+    if expectation is not None:
+        expectation = replace(expectation, clear_peak_fraction=clear)
     limit = math.radians(options.max_apparent_zenith_deg)
     if expectation is not None and expectation.apparent_zenith is not None and expectation.apparent_zenith > limit:
         zenith = math.degrees(expectation.apparent_zenith)
@@ -60,7 +63,22 @@ def detect_sun(
         found = _search(image, sensor=sensor, options=options)
     else:
         found = _look(image, sensor=sensor, expectation=expectation, options=options)
-    return replace(found, exposure_us=exposure_us)
+    return replace(_no_moon(found, clear, options), exposure_us=exposure_us)
+
+
+def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure_us: float | None) -> float | None:
+    """Return the clear sun's level over full scale, where known."""
+    if expectation is not None and expectation.clear_peak_fraction is not None:
+        return expectation.clear_peak_fraction
+    return options.clear_level_per_us * exposure_us if exposure_us and options.clear_level_per_us else None
+
+
+def _no_moon(found: Detection, clear: float | None, options: DiscOptions) -> Detection:
+    """Return what was found, disbelieved where it is far too faint at this exposure."""
+    if clear is None or not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_share * clear:
+        return found
+    reason = f"{(found.peak_fraction or 0.0) / clear:.1e} of the clear sun's brightness: the moon, or a lamp"
+    return replace(found, accepted=False, verdict="hidden", reason=reason)
 
 
 def _none(verdict: Verdict, reason: str) -> Detection:

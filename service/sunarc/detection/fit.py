@@ -153,7 +153,7 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
         tried = evaluate(problem, following)
         if tried.cost < evaluation.cost + 1e-3:
             moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
-            small = moved < _CONVERGED_PX or (moved < 10.0 * _CONVERGED_PX and gained < 0.01)
+            small = (moved < _CONVERGED_PX and gained < 0.2) or (moved < 10.0 * _CONVERGED_PX and gained < 0.01)
             state, evaluation, damping = following, tried, damping * 0.1
             if small:
                 return state, evaluation, True

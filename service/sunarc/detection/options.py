@@ -29,6 +29,9 @@ class DiscOptions:
     max_sigma_px : a less certain position is not accepted.
     veiled_below : a disc below this fraction of the clear sky's is veiled; so is one below this contrast.
     max_apparent_zenith_deg : a lower sun is below the horizon.
+    clear_level_per_us : the clear sun's level over full scale in 1 µs, at the gain in use; 0 where unknown. It is what
+        brightness is judged against where the expectation does not tell.
+    faintest_share : less of that level is no sun, however clean its disc: the full moon has 2.5e-6.
     """
 
     psf_px: float = 0.7
@@ -47,6 +50,8 @@ class DiscOptions:
     max_sigma_px: float = 0.06
     veiled_below: float = 0.5
     max_apparent_zenith_deg: float = 89.6
+    clear_level_per_us: float = 0.0
+    faintest_share: float = 1e-4
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
