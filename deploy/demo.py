@@ -166,7 +166,7 @@ port = {options.port}
 def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
     """Return the command line of the simulated imager."""
     return [
-        *("simulate", "--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T12:00:00Z"),
+        *("simulate", "--address", CAMERA_ADDRESS, "--start", f"{FIRST_DAY}T11:00:00Z"),
         *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),
