@@ -180,36 +180,37 @@ def _fitted(
     half = math.ceil(max(_major(start), spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
     if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
         return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
-    window = cut(
-        image,
-        center=(spot.x, spot.y),
-        half=half,
-        sensor=sensor,
-        saturation_fraction=options.saturation_fraction,
-    )
+    at = (spot.x, spot.y)
+    window = cut(image, center=at, half=half, sensor=sensor, saturation_fraction=options.saturation_fraction)
     if _all_saturated(window):
-        return replace(
-            _none("saturated", f"{window.saturated_px} pixels around the sun are saturated"),
-            saturated_px=window.saturated_px,
-            peak_fraction=1.0,
-        )
-    prior = Prior(math.log(options.psf_px), options.psf_tolerance, options.wings_tolerance, free_stretch=axes is None)
+        reason = f"{window.saturated_px} pixels around the sun are saturated"
+        return replace(_none("saturated", reason), saturated_px=window.saturated_px, peak_fraction=1.0)
     radius_px = math.sqrt(np.linalg.det(start))
-
-    def fitted_with(
-        limb_darkening: float, start: tuple[float, float], shapes: list[tuple[float, FloatArray]]
-    ) -> DiscFit | None:
-        sources = sun_sources(radius_px=radius_px, psf_px=options.psf_px, limb_darkening=limb_darkening)
-        return fit_disc(window, start=start, shapes=shapes, sources=sources, sensor=sensor, prior=prior)
-
-    fit = fitted_with(options.limb_darkening, (spot.x, spot.y), shapes)
+    fit = _fit(window, at, shapes, radius_px=radius_px, free=axes is None, sensor=sensor, options=options)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
-    unasked = expectation is None and not window.saturated_px
-    if verdict[1] and unasked and is_flat(fit, fitted_with(0.0, (fit.x_px, fit.y_px), [(fit.psf_px, fit.stretch)])):
-        verdict = ("hidden", False, "a disc without the sun's darker limb: the moon, or a lamp")
+    if verdict[1] and expectation is None and not window.saturated_px:
+        at, shapes, even = (fit.x_px, fit.y_px), [(fit.psf_px, fit.stretch)], replace(options, limb_darkening=0.0)
+        if is_flat(fit, _fit(window, at, shapes, radius_px=radius_px, free=True, sensor=sensor, options=even)):
+            verdict = ("hidden", False, "a disc without the sun's darker limb: the moon, or a lamp")
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
+
+
+def _fit(
+    window: Window,
+    at: tuple[float, float],
+    shapes: list[tuple[float, FloatArray]],
+    *,
+    radius_px: float,
+    free: bool,
+    sensor: Sensor,
+    options: DiscOptions,
+) -> DiscFit | None:
+    """Fit the disc that the options describe; `free`: its shape too."""
+    prior = Prior(math.log(options.psf_px), options.psf_tolerance, options.wings_tolerance, free_stretch=free)
+    sources = sun_sources(radius_px=radius_px, psf_px=options.psf_px, limb_darkening=options.limb_darkening)
+    return fit_disc(window, start=at, shapes=shapes, sources=sources, sensor=sensor, prior=prior)
 
 
 def _first_shapes(

@@ -29,6 +29,7 @@ from sunarc.detection.window import Window
 
 _STEPS = 15
 _CONVERGED_PX = 2e-4
+_SETTLED = 0.2  # of the cost; a saturated disc's level and size may creep on, its centre stands
 _OUTLIER = 6.0
 _MOST_OUTLIERS = 3
 _CLEANINGS = 3
@@ -145,20 +146,22 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
 def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
     damping = 1e-6
+    settled = math.inf if problem.window.saturated_px else _SETTLED
     for _ in range(_STEPS):
         matrix, gradient = normal_equations(problem, state, evaluation)
         scale = np.maximum(np.diag(matrix), 1e-12)
         step = np.asarray(np.linalg.solve(matrix + np.diag(scale * damping + 1e-12), gradient), dtype=np.float64)
         following = _stepped(problem, state, step)
         tried = evaluate(problem, following)
-        if tried.cost < evaluation.cost + 1e-3:
-            moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
-            small = (moved < _CONVERGED_PX and gained < 0.2) or (moved < 10.0 * _CONVERGED_PX and gained < 0.01)
+        moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
+        still = moved < _CONVERGED_PX and abs(gained) < settled
+        small = still or (moved < 10.0 * _CONVERGED_PX and abs(gained) < 0.01)
+        if gained > -1e-3:
             state, evaluation, damping = following, tried, damping * 0.1
-            if small:
-                return state, evaluation, True
         else:
             damping = max(damping, 1e-5) * 100.0
+        if small:  # also after a step that cost a little: the weights follow the model, and their gradient is left out
+            return state, evaluation, True
         if damping > 1e8:
             break
     return state, evaluation, False
