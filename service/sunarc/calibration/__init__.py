@@ -21,8 +21,8 @@ from sunarc.calibration.days import DayMeasure, DayOptions, DayVerdict, decide_d
 from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
-from sunarc.calibration.metrics import Metrics
-from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
+from sunarc.calibration.metrics import Metrics, measures
+from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 
@@ -39,6 +39,7 @@ __all__ = [
     "Field",
     "ImageCircle",
     "LensTolerances",
+    "Method",
     "Metrics",
     "PaperOptions",
     "SunPoints",
@@ -55,6 +56,7 @@ __all__ = [
     "from_document",
     "hemisphere",
     "measure_day",
+    "measures",
     "project_with_covariance",
     "sigma_deg",
     "sigma_px",

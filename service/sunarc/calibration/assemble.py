@@ -83,6 +83,7 @@ def finished(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
         verdict=Verdict(accepted=False, reasons=("not judged yet",)),
         method=options.method,
         site=job.site,
+        used=_used(fitted, job),
     )
     rms, most = sky_sigma_deg(calibration)
     calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)
@@ -106,6 +107,12 @@ def _metrics(fitted: Fitted, usable: Usable, cameras: list[Camera]) -> Metrics:
         angle[mine] = residual_angles(camera, usable.pixels[mine], usable.directions[mine])
     metrics = fit_metrics(fitted.residual, fitted.used, angle)
     return replace(metrics, held_out_rmse_px=fitted.held_out_rmse_px)
+
+
+def _used(fitted: Fitted, job: Job) -> NDArray[np.bool_]:
+    used = np.zeros(len(job.points), dtype=bool)
+    used[job.usable.index] = fitted.used
+    return used
 
 
 def _clock_error(points: SunPoints) -> float:
@@ -173,6 +180,7 @@ def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
         verdict=Verdict(accepted=False, reasons=reasons),
         method=options.method,
         site=job.site,
+        used=np.zeros(len(job.points), dtype=bool),
     )
 
 

@@ -24,8 +24,8 @@ SCHEMA = "sunarc.calibration/1"
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]
 
-_SMALLEST_SHARE = 1e-8
-"""Waves that hold less than this share of the largest one's variance do not travel."""
+_SMALLEST_SHARE = 1e-5
+"""Waves that hang together with no parameter by more than this share of the one that does most do not travel."""
 
 
 def to_document(
@@ -106,8 +106,9 @@ def _model(camera: Camera) -> Document:
 
 
 def _field(field: Field) -> Document:
-    variances = field.basis.variances(length_px=field.length_px) if field.amplitude_px > 0.0 else np.zeros(0)
-    kept = np.flatnonzero(variances > _SMALLEST_SHARE * np.max(variances, initial=0.0))
+    size = np.max(np.abs(field.cross), axis=0)
+    share = np.max(size / np.maximum(np.max(size, axis=1, keepdims=True), 1e-300), axis=0)
+    kept = np.flatnonzero(share > _SMALLEST_SHARE) if field.amplitude_px > 0.0 else np.zeros(0, dtype=np.int64)
     return {
         "amplitude_px": field.amplitude_px,
         "length_px": field.length_px,

@@ -8,6 +8,7 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ FloatArray = NDArray[np.float64]
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""
 _RIDGE = 1e-13
-_ROUNDING = 1e-10
+_ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
 
 
@@ -110,7 +111,16 @@ def prior_precision(size: int, radial_px: float, decentering_px: float) -> Float
 
 def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
     """Return the fit under one choice of scales."""
-    reduced = _Reduced.of(normal, basis, scales.length_px)
+    return marginal_fits(normal, basis, [scales])[0]
+
+
+def marginal_fits(normal: Normal, basis: WaveBasis, choices: Sequence[Scales]) -> list[Marginal]:
+    """Return the fits under several choices of scales."""
+    reduced = {length: _Reduced.of(normal, basis, length) for length in {scales.length_px for scales in choices}}
+    return [_fit(normal, reduced[scales.length_px], scales) for scales in choices]
+
+
+def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
     matrix = normal.jj - reduced.taken(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))

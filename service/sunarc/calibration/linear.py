@@ -69,10 +69,14 @@ def linear_system(
     information: FloatArray,
     basis: WaveBasis,
 ) -> LinearSystem:
-    """Return the equations of sightings about some unknowns."""
+    """Return the equations of sightings about some unknowns.
+
+    The waves are taken where the model sees the sun. Taken where it was seen, a field x_seen beside a change of the
+    lens by -x_modelled would be the noise itself, and a large enough field would explain it away.
+    """
     gathered, residual = bins.gathered(seen, problem.residuals(unknowns, seen), information)
     own, rows = problem.linearised(unknowns, gathered)
-    waves = basis.values(gathered.pixels)
+    waves = basis.values(gathered.pixels - own)
     return LinearSystem(
         seen=replace(gathered, pixels=gathered.pixels + residual - own),
         rows=rows,

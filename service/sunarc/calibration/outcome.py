@@ -30,8 +30,8 @@ def robust_outcome(fit: RobustFit, usable: Usable, options: CalibrationOptions) 
     to_parameters[POSE, N_LENS:] = _turned(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
     field = Field(
-        amplitude_px=fit.doubted.amplitude_px,
-        length_px=fit.doubted.length_px,
+        amplitude_px=fit.doubt.amplitude_px,
+        length_px=fit.doubt.length_px,
         basis=fit.grid.basis,
         cross=np.stack([to_parameters @ part[chosen] for part in fit.doubt.cross]),
     )

@@ -65,6 +65,7 @@ class Calibration:
     field : what no lens model says; it widens the uncertainty and does not enter the prediction.
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
     pose : the Table 2 angles.
+    used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).
     """
 
     camera: Camera
@@ -81,3 +82,4 @@ class Calibration:
     verdict: Verdict
     method: Method
     site: Site
+    used: NDArray[np.bool_] | None = None

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
-from sunarc.calibration.evidence import Marginal, Scales, marginal_fit, prior_precision
+from sunarc.calibration.evidence import Scales, marginal_fit, prior_precision
 from sunarc.calibration.linear import LinearSystem, linear_system, settled
 from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
 from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.scales import Grid, likely_scales, scale_grid
+from sunarc.calibration.scales import Doubt, Grid, doubt, likely_scales, scale_grid
 from sunarc.calibration.solve import information, most_probable
 
 FloatArray = NDArray[np.float64]
@@ -46,8 +46,8 @@ class RobustFit:
     ----------
     system : the bins' equations about the fit.
     unknowns : the most probable ones.
-    doubt : their covariance and the field's part in it.
-    scales : those of the fit, and `doubted` those of the uncertainty, as found in the data.
+    doubt : their covariance and the field's part in it, over all plausible scales.
+    scales : those of the fit, as found in the data.
     grid : the scales that were tried, and the field's waves.
     residual : (n, 2) observed minus modelled, px.
     weight : (n,) how much each sighting counted, 0 to 1.
@@ -58,9 +58,8 @@ class RobustFit:
     problem: Problem
     system: LinearSystem
     unknowns: FloatArray
-    doubt: Marginal
+    doubt: Doubt
     scales: Scales
-    doubted: Scales
     grid: Grid
     residual: FloatArray
     weight: FloatArray
@@ -73,7 +72,6 @@ class _State:
     unknowns: FloatArray
     left: FloatArray
     scales: Scales
-    doubted: Scales
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,7 +101,7 @@ def fit_robustly(
     follows = neighbours(usable.unix_s, run)
     unknowns = _without_field(problem, seen, start, bins)
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first, doubted=first)
+    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
     for number in range(_ROUNDS):
         noise = _noise(state.left, seen, follows, run)
         system = linear_system(
@@ -115,9 +113,8 @@ def fit_robustly(
         problem=problem,
         system=system,
         unknowns=state.unknowns,
-        doubt=marginal_fit(system.normal(), grid.basis, state.doubted),
+        doubt=doubt(system.normal(), grid, state.unknowns),
         scales=state.scales,
-        doubted=state.doubted,
         grid=grid,
         residual=problem.residuals(state.unknowns, seen),
         weight=noise.weight,
@@ -135,10 +132,10 @@ def _judged(problem: Problem, seen: Observations, system: LinearSystem, state: _
 
 def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: Grid) -> _State:
     """Return the state after a solve with the scales that the data speak for."""
-    scales, doubted = likely_scales(system.normal(), grid)
+    scales = likely_scales(system.normal(), grid)
     unknowns, waves = settled(problem, system, scales)
     smooth = (system.waves @ waves.T)[system.member]
-    return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales, doubted=doubted)
+    return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales)
 
 
 def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:

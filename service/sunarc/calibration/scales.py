@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.evidence import Normal, Scales, log_evidences
+from sunarc.calibration.evidence import Normal, Scales, log_evidences, marginal_fits
 from sunarc.calibration.field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 
 _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""
-_LARGEST_AMPLITUDE_PX = 1.0
-_AMPLITUDES = 12
+_LARGEST_AMPLITUDE_PX = 8.0
+_AMPLITUDES = 16
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
 _RADIAL_DOUBT = math.log(2.5)
 _DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
@@ -25,6 +25,10 @@ _USUAL_FIELD_PX = 0.05
 _FIELD_DOUBT = math.log(8.0)
 _NO_FIELD = 1.5
 """Odds, before the sightings are looked at, that there is no field but the floor's."""
+_CAUTION = 0.4
+"""Power of the amplitude that its probability is multiplied by where the uncertainty is stated: an amplitude that is
+too small breaks its promise sooner than one that is too large."""
+_WEIGHT_KEPT = 0.998
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,6 +47,23 @@ class Grid:
     lens_scales: FloatArray
     log_prior: FloatArray
     basis: WaveBasis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubt:
+    """How far a fit may be off, the scales not being known.
+
+    Attributes
+    ----------
+    covariance : (p, p) of the unknowns.
+    cross : (2, p, m) with the field's coefficients.
+    amplitude_px, length_px : of the field, as far as it is not known.
+    """
+
+    covariance: FloatArray
+    cross: FloatArray
+    amplitude_px: float
+    length_px: float
 
 
 def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float) -> Grid:
@@ -71,23 +92,47 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
     )
 
 
-def likely_scales(normal: Normal, grid: Grid) -> tuple[Scales, Scales]:
-    """Return the scales to fit with, and those to state uncertainties with.
+def likely_scales(normal: Normal, grid: Grid) -> Scales:
+    """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others."""
+    weight = _weights(normal, grid)
+    radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
+    moment = np.sum(weight, axis=2) * grid.amplitudes[:, None]
+    length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
+    return Scales(float(moment.sum()), length, float(radial), float(decentering))
 
-    Few sightings leave the field's amplitude open over a wide range. The fit takes the mean of A over the plausible
-    range; the uncertainty the root of the mean of A³, for an amplitude that is too small breaks its promise sooner than
-    one that is too large. With many sightings the two are one.
-    """
+
+def doubt(normal: Normal, grid: Grid, unknowns: FloatArray) -> Doubt:
+    """Return how far the unknowns may be off, whatever the scales are: the law of total covariance over them."""
+    weight = _weights(normal, grid) * grid.amplitudes[:, None, None] ** _CAUTION
+    weight /= weight.sum()
+    order = np.argsort(weight, axis=None)[::-1]
+    kept = order[: 1 + int(np.searchsorted(np.cumsum(weight.ravel()[order]), _WEIGHT_KEPT))]
+    share = weight.ravel()[kept] / weight.ravel()[kept].sum()
+    i, j, k = np.unravel_index(kept, weight.shape)
+    amplitude, length = grid.amplitudes[i], grid.lengths[j]
+    choices = [
+        Scales(float(a), float(l), *(float(s) for s in lens))
+        for a, l, lens in zip(amplitude, length, grid.lens_scales[k], strict=True)
+    ]
+    size = unknowns.size
+    covariance, cross = np.zeros((size, size)), np.zeros((2, size, len(grid.basis.orders)))
+    for part, fit in zip(share, marginal_fits(normal, grid.basis, choices), strict=True):
+        apart = fit.unknowns - unknowns
+        covariance += part * (fit.covariance + np.outer(apart, apart))
+        cross += part * fit.cross
+    power = share * amplitude**2
+    return Doubt(
+        covariance=covariance,
+        cross=cross,
+        amplitude_px=math.sqrt(float(power.sum())),
+        length_px=math.exp(float(power @ np.log(length) / power.sum())),
+    )
+
+
+def _weights(normal: Normal, grid: Grid) -> FloatArray:
+    """Return how probable each choice of scales is, (i, j, k)."""
     log_weight = grid.log_prior + log_evidences(
         normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
     )
     weight = np.exp(log_weight - np.max(log_weight))
-    weight /= weight.sum()
-    radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
-    of_field = np.sum(weight, axis=2)
-    found = []
-    for power in (1, 3):
-        moment = of_field * grid.amplitudes[:, None] ** power
-        length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
-        found.append(Scales(float(moment.sum()) ** (1.0 / power), length, float(radial), float(decentering)))
-    return found[0], found[1]
+    return np.asarray(weight / weight.sum())

@@ -55,6 +55,8 @@ def own_verdict(
     ]
     if usable.dropped:
         said.append(f"left out before the fit: {', '.join(usable.dropped)}")
+    if options.free == "pose":
+        said.append("only the pose was fitted: the uncertainty takes the lens as known, its own comes on top")
     if options.mirrored == "auto":
         said.append("the image is mirrored" if handedness.mirrored else "the image is not mirrored")
     return Verdict(accepted=True, reasons=tuple(said))

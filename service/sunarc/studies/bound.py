@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
 
-from sunarc.calibration import ImageCircle, LensTolerances, hemisphere
-from sunarc.calibration.options import Method
+from sunarc.calibration import ImageCircle, LensTolerances, Method, hemisphere
 from sunarc.calibration.priors import FREE, LENS, N_LENS, POSE, lens_prior, precisions
 from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius, project_with_jacobian
 from sunarc.optics.camera import RADIAL_ORDERS

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from sunarc.calibration.options import Method
+from sunarc.calibration import Method
 from sunarc.errors import InputError
 from sunarc.studies.published import CASES
 from sunarc.studies.reports import make_folder, write_tables, write_uncertainty

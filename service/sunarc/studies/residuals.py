@@ -26,7 +26,7 @@ class Residuals:
     offset_deg : (n,) angle between where the pixel looks and where the sun was, degrees.
     apparent_zenith_deg : (n,) of the sun.
     azimuth_deg : (n,) of the sun.
-    used : (n,) whether the fit used the sighting: a calibration tells how many it used, and it uses the nearest ones.
+    used : (n,) whether the fit used the sighting.
     """
 
     unix_s: FloatArray
@@ -60,14 +60,17 @@ def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
         offset_deg=np.degrees(angular_distance(looked_at[known], directions[known])),
         apparent_zenith_deg=zenith[known],
         azimuth_deg=azimuth[known],
-        used=_nearest(offset[known], points.sigma_px[known], calibration.evidence.n_used),
+        used=_used(calibration, points, offset)[known],
     )
 
 
-def _nearest(offset: FloatArray, sigma_px: FloatArray, count: int) -> NDArray[np.bool_]:
-    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
-    typical = float(np.median(sigma_px[stated])) if np.any(stated) else 1.0
-    distance = np.linalg.norm(offset, axis=-1) / np.where(stated, sigma_px, typical)
+def _used(calibration: Calibration, points: SunPoints, offset: FloatArray) -> NDArray[np.bool_]:
+    """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
+    if calibration.used is not None and calibration.used.size == len(points):
+        return calibration.used
+    stated = np.isfinite(points.sigma_px) & (points.sigma_px > 0.0)
+    typical = float(np.median(points.sigma_px[stated])) if np.any(stated) else 1.0
+    distance = np.linalg.norm(offset, axis=-1) / np.where(stated, points.sigma_px, typical)
     used = np.zeros(distance.size, dtype=bool)
-    used[np.argsort(distance, kind="stable")[:count]] = True
-    return used
+    used[np.argsort(distance, kind="stable")[: calibration.evidence.n_used]] = True
+    return np.asarray(used & np.isfinite(distance))

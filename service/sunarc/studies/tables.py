@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
+    Method,
     SunPoints,
     calibrate,
     hemisphere,
     measure_day,
+    measures,
 )
-from sunarc.calibration.metrics import measures
-from sunarc.calibration.options import Method
 from sunarc.optics import Camera, pose_angles, project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import solar_date

@@ -12,8 +12,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calibrate, hemisphere
-from sunarc.calibration.options import Method
+from sunarc.calibration import CalibrationOptions, ImageCircle, Method, SunPoints, calibrate, hemisphere
 from sunarc.optics import Camera, angle_limit, project
 from sunarc.simulation import SGP, true_camera
 from sunarc.studies.arcs import SYNTHETIC_DAY, Arc, arcs

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.options import Method
+from sunarc.calibration import Method
 from sunarc.simulation import true_camera
 from sunarc.studies.bound import cramer_rao_bound
 from sunarc.studies.trials import QUANTITIES, Trial, run_trials, synthetic_arc
