@@ -112,9 +112,9 @@ def fit_disc(
 def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation, bool]:
     """Fit from the first start, and from the best of the others where that leaves a doubt.
 
-    A saturated disc hides its shape, so that a poor start may fit well: there the best of all is taken at once.
+    A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """
-    if problem.window.saturated_px:
+    if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))
     end = _solve(problem, *with_levels(problem, starts[0]))
     if len(starts) == 1 or _chi2(end[1]) < _DOUBTFUL:
