@@ -100,6 +100,9 @@ def simulate(
     altitude: Altitude = 318.0,
     lens_seed: Annotated[int, typer.Option(help="Draws another true camera; 0 is the paper's.")] = 0,
     clouds: Annotated[str, typer.Option(help="clear, veil, broken, overcast; by commas: one a day.")] = "clear",
+    nd_transmission: Annotated[
+        float, typer.Option(help="Of a neutral filter before the lens; 0.01 unsaturates.")
+    ] = 1.0,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback.
@@ -114,6 +117,7 @@ def simulate(
         site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
         lens_seed=lens_seed,
         clouds=clouds,
+        nd_transmission=nd_transmission,
         truth=truth,
     )
 

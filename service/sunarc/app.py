@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import socket
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -21,10 +20,11 @@ from sunarc.archive import Archive, CameraRecord, ImageStore, Refit, open_archiv
 from sunarc.board import ClockStatus, Reason, StatusBoard
 from sunarc.cameras import Frame, SkyCamera, open_aravis, open_replay
 from sunarc.clock import Clock, SystemClock, host_clock_state
-from sunarc.errors import ConfigurationError, OutsideError
+from sunarc.errors import ConfigurationError
+from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
 from sunarc.settings import Settings
-from sunarc.simulation import ImagerOptions, run_imager
+from sunarc.simulation import ImagerOptions, SceneOptions, run_imager
 from sunarc.sky import Site
 from sunarc.supervisor import Supervised, Supervisor
 from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
@@ -235,34 +235,6 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
     )
 
 
-def prepare_state(folder: Path) -> None:
-    """Make the state folder; one that cannot be written to is told in one line."""
-    trial = folder / f".{uuid.uuid4().hex}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        trial.touch()
-        trial.unlink()
-    except OSError as error:
-        raise OutsideError(
-            f"state folder {folder}: {error.strerror or error}; make it writable, or set `state` to another"
-        ) from None
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the address that is to be served."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # named, so that answers go undelayed
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((host, port))
-    except OSError as error:
-        listening.close()
-        raise OutsideError(
-            f"port {port} at {host}: {error.strerror or error}; end what uses it, or set api.port to another"
-        ) from None
-    return listening
-
-
 def simulate(
     *,
     address: str,
@@ -271,11 +243,19 @@ def simulate(
     site: Site,
     lens_seed: int,
     clouds: str,
+    nd_transmission: float,
     truth: Path | None,
 ) -> None:
     """Run a simulated imager until SIGTERM or SIGINT."""
     options = ImagerOptions(
-        address=address, start=start, speed=speed, site=site, lens_seed=lens_seed, clouds=clouds, truth=truth
+        address=address,
+        start=start,
+        speed=speed,
+        site=site,
+        lens_seed=lens_seed,
+        clouds=clouds,
+        scene=SceneOptions(nd_transmission=nd_transmission),
+        truth=truth,
     )
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

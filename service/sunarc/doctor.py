@@ -8,10 +8,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Literal
 
-from sunarc.app import camera_opener, listen, prepare_state
+from sunarc.app import camera_opener
 from sunarc.archive import check
 from sunarc.clock import Clock, host_clock_state
 from sunarc.errors import SunarcError
+from sunarc.footing import listen, prepare_state
 from sunarc.settings import Settings
 
 Outcome = Literal["ok", "warn", "fail"]
