@@ -106,8 +106,8 @@ def _model(camera: Camera) -> Document:
 
 
 def _field(field: Field) -> Document:
-    size = np.max(np.abs(field.cross), axis=0)
-    share = np.max(size / np.maximum(np.max(size, axis=1, keepdims=True), 1e-300), axis=0)
+    size = np.max(np.abs(field.cross), axis=0, initial=0.0)
+    share = np.max(size / np.maximum(np.max(size, axis=1, keepdims=True, initial=0.0), 1e-300), axis=0, initial=0.0)
     kept = np.flatnonzero(share > _SMALLEST_SHARE) if field.amplitude_px > 0.0 else np.zeros(0, dtype=np.int64)
     return {
         "amplitude_px": field.amplitude_px,

@@ -51,7 +51,7 @@ class WaveBasis:
 
     def _waves(self, coordinate: FloatArray, axis: int) -> FloatArray:
         half = self.half_px[axis]
-        number = np.arange(1, int(self.orders[:, axis].max()) + 1)
+        number = np.arange(1, int(self.orders[:, axis].max(initial=0)) + 1)
         phase = (0.5 * math.pi / half) * (coordinate - self.center_px[axis] + half)
         return np.asarray(np.sin(phase[..., None] * number) / math.sqrt(half))
 
