@@ -14,7 +14,7 @@ from sunarc.api.fields import Time
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.served import Served
-from sunarc.calibration import Calibration, project_with_covariance, sigma_px, unproject_with_sigma
+from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px, unproject_with_sigma
 from sunarc.sky import angles_from_direction, direction_from_angles
 
 FloatArray = NDArray[np.float64]
@@ -43,12 +43,6 @@ def direction_routes(served: Served) -> APIRouter:
     return routes
 
 
-def within_image(calibration: Calibration, pixels: FloatArray) -> NDArray[np.bool_]:
-    """Return whether pixels (..., 2) are numbers and within the image."""
-    last = np.array([calibration.camera.width, calibration.camera.height]) - 0.5
-    return np.asarray(np.all((pixels >= -0.5) & (pixels <= last), axis=-1))
-
-
 def _back_projected(calibration: Calibration, pixels: FloatArray, calibration_id: str) -> BackProjectAnswer:
     with np.errstate(all="ignore"):  # what lies beyond all bounds is answered with null
         directions, sigma, inside = unproject_with_sigma(calibration, pixels)
@@ -70,7 +64,7 @@ def _projected(calibration: Calibration, directions: FloatArray, calibration_id:
         pixels=_rows(pixels),
         sigma_px=_numbers(sigma_px(covariance)),
         covariance_px2=_rows(covariance),
-        inside=within_image(calibration, pixels).tolist(),
+        inside=camera_sees(calibration.camera, pixels).tolist(),
     )
 
 

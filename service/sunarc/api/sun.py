@@ -11,13 +11,12 @@ import numpy as np
 from fastapi import APIRouter, Query
 from numpy.typing import NDArray
 
-from sunarc.api.directions import within_image
 from sunarc.api.fields import MOST_ROWS, SolarDate, Time
 from sunarc.api.problems import answers
 from sunarc.api.schemas import Residual, Sun, SunPointOut, SunPoints, SunTrack
 from sunarc.api.served import Served
 from sunarc.archive import SunPoint
-from sunarc.calibration import Calibration, project_with_covariance, sigma_px
+from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px
 from sunarc.optics import project, unproject
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
 
@@ -69,7 +68,7 @@ def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
         pixels, covariance = project_with_covariance(answering[1], direction[None])
         if np.all(np.isfinite(pixels)):
             pixel, sigma = pixels[0].tolist(), float(sigma_px(covariance)[0])
-            inside = bool(within_image(answering[1], pixels)[0])
+            inside = bool(camera_sees(answering[1].camera, pixels)[0])
     return Sun(
         time=moment,
         apparent_zenith=float(angles.apparent_zenith),

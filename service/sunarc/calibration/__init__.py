@@ -7,7 +7,7 @@ camera · `priors`, `problem`, `solve` the most probable one · `loss`, `noise`,
 """
 
 from sunarc.calibration.acceptance import accept, disagreement
-from sunarc.calibration.backward import BackwardModel, back_project, fit_backward
+from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.circle import find_image_circle
 from sunarc.calibration.covariance import (
@@ -49,6 +49,7 @@ __all__ = [
     "back_project",
     "back_projection_map",
     "calibrate",
+    "camera_sees",
     "decide_day",
     "disagreement",
     "find_image_circle",

@@ -9,7 +9,14 @@ from typing import TextIO
 import numpy as np
 
 from sunarc.archive import read_pairs, write_columns
-from sunarc.calibration import Calibration, from_document, project_with_covariance, unproject_with_sigma
+from sunarc.calibration import (
+    Calibration,
+    camera_sees,
+    from_document,
+    project_with_covariance,
+    sigma_px,
+    unproject_with_sigma,
+)
 from sunarc.errors import InputError
 from sunarc.offline.files import read_file
 from sunarc.sky import angles_from_direction, direction_from_angles
@@ -23,16 +30,14 @@ def project_csv(calibration: Path, source: TextIO, target: TextIO) -> None:
     angles = read_pairs(source, columns=("zenith_deg", "azimuth_deg"), name="standard input")
     direction = direction_from_angles(zenith_deg=angles[:, 0], azimuth_deg=angles[:, 1])
     pixels, covariance = project_with_covariance(solved, direction)
-    camera = solved.camera
-    inside = np.all((pixels >= -0.5) & (pixels <= [camera.width - 0.5, camera.height - 0.5]), axis=-1)
     columns = {
         "x_px": pixels[:, 0],
         "y_px": pixels[:, 1],
-        "sigma_px": np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0),
+        "sigma_px": sigma_px(covariance),
         "cov_xx": covariance[:, 0, 0],
         "cov_xy": covariance[:, 0, 1],
         "cov_yy": covariance[:, 1, 1],
-        "inside": inside.astype(np.float64),
+        "inside": camera_sees(solved.camera, pixels).astype(np.float64),
     }
     write_columns(target, columns, places=dict.fromkeys(columns, _PLACES) | {"inside": 0})
 
