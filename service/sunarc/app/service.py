@@ -1,33 +1,17 @@
-"""The composition root: the only place where parts are chosen and joined."""
+"""The parts of a running imager, joined."""
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
-import threading
 import uuid
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from datetime import datetime
-from pathlib import Path
-
-import uvicorn
+from collections.abc import Callable, Sequence
 
 import sunarc
-from sunarc.api import create_app
-from sunarc.archive import Archive, CameraRecord, ImageStore, Refit, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, ImageStore, Refit
 from sunarc.board import ClockStatus, Reason, StatusBoard
-from sunarc.cameras import Frame, SkyCamera, open_aravis, open_replay
-from sunarc.clock import Clock, SystemClock, host_clock_state
-from sunarc.errors import ConfigurationError
-from sunarc.footing import listen, prepare_state
-from sunarc.schedule import Schedule
+from sunarc.cameras import Frame, SkyCamera
+from sunarc.clock import Clock, host_clock_state
 from sunarc.settings import Settings
-from sunarc.simulation import ImagerOptions, SceneOptions, run_imager
-from sunarc.sky import Site
-from sunarc.supervisor import Supervised, Supervisor
-from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
+from sunarc.supervisor import Supervised
 from sunarc.workers import (
     CaptureWorker,
     ComposeWorker,
@@ -41,8 +25,6 @@ from sunarc.workers import (
     SunPredictor,
 )
 
-_log = logging.getLogger(__name__)
-_STOP_WITHIN_S = 4.0
 _WAITING_CYCLES = 4
 _WAITING_SUN_FRAMES = 8
 
@@ -193,127 +175,6 @@ class Service:
             now=self.frame_time.now,
             board=self.board,
         )
-
-
-def serve(settings: Settings) -> int:
-    """Run the service until SIGTERM or SIGINT; return the process's exit code."""
-    clock = SystemClock()
-    listening = listen(settings.api.host, settings.api.port)
-    prepare_state(settings.state)
-    upgrade(settings.database)
-    service = Service(
-        settings,
-        archive=open_archive(settings.database),
-        clock=clock,
-        open_camera=camera_opener(settings, clock),
-    )
-    notifier = notifier_from(os.environ)
-    server = _web_server(service)
-    for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
-        signal.signal(number, lambda *_: None)
-    with ExitStack() as stack:
-        stack.enter_context(listening)
-        stack.callback(service.archive.close)
-        supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
-        stack.enter_context(_scheduled(service))
-        notifier.ready(f"serving at http://{settings.api.host}:{settings.api.port}/")
-        server.run(sockets=[listening])
-        notifier.stopping()
-    return 3 if supervisor.failed.is_set() else 0
-
-
-def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
-    """Return what opens the camera that the settings name."""
-    camera, replay = settings.camera, settings.replay
-    if settings.source == "aravis" and camera is not None:
-        return lambda: open_aravis(camera, clock)
-    if settings.source == "replay" and replay is not None:
-        return lambda: open_replay(replay)
-    section = "camera" if settings.source == "aravis" else "replay"
-    raise ConfigurationError(
-        f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
-    )
-
-
-def simulate(
-    *,
-    address: str,
-    start: datetime,
-    speed: float,
-    site: Site,
-    lens_seed: int,
-    clouds: str,
-    nd_transmission: float,
-    truth: Path | None,
-) -> None:
-    """Run a simulated imager until SIGTERM or SIGINT."""
-    options = ImagerOptions(
-        address=address,
-        start=start,
-        speed=speed,
-        site=site,
-        lens_seed=lens_seed,
-        clouds=clouds,
-        scene=SceneOptions(nd_transmission=nd_transmission),
-        truth=truth,
-    )
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    run_imager(options, stop)
-
-
-def _web_server(service: Service) -> uvicorn.Server:
-    app = create_app(
-        archive=service.archive,
-        camera=service.settings.name,
-        site=service.settings.site,
-        status=service.board.snapshot,
-        request_refit=service.request_refit,
-        frame_clock=service.frame_time.now,
-        latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
-        options=service.settings.api,
-    )
-    return uvicorn.Server(
-        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False)
-    )
-
-
-def _stop_serving(server: uvicorn.Server) -> None:
-    server.should_exit = True
-
-
-@contextmanager
-def _supervised(service: Service, notifier: Notifier, *, on_failed: Callable[[], None]) -> Iterator[Supervisor]:
-    interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
-    supervisor = Supervisor(
-        service.workers(),
-        clock=service.clock,
-        board=service.board,
-        feed=notifier.watchdog,
-        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
-        on_failed=on_failed,
-    )
-    supervisor.start()
-    try:
-        yield supervisor
-    finally:
-        supervisor.stop(within_s=_STOP_WITHIN_S)
-
-
-@contextmanager
-def _scheduled(service: Service) -> Iterator[None]:
-    schedule = Schedule(
-        service.look_around,
-        every_s=service.settings.refit.check_every_s,
-        clock=service.clock,
-        board=service.board,
-    )
-    schedule.start()
-    try:
-        yield
-    finally:
-        schedule.stop(within_s=1.0)
 
 
 def _unsynchronised() -> Reason:

@@ -1,0 +1,103 @@
+"""The service's life: footing, workers, schedule and web server, started and stopped in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import uvicorn
+
+from sunarc.api import create_app
+from sunarc.app.cameras import camera_opener
+from sunarc.app.service import Service
+from sunarc.archive import ImageStore, open_archive, upgrade
+from sunarc.clock import SystemClock
+from sunarc.footing import listen, prepare_state
+from sunarc.schedule import Schedule
+from sunarc.settings import Settings
+from sunarc.supervisor import Supervisor
+from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
+
+_STOP_WITHIN_S = 4.0
+
+
+def serve(settings: Settings) -> int:
+    """Run the service until SIGTERM or SIGINT; return the process's exit code."""
+    clock = SystemClock()
+    listening = listen(settings.api.host, settings.api.port)
+    prepare_state(settings.state)
+    upgrade(settings.database)
+    service = Service(
+        settings,
+        archive=open_archive(settings.database),
+        clock=clock,
+        open_camera=camera_opener(settings, clock),
+    )
+    notifier = notifier_from(os.environ)
+    server = _web_server(service)
+    for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
+        signal.signal(number, lambda *_: None)
+    with ExitStack() as stack:
+        stack.enter_context(listening)
+        stack.callback(service.archive.close)
+        supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
+        stack.enter_context(_scheduled(service))
+        notifier.ready(f"serving at http://{settings.api.host}:{settings.api.port}/")
+        server.run(sockets=[listening])
+        notifier.stopping()
+    return 3 if supervisor.failed.is_set() else 0
+
+
+def _web_server(service: Service) -> uvicorn.Server:
+    app = create_app(
+        archive=service.archive,
+        camera=service.settings.name,
+        site=service.settings.site,
+        status=service.board.snapshot,
+        request_refit=service.request_refit,
+        frame_clock=service.frame_time.now,
+        latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
+        options=service.settings.api,
+    )
+    return uvicorn.Server(
+        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False)
+    )
+
+
+def _stop_serving(server: uvicorn.Server) -> None:
+    server.should_exit = True
+
+
+@contextmanager
+def _supervised(service: Service, notifier: Notifier, *, on_failed: Callable[[], None]) -> Iterator[Supervisor]:
+    interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
+    supervisor = Supervisor(
+        service.workers(),
+        clock=service.clock,
+        board=service.board,
+        feed=notifier.watchdog,
+        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
+        on_failed=on_failed,
+    )
+    supervisor.start()
+    try:
+        yield supervisor
+    finally:
+        supervisor.stop(within_s=_STOP_WITHIN_S)
+
+
+@contextmanager
+def _scheduled(service: Service) -> Iterator[None]:
+    schedule = Schedule(
+        service.look_around,
+        every_s=service.settings.refit.check_every_s,
+        clock=service.clock,
+        board=service.board,
+    )
+    schedule.start()
+    try:
+        yield
+    finally:
+        schedule.stop(within_s=1.0)

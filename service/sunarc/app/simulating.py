@@ -1,0 +1,39 @@
+"""A simulated imager in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from datetime import datetime
+from pathlib import Path
+
+from sunarc.simulation import ImagerOptions, SceneOptions, run_imager
+from sunarc.sky import Site
+
+
+def simulate(
+    *,
+    address: str,
+    start: datetime,
+    speed: float,
+    site: Site,
+    lens_seed: int,
+    clouds: str,
+    nd_transmission: float,
+    truth: Path | None,
+) -> None:
+    """Run a simulated imager until SIGTERM or SIGINT."""
+    options = ImagerOptions(
+        address=address,
+        start=start,
+        speed=speed,
+        site=site,
+        lens_seed=lens_seed,
+        clouds=clouds,
+        scene=SceneOptions(nd_transmission=nd_transmission),
+        truth=truth,
+    )
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    run_imager(options, stop)
