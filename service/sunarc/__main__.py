@@ -20,6 +20,7 @@ from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, SunarcError
 from sunarc.offline.command_line import Config, db_cli, points_cli
+from sunarc.offline.history_command_line import calibrations_cli
 from sunarc.settings import load_settings
 from sunarc.sky import Site
 from sunarc.studies.command_line import study_cli
@@ -36,6 +37,7 @@ cli = typer.Typer(
 )
 cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
+cli.add_typer(calibrations_cli, name="calibrations")
 cli.add_typer(study_cli, name="study")
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,6 +78,32 @@ def test_a_bad_row_changes_nothing(sunarc: Sunarc, with_camera: Path) -> None:
     assert answer.code == 2
     assert "pixel (99999, 880) is outside the 1748x1748 image" in answer.err
     assert sunarc("points", "export", "--config", str(with_camera)).out.count("\n") == 1
+
+
+def test_the_history_is_listed_rolled_back_and_pinned(sunarc: Sunarc, with_camera: Path) -> None:
+    archive = open_archive(with_camera.parent / "state" / "sunarc.sqlite")
+    archive.epoch_at("roof", datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
+    for day, name in enumerate(("first", "second"), start=1):
+        moment = f"2013-05-{day:02d}T06:00:00Z"
+        verdict = {"accepted": True, "reasons": ["fits"]}
+        known = {"id": name, "camera": "roof", "method": "robust", "pose_epoch": "roof-1", "verdict": verdict}
+        archive.add_calibration({**known, "created_at": moment, "valid_from": moment})
+        archive.activate(name)
+    archive.close()
+    said = ("--config", str(with_camera))
+    back = sunarc("calibrations", "activate", "first", "--from", "2013-05-03T00:00:00Z", "--reason", "sharper", *said)
+    assert back.out == "first-r1 is current from 2013-05-03T00:00:00+00:00\n"
+    assert sunarc("calibrations", "pin", "first-r1", *said).code == 0
+    rows = json.loads(sunarc("calibrations", "list", "--json", *said).out)
+    assert [(row["id"], row["state"], row["pinned"]) for row in rows] == [
+        ("first-r1", "current", True),
+        ("second", "retired", False),
+        ("first", "retired", False),
+    ]
+    assert "│ pinned" in sunarc("calibrations", "list", *said).out
+    assert "may be replaced again" in sunarc("calibrations", "unpin", "first-r1", *said).out
+    unknown = sunarc("calibrations", "activate", "third", *said)
+    assert (unknown.code, "there is no calibration third" in unknown.err) == (2, True)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

@@ -128,6 +128,21 @@ def test_a_worse_fit_is_refused_kept_and_served_to_nobody(
     assert archive.events("roof")[0].kind == "refit_refused"
 
 
+def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
+    carry_out: Carry, archive: Archive, good: Calibration
+) -> None:
+    first = carry_out("a", good)
+    assert first.calibration is not None
+    archive.pin(first.calibration, at=NOW, reason="a campaign")
+    second = carry_out("b", good)
+    assert second.state == "accepted"
+    assert "the current one is pinned" in second.message
+    current = archive.current_calibration("roof")
+    assert current is not None
+    assert current.id == first.calibration
+    assert [record.id for record in archive.calibrations("roof", state="candidate")] == [second.calibration]
+
+
 def test_a_fit_that_refuses_itself_is_kept_with_its_reasons(
     carry_out: Carry, archive: Archive, good: Calibration
 ) -> None:

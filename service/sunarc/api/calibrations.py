@@ -65,6 +65,7 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
         parent=record.parent,
         accepted=record.accepted,
         reasons=list(record.reasons),
+        pinned=record.pinned,
         rmse_px=metrics.get("rmse_px"),
         sky_rms_deg=uncertainty.get("sky_rms_deg"),
     )

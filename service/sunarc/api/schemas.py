@@ -197,6 +197,7 @@ class CalibrationSummary(BaseModel):
     parent: str | None
     accepted: bool
     reasons: list[str]
+    pinned: bool = Field(description="Whether it stays current whatever a refit finds.")
     rmse_px: float | None = Field(description="Of the sightings used, 2-D distance, px.")
     sky_rms_deg: float | None = Field(description="1-sigma per axis over the sky, degrees.")
 

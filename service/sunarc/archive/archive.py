@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.engine import create_archive_engine, reading, writing
+from sunarc.archive.history import History
 from sunarc.archive.journal import Journal
 from sunarc.archive.schema import require_file, require_head
 from sunarc.archive.sightings import Sightings
 
 
-class Archive(Sightings, Calibrations, Journal):
+class Archive(Sightings, History, Journal):
     """What we remember: values in, values out; one object serves all threads."""
 
 

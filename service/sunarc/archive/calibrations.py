@@ -7,15 +7,15 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, func, insert, literal, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
 
 from sunarc.archive.documents import Documents
 from sunarc.archive.store import Store, given
-from sunarc.archive.tables import UtcTime, calibration
+from sunarc.archive.tables import calibration
+from sunarc.archive.validity import SERVED, end_others, set_columns, told, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState
 from sunarc.errors import InputError, NotFoundError
 
-_SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
@@ -37,50 +37,56 @@ class Calibrations(Store):
         record = _record(document, parent)
         with self._writing() as connection:
             if self._records(connection, calibration.c.id == record.id):
-                raise _wrong_state(record.id, "is there already", remedy="give it an id of its own")
+                raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(asdict(record)))
-        return _told(record)
+        return told(record)
 
     def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:
-        """Make a candidate the current calibration of its camera, in one step.
+        """Make a candidate the current calibration of its camera, in one step, unless the current one is pinned.
 
         Parameters
         ----------
-        calibration_id : a candidate, or a refused one that a person decides to serve.
+        calibration_id : a candidate.
         at : from when on it answers; its document's `valid_from` where None. Those that answered for times from then
             on stop doing so: the former current one retires, and no two validities overlap.
+
+        Returns
+        -------
+        The current one; or the candidate as it was, where the current one is pinned.
         """
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
-            if record.state in _SERVED:
-                raise _wrong_state(
+            if record.state in SERVED:
+                raise wrong_state(
                     calibration_id,
                     f"is {record.state} and has its place in the history",
                     remedy="activate a copy of it with its own id",
                 )
+            if self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned):
+                return told(record)
             start = at or record.valid_from
-            _end_others(connection, record.camera, start)
+            end_others(connection, record.camera, start)
             chosen = replace(record, state="current", valid_from=start, valid_until=None)
-            _set(connection, calibration_id, state="current", valid_from=start, valid_until=None)
-        return _told(chosen)
+            set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
+        return told(chosen)
 
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "current":
-                raise _wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
-            _end_others(connection, record.camera, at)
-            return _told(self._required(connection, calibration_id))
+                raise wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
+            end_others(connection, record.camera, at)
+            return told(self._required(connection, calibration_id))
 
     def refuse(self, calibration_id: str, *, reasons: tuple[str, ...]) -> CalibrationRecord:
         """Mark a candidate as refused, with the reasons; it is kept."""
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "candidate":
-                raise _wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
-            _set(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
-            return _told(self._required(connection, calibration_id))
+                raise wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
+            set_columns(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
+            return told(self._required(connection, calibration_id))
 
     def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one."""
@@ -89,15 +95,15 @@ class Calibrations(Store):
         if at is None:
             wanted.append(c.state == "current")
         else:
-            wanted += [c.state.in_(_SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
+            wanted += [c.state.in_(SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
         with self._reading() as connection:
             found = self._records(connection, *wanted)
-        return _told(found[0]) if found else None
+        return told(found[0]) if found else None
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none."""
         with self._reading() as connection:
-            return _told(self._required(connection, calibration_id))
+            return told(self._required(connection, calibration_id))
 
     def calibrations(
         self, camera: str, *, state: CalibrationState | None = None, limit: int | None = None
@@ -106,7 +112,7 @@ class Calibrations(Store):
         c = calibration.c
         wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state))
         with self._reading() as connection:
-            return tuple(_told(record) for record in self._records(connection, *wanted, limit=limit))
+            return tuple(told(record) for record in self._records(connection, *wanted, limit=limit))
 
     def _records(
         self, connection: Connection, *wanted: ColumnElement[bool], limit: int | None = None
@@ -145,35 +151,3 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
         raise InputError(
             field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/1"
         ) from error
-
-
-def _told(record: CalibrationRecord) -> CalibrationRecord:
-    """Let the document say what the archive decided since it was written."""
-    decided = {
-        "state": record.state,
-        "valid_from": _written(record.valid_from),
-        "valid_until": None if record.valid_until is None else _written(record.valid_until),
-        "verdict": {**record.document["verdict"], "accepted": record.accepted, "reasons": list(record.reasons)},
-    }
-    return replace(record, document={**record.document, **decided})
-
-
-def _written(time: datetime) -> str:
-    return time.isoformat().replace("+00:00", "Z")
-
-
-def _wrong_state(calibration_id: str, state: str, *, remedy: str) -> InputError:
-    return InputError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
-
-
-def _end_others(connection: Connection, camera: str, at: datetime) -> None:
-    c = calibration.c
-    answering = update(calibration).where(
-        c.camera == camera, c.state.in_(_SERVED), or_(c.valid_until.is_(None), c.valid_until > at)
-    )
-    until = func.max(c.valid_from, literal(at, UtcTime), type_=UtcTime)  # of one that began later nothing remains
-    connection.execute(answering.values(state="retired", valid_until=until))
-
-
-def _set(connection: Connection, calibration_id: str, **columns: Any) -> None:  # noqa: ANN401 - columns of many types
-    connection.execute(update(calibration).where(calibration.c.id == calibration_id).values(**columns))

@@ -21,6 +21,7 @@ from sqlalchemy import (
     Text,
     TypeDecorator,
     UniqueConstraint,
+    false,
     text,
 )
 
@@ -163,6 +164,7 @@ calibration = Table(
     Column("accepted", Boolean, nullable=False),
     Column("reasons", TextTuple, nullable=False),
     Column("document", JSON, nullable=False),
+    Column("pinned", Boolean, nullable=False, server_default=false()),
     Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
     Index("uq_calibration_one_current", "camera", unique=True, sqlite_where=text("state = 'current'")),
 )

@@ -136,6 +136,7 @@ class CalibrationRecord:
 
     It answers for `valid_from` <= t < `valid_until` (None: until further notice) when its state is current or
     retired; intervals of one camera never overlap. `parent` is the calibration it was compared with or copied from.
+    A `pinned` one is current, and stays it whatever a refit finds.
     """
 
     id: str
@@ -150,6 +151,7 @@ class CalibrationRecord:
     accepted: bool
     reasons: tuple[str, ...]
     document: Mapping[str, Any] = field(repr=False)
+    pinned: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -121,12 +121,13 @@ class RefitWorker:
     def _judge(self, refit: Refit, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
         if solved.verdict.accepted:
-            served = None if current is None else from_document(current.document)
-            solved = replace(solved, verdict=accept(solved, served))
+            before = None if current is None else from_document(current.document)
+            solved = replace(solved, verdict=accept(solved, before))
         record = self._keep(refit, solved, current)
         if record.accepted:
-            self._archive.activate(record.id)
-            self._finish(refit, "accepted", "; ".join(record.reasons), calibration=record.id)
+            served = self._archive.activate(record.id).state == "current"
+            held = () if served else ("kept as a candidate: the current one is pinned",)
+            self._finish(refit, "accepted", "; ".join((*record.reasons, *held)), calibration=record.id)
         else:
             self._finish(refit, "refused", "; ".join(record.reasons), calibration=record.id)
         self._show_calibration()

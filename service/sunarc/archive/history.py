@@ -1,0 +1,106 @@
+"""What a person decides of calibrations: which one is served, and whether it stays."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, func, insert, select
+
+from sunarc.archive.calibrations import Calibrations
+from sunarc.archive.tables import calibration, event
+from sunarc.archive.validity import SERVED, end_others, set_columns, told, written, wrong_state
+from sunarc.archive.values import CalibrationRecord, Event
+
+_COPY = re.compile(r"-r\d+$")
+
+
+class History(Calibrations):
+    """The part of the archive that a person may overrule; every such decision is also an event."""
+
+    def reinstate(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
+        """Make any calibration of the record current by hand, whatever is current or pinned.
+
+        Parameters
+        ----------
+        calibration_id : a candidate or a refused one, which takes its own place in the history; or one that answered
+            before, of which a copy takes over (its `parent` is the one copied), so that no past answer is rewritten.
+        at : from when on it answers.
+        reason : why, in words; kept with the calibration and in the event.
+        """
+        with self._writing() as connection:
+            record = self._required(connection, calibration_id)
+            if record.state == "current":
+                raise wrong_state(calibration_id, "is current already", remedy="name another one")
+            reasons = (f"made current by hand: {reason}", *record.reasons)
+            end_others(connection, record.camera, at)
+            if record.state in SERVED:
+                chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
+                connection.execute(insert(calibration).values(asdict(chosen)))
+            else:
+                decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
+                set_columns(connection, record.id, **decided, reasons=reasons)
+                chosen = replace(record, **decided, reasons=reasons)
+            details = {"calibration": chosen.id, "copied": chosen.parent if record.state in SERVED else None}
+            _tell(connection, chosen, "reinstated", at=at, text=f"{chosen.id} is current by hand: {reason}", **details)
+        return told(chosen)
+
+    def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
+        """Keep the current calibration, whatever a refit finds, until it is unpinned or another is reinstated."""
+        return self._hold(calibration_id, "pinned", at=at, reason=reason)
+
+    def unpin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
+        """Let refits replace the current calibration again."""
+        return self._hold(calibration_id, "unpinned", at=at, reason=reason)
+
+    def _hold(self, calibration_id: str, what: str, *, at: datetime, reason: str) -> CalibrationRecord:
+        with self._writing() as connection:
+            record = self._required(connection, calibration_id)
+            if record.state != "current":
+                raise wrong_state(calibration_id, f"is {record.state}", remedy="name the current one")
+            chosen = replace(record, pinned=what == "pinned")
+            set_columns(connection, record.id, pinned=chosen.pinned)
+            _tell(connection, chosen, what, at=at, text=f"{record.id} was {what}: {reason}", calibration=record.id)
+        return told(chosen)
+
+
+def _copy(record: CalibrationRecord, *, id: str, at: datetime, reasons: tuple[str, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
+    document: Mapping[str, Any] = {**record.document, "id": id, "created_at": written(at)}
+    return replace(
+        record,
+        id=id,
+        created_at=at,
+        valid_from=at,
+        valid_until=None,
+        state="current",
+        pinned=False,
+        parent=record.id,
+        reasons=reasons,
+        document=document,
+    )
+
+
+def _name_of_copy(connection: Connection, calibration_id: str) -> str:
+    original = _COPY.sub("", calibration_id)
+    copies = select(func.count()).where(calibration.c.id.startswith(f"{original}-r", autoescape=True))
+    return f"{original}-r{(connection.scalar(copies) or 0) + 1}"
+
+
+def _tell(
+    connection: Connection,
+    record: CalibrationRecord,
+    what: str,
+    *,
+    at: datetime,
+    text: str,
+    **details: str | None,
+) -> None:
+    told_ = Event(
+        time=at, kind=f"calibration_{what}", severity="info", text=text, camera=record.camera, details=details
+    )
+    row = asdict(told_)
+    row.pop("id")
+    connection.execute(insert(event).values(row))

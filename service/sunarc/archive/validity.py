@@ -1,0 +1,51 @@
+"""Which calibration answers when: the rules that every change of the history keeps to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, func, literal, or_, update
+
+from sunarc.archive.tables import UtcTime, calibration
+from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.errors import InputError
+
+SERVED: tuple[CalibrationState, ...] = ("current", "retired")
+
+
+def told(record: CalibrationRecord) -> CalibrationRecord:
+    """Let the document say what the archive decided since it was written."""
+    decided = {
+        "state": record.state,
+        "valid_from": written(record.valid_from),
+        "valid_until": None if record.valid_until is None else written(record.valid_until),
+        "verdict": {**record.document["verdict"], "accepted": record.accepted, "reasons": list(record.reasons)},
+    }
+    return replace(record, document={**record.document, **decided})
+
+
+def written(time: datetime) -> str:
+    """Return a time as documents have it."""
+    return time.isoformat().replace("+00:00", "Z")
+
+
+def wrong_state(calibration_id: str, state: str, *, remedy: str) -> InputError:
+    """Return the refusal of what a calibration's state does not allow."""
+    return InputError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
+
+
+def end_others(connection: Connection, camera: str, at: datetime) -> None:
+    """Let no calibration of a camera answer for times from `at` on, and none be pinned."""
+    c = calibration.c
+    answering = update(calibration).where(
+        c.camera == camera, c.state.in_(SERVED), or_(c.valid_until.is_(None), c.valid_until > at)
+    )
+    until = func.max(c.valid_from, literal(at, UtcTime), type_=UtcTime)  # of one that began later nothing remains
+    connection.execute(answering.values(state="retired", valid_until=until, pinned=False))
+
+
+def set_columns(connection: Connection, calibration_id: str, **columns: Any) -> None:  # noqa: ANN401 - columns of many types
+    """Write columns of one calibration."""
+    connection.execute(update(calibration).where(calibration.c.id == calibration_id).values(**columns))
