@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from pvlib.atmosphere import alt2pres
 from pvlib.solarposition import get_solarposition
 
 from sunarc.sky import Site, direction_from_angles, sun_angles
@@ -65,3 +66,9 @@ def test_any_shape_goes_in_and_comes_out() -> None:
             assert one.shape == shape
     assert sun_angles(UNIX_S[0], site).zenith.shape == ()
     assert sun_angles(np.zeros((0, 2)), site).azimuth.shape == (0, 2)
+
+
+@pytest.mark.parametrize("altitude", [-430.0, 0.0, 318.0, 5640.0])
+def test_the_pressure_of_an_altitude_is_pvlibs(altitude: float) -> None:
+    site = Site(latitude=0.0, longitude=0.0, altitude=altitude)
+    assert site.pressure_pa == pytest.approx(float(alt2pres(altitude)), rel=1e-12)

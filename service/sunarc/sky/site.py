@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pvlib.atmosphere import alt2pres
-
 from sunarc.errors import InputError
 
 
@@ -19,7 +17,7 @@ class Site:
     latitude : degrees, north positive.
     longitude : degrees, east positive.
     altitude : metres above sea level.
-    pressure : annual mean air pressure in Pa; None takes it from the altitude (pvlib's `alt2pres`).
+    pressure : annual mean air pressure in Pa; None takes it from the altitude (as pvlib's `alt2pres`).
     temperature : annual mean air temperature in °C.
     """
 
@@ -41,9 +39,14 @@ class Site:
     @property
     def pressure_pa(self) -> float:
         """The air pressure, from the altitude unless it was set."""
-        return float(alt2pres(self.altitude)) if self.pressure is None else self.pressure
+        return _standard_pressure_pa(self.altitude) if self.pressure is None else self.pressure
 
 
 def _within(field: str, value: float, low: float, high: float, remedy: str) -> None:
     if not (math.isfinite(value) and low <= value <= high):
         raise InputError(field=field, problem=f"{value} is not within {low:g} to {high:g}", remedy=remedy)
+
+
+def _standard_pressure_pa(altitude: float) -> float:
+    """Return the standard atmosphere's pressure at an altitude in metres, by the constants of pvlib's `alt2pres`."""
+    return float(100.0 * ((44_331.514 - altitude) / 11_880.516) ** (1.0 / 0.1902632))

@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pvlib import spa
 
+from sunarc.sky.algorithm import load_spa
 from sunarc.sky.directions import FloatArray, direction_from_angles
 from sunarc.sky.site import Site
 
 SOLAR_RADIUS = math.radians(0.2666)
 """The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
 
+_SPA = load_spa()
 _REFRACTION_AT_HORIZON_DEG = 0.5667
 _SECONDS_PER_JULIAN_YEAR = 31_557_600.0
 
@@ -47,7 +48,7 @@ def sun_angles(unix_s: ArrayLike, site: Site) -> SunAngles:
     if flat.size == 0:
         empty = np.zeros(times.shape)
         return SunAngles(empty, empty.copy(), empty.copy())
-    rows = spa.solar_position(
+    rows = _SPA.solar_position(
         flat,
         site.latitude,
         site.longitude,
@@ -93,4 +94,4 @@ def _delta_t_s(unix_s: FloatArray) -> float:
     """Terrestrial time minus UT in seconds; a decade's drift of it moves the sun by less than 0.0003 degrees."""
     year = 1970.0 + float(np.mean(unix_s)) / _SECONDS_PER_JULIAN_YEAR
     whole_year = math.floor(year)
-    return float(spa.calculate_deltat(whole_year, 1 + 11 * (year - whole_year)))
+    return float(_SPA.calculate_deltat(whole_year, 1 + 11 * (year - whole_year)))

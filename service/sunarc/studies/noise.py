@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.signal import lfilter
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def cloud_noise(rng: np.random.Generator, n: int, *, core_px: float, share: floa
     core = rng.normal(0.0, core_px, (n, 2))
     covered = _episodes(rng, n, share)
     shock = rng.standard_t(_HEAVY_TAIL, (n, 2)) * math.sqrt(1.0 - _CORRELATION**2)
-    episode = lfilter([1.0], [1.0, -_CORRELATION], shock, axis=0)
+    episode = np.array(list(accumulate(shock, lambda before, step: _CORRELATION * before + step)))
 
     def drawn(size: float) -> FloatArray:
         return np.where(covered[:, None], np.clip(size * episode, -_LONGEST_PX, _LONGEST_PX), core)
