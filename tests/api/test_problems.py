@@ -139,3 +139,15 @@ def test_a_token_file_that_is_none_stops_the_start(
         path.write_text(content)
     with pytest.raises(ConfigurationError, match=match):
         make(token=False, token_file=path)
+
+
+def test_long_answers_are_compressed_for_those_who_take_it(made: Made) -> None:
+    plain = made.client.get("/v1/sun-points", headers={"accept-encoding": "identity"})
+    packed = made.client.get("/v1/sun-points", headers={"accept-encoding": "gzip"})
+    assert "content-encoding" not in plain.headers
+    assert packed.headers["content-encoding"] == "gzip"
+    assert int(packed.headers["content-length"]) < len(plain.content) / 4
+    assert packed.json() == plain.json()
+    assert packed.headers["vary"] == "Accept-Encoding"
+    assert "content-encoding" not in made.client.get("/healthz", headers={"accept-encoding": "gzip"}).headers
+    assert "content-encoding" not in made.client.get("/v1/image/latest", headers={"accept-encoding": "gzip"}).headers

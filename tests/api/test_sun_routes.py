@@ -64,13 +64,13 @@ def test_sightings_are_the_newest_first_with_the_rejected_ones(made: Made) -> No
     assert {(p["verdict"], p["reason"], p["x_px"]) for p in hidden} == {
         ("hidden", "no disc above the background", None)
     }
-    assert told["truncated"] is False
+    assert told["next"] is None
     assert all(p["residual"] is None for p in points)
 
 
 def test_sightings_can_be_chosen_and_paged(made: Made) -> None:
     first = made.client.get("/v1/sun-points", params={"limit": 10, "accepted": True}).json()
-    assert (len(first["sun_points"]), first["truncated"]) == (10, True)
+    assert (len(first["sun_points"]), first["next"] is None) == (10, False)
     last = first["sun_points"][-1]["time"]
     following = made.client.get("/v1/sun-points", params={"until": last, "limit": 10, "accepted": True}).json()
     assert following["sun_points"][0]["time"] < last
@@ -96,7 +96,7 @@ def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> Non
 
 def test_residuals_without_a_calibration_are_absent(empty: Made) -> None:
     told = empty.client.get("/v1/sun-points", params={"residuals": True}).json()
-    assert told == {"sun_points": [], "truncated": False, "calibration": None}
+    assert told == {"sun_points": [], "next": None, "calibration": None}
 
 
 @pytest.mark.parametrize(

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path as FilePath
+from typing import Annotated
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI, Path
 from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
 
 import sunarc
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
+from sunarc.api.cameras import camera_routes
 from sunarc.api.directions import direction_routes
 from sunarc.api.health import health_routes
 from sunarc.api.metrics import StatusCollector
 from sunarc.api.options import ApiOptions, read_token
-from sunarc.api.problems import add_problem_handlers
+from sunarc.api.problems import add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
 from sunarc.api.schema import describe
@@ -28,7 +31,13 @@ from sunarc.archive import Archive, Refit
 from sunarc.board import StatusSnapshot
 from sunarc.sky import Site
 
-_STATIC = Path(__file__).parent / "static"
+_STATIC = FilePath(__file__).parent / "static"
+_WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
+_COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
+_COMPRESSED_ALREADY = (
+    *DEFAULT_EXCLUDED_CONTENT_TYPES,
+    *("application/octet-stream", "application/x-npy", "application/x-npz", "application/x-netcdf"),
+)
 
 
 def create_app(
@@ -39,7 +48,7 @@ def create_app(
     status: Callable[[], StatusSnapshot],
     request_refit: Callable[[str], Refit],
     frame_clock: Callable[[], datetime],
-    latest_image: Callable[[], Path | None],
+    latest_image: Callable[[], FilePath | None],
     options: ApiOptions,
     registry: CollectorRegistry | None = None,
 ) -> FastAPI:
@@ -69,14 +78,36 @@ def create_app(
     numbers = registry or CollectorRegistry()
     numbers.register(StatusCollector(served))
     app = FastAPI(title="sunarc", version=sunarc.__version__, docs_url=None, redoc_url=None)
-    for routes in (calibration_routes, direction_routes, sun_routes, record_routes, refit_routes):
-        app.include_router(routes(served))
+    _add_camera_routes(app, served)
+    app.include_router(camera_routes(served))
     app.include_router(health_routes(served, numbers))
     _add_dashboard(app)
     add_problem_handlers(app)
     describe(app)
+    app.add_middleware(
+        GZipMiddleware,
+        minimum_size=_WORTH_COMPRESSING_BYTES,
+        compresslevel=_COMPRESSION_LEVEL,
+        exclude_content_types=_COMPRESSED_ALREADY,
+    )
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes)
     return app
+
+
+def _add_camera_routes(app: FastAPI, served: Served) -> None:
+    """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
+    for routes in (calibration_routes, direction_routes, sun_routes, record_routes, refit_routes):
+        of_camera = routes(served)
+        app.include_router(of_camera, prefix="/v1")
+        app.include_router(
+            of_camera, prefix="/v1/cameras/{camera}", dependencies=[Depends(_named)], responses=answers(404, 422)
+        )
+
+
+async def _named(
+    camera: Annotated[str, Path(description="Name of a camera, as /v1/cameras lists them.", examples=["imager"])],
+) -> None:
+    """Describe the path's parameter; `Served.of` reads it."""
 
 
 def _add_dashboard(app: FastAPI) -> None:

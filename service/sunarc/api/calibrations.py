@@ -6,10 +6,11 @@ import hashlib
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.fields import Time
+from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
 from sunarc.api.schemas import Calibrations, CalibrationSummary
 from sunarc.api.served import Served
@@ -29,23 +30,30 @@ def calibration_routes(served: Served) -> APIRouter:
     """Return the routes that tell calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
-    @routes.get("/v1/calibration", responses=_DOCUMENT | answers(404, 422))
-    def calibration(at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    @routes.get("/calibration", responses=_DOCUMENT | answers(404, 422))
+    def calibration(
+        request: Request, at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None
+    ) -> Response:
         """Return the calibration that answers now, or the one that answers for the moment `at`."""
-        return _document(served.record(at), if_none_match)
+        return _document(served.of(request).record(at), if_none_match)
 
-    @routes.get("/v1/calibrations", responses=answers(422))
+    @routes.get("/calibrations", responses=answers(422))
     def calibrations(
-        state: CalibrationState | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100
+        request: Request,
+        state: CalibrationState | None = None,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        cursor: Cursor = None,
     ) -> Calibrations:
         """Return the history, the newest first, refused candidates with their reasons."""
-        found = served.archive.calibrations(served.camera, state=state, limit=limit)
-        return Calibrations(calibrations=[summary(record) for record in found])
+        chosen, page = served.of(request), page_at(cursor, limit)
+        found = chosen.archive.calibrations(chosen.camera, state=state, until=page.until(None), limit=page.rows)
+        told, following = page.cut(found, request, time=lambda record: record.created_at)
+        return Calibrations(calibrations=[summary(record) for record in told], next=following)
 
-    @routes.get("/v1/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
-    def one(calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
+    def one(request: Request, calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
         """Return one calibration's document, with its evidence."""
-        return _document(served.archive.calibration(calibration_id), if_none_match)
+        return _document(served.of(request).calibration(calibration_id), if_none_match)
 
     return routes
 

@@ -7,7 +7,7 @@ from http import HTTPStatus
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 from numpy.typing import NDArray
 
 from sunarc.api.fields import Time
@@ -24,20 +24,20 @@ def direction_routes(served: Served) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
 
-    @routes.post("/v1/back-project", responses=answers(400, 404, 413, 422))
-    def back_project(asked: BackProjectRequest, at: Time | None = None) -> BackProjectAnswer:
+    @routes.post("/back-project", responses=answers(400, 404, 413, 422))
+    def back_project(request: Request, asked: BackProjectRequest, at: Time | None = None) -> BackProjectAnswer:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
         _require_few(len(asked.pixels), most=served.options.max_points, field="pixels")
-        record = served.record(at)
+        record = served.of(request).record(at)
         pixels = np.array(asked.pixels, dtype=np.float64).reshape(-1, 2)
         return _back_projected(served.parsed.get(record), pixels, record.id)
 
-    @routes.post("/v1/project", responses=answers(400, 404, 413, 422))
-    def project(asked: ProjectRequest, at: Time | None = None) -> ProjectAnswer:
+    @routes.post("/project", responses=answers(400, 404, 413, 422))
+    def project(request: Request, asked: ProjectRequest, at: Time | None = None) -> ProjectAnswer:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
         directions = _directions(asked)
         _require_few(len(directions), most=served.options.max_points, field="directions")
-        record = served.record(at)
+        record = served.of(request).record(at)
         return _projected(served.parsed.get(record), directions, record.id)
 
     return routes

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.calibrations import matches
 from sunarc.api.fields import MOST_ROWS, SolarDate, Time
+from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
 from sunarc.api.schemas import DayOut, Days, EventOut, Events
 from sunarc.api.served import Served
@@ -30,31 +31,43 @@ def record_routes(served: Served) -> APIRouter:
     """Return the routes that tell what was."""
     routes = APIRouter(tags=["record"])
 
-    @routes.get("/v1/days", responses=answers(422))
+    @routes.get("/days", responses=answers(422))
     def days(
+        *,
+        request: Request,
         since: SolarDate | None = None,
         until: SolarDate | None = None,
         limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 366,
+        cursor: Cursor = None,
     ) -> Days:
         """Tell the verdicts of the solar days with since <= date < until, the newest first."""
-        found = served.archive.days(served.camera, since=since, until=until, limit=limit)
-        return Days(days=[day_out(day) for day in found])
+        chosen, page = served.of(request), page_at(cursor, limit)
+        found = chosen.archive.days(chosen.camera, since=since, until=page.until_date(until), limit=page.rows)
+        told, following = page.cut(found, request, time=lambda day: day.date)
+        return Days(days=[day_out(day) for day in told], next=following)
 
-    @routes.get("/v1/events", responses=answers(422))
+    @routes.get("/events", responses=answers(422))
     def events(
+        *,
+        request: Request,
         since: Time | None = None,
         until: Time | None = None,
         severity: EventSeverity | None = None,
         limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+        cursor: Cursor = None,
     ) -> Events:
         """Tell the events with since <= time < until, the newest first."""
-        found = served.archive.events(served.camera, since=since, until=until, severity=severity, limit=limit)
-        return Events(events=[EventOut(**asdict(event)) for event in found])
+        chosen, page = served.of(request), page_at(cursor, limit)
+        found = chosen.archive.events(
+            chosen.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
+        )
+        told, following = page.cut(found, request, time=lambda event: event.time)
+        return Events(events=[EventOut(**asdict(event)) for event in told], next=following)
 
-    @routes.get("/v1/image/latest", response_class=Response, responses=_IMAGE | answers(404))
-    def latest_image(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
+    def latest_image(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
         """Return the newest composite's preview."""
-        return _image(served, if_none_match)
+        return _image(served.of(request), if_none_match)
 
     return routes
 

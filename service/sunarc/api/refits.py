@@ -5,13 +5,17 @@ from __future__ import annotations
 import hmac
 from dataclasses import asdict
 from http import HTTPStatus
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
+from sunarc.api.fields import MOST_ROWS
+from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import Fault, RefusedError, answers
-from sunarc.api.schemas import RefitOut, RefitRequest
+from sunarc.api.schemas import RefitOut, RefitRequest, Refits
 from sunarc.api.served import Served
 from sunarc.archive import Refit
+from sunarc.errors import NotFoundError
 
 
 def refit_routes(served: Served) -> APIRouter:
@@ -22,18 +26,31 @@ def refit_routes(served: Served) -> APIRouter:
         _require_token(request.headers.get("authorization", ""), served.token)
 
     @routes.post(
-        "/v1/refits", status_code=202, dependencies=[Depends(with_token)], responses=answers(400, 401, 403, 413, 422)
+        "/refits", status_code=202, dependencies=[Depends(with_token)], responses=answers(400, 401, 403, 413, 422)
     )
-    def ask(response: Response, asked: RefitRequest | None = None) -> RefitOut:
+    def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> RefitOut:
         """Ask for a refit with all sightings; the answer says where to follow it."""
-        refit = served.request_refit((asked or RefitRequest()).reason)
+        refit = served.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
         return _out(refit)
 
-    @routes.get("/v1/refits/{refit_id}", responses=answers(404))
-    def one(refit_id: str) -> RefitOut:
+    @routes.get("/refits", responses=answers(422))
+    def refits(
+        request: Request, limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100, cursor: Cursor = None
+    ) -> Refits:
+        """Tell the refits, the newest first, those that wait and those that ended."""
+        chosen, page = served.of(request), page_at(cursor, limit)
+        found = chosen.archive.refits(chosen.camera, until=page.until(None), limit=page.rows)
+        told, following = page.cut(found, request, time=lambda refit: refit.requested_at)
+        return Refits(refits=[_out(refit) for refit in told], next=following)
+
+    @routes.get("/refits/{refit_id}", responses=answers(404))
+    def one(request: Request, refit_id: str) -> RefitOut:
         """Tell how a refit goes, or went."""
-        return _out(served.archive.refit(refit_id))
+        refit = served.archive.refit(refit_id)
+        if refit.camera != served.of(request).camera:
+            raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")
+        return _out(refit)
 
     return routes
 

@@ -15,6 +15,15 @@ from sunarc.api.fields import Answers, Number, Pair, Pixel, Size, SolarDate, Tim
 from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
 from sunarc.board import Health, Severity, WorkerState
 
+Next = Annotated[
+    str | None,
+    Field(
+        default=None,
+        description="Link to the following page; null on the last.",
+        examples=["/v1/events?limit=100&cursor=1368469800000000-1"],
+    ),
+]
+
 
 class _Asked(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -159,7 +168,7 @@ class SunPoints(BaseModel):
     """Sightings, the newest first."""
 
     sun_points: list[SunPointOut]
-    truncated: bool = Field(description="Whether there are more: ask again with until = the last one's time.")
+    next: Next
     calibration: str | None = Field(default=None, description="Id of the calibration that the residuals speak of.")
 
 
@@ -181,6 +190,7 @@ class Days(BaseModel):
     """Days, the newest first."""
 
     days: list[DayOut]
+    next: Next
 
 
 class CalibrationSummary(BaseModel):
@@ -206,6 +216,7 @@ class Calibrations(BaseModel):
     """Calibrations, the newest first."""
 
     calibrations: list[CalibrationSummary]
+    next: Next
 
 
 class EventOut(BaseModel):
@@ -224,6 +235,7 @@ class Events(BaseModel):
     """Events, the newest first."""
 
     events: list[EventOut]
+    next: Next
 
 
 class RefitRequest(_Asked):
@@ -244,6 +256,33 @@ class RefitOut(BaseModel):
     finished_at: Time | None
     calibration: str | None = Field(description="Id of the calibration it made, accepted or refused.")
     message: str
+
+
+class Refits(BaseModel):
+    """Refits, the newest first."""
+
+    refits: list[RefitOut]
+    next: Next
+
+
+class CameraRecordOut(BaseModel):
+    """A camera that the archive knows: where it stands and what it makes."""
+
+    name: str = Field(description="As in /v1/cameras/{camera}/.", examples=["imager"])
+    latitude: float = Field(description="Degrees, north positive.", examples=[36.604043])
+    longitude: float = Field(description="Degrees, east positive.", examples=[-97.484856])
+    altitude: float = Field(description="Metres above sea level.", examples=[318.0])
+    width: int = Field(description="Of its image, px.", examples=[1748])
+    height: int = Field(description="Of its image, px.", examples=[1748])
+    model: str = Field(description="Vendor and model, as the camera tells them.", examples=["Vendor Model"])
+    serial: str = Field(description="Serial number, as the camera tells it.", examples=["SIM-0001"])
+
+
+class Cameras(BaseModel):
+    """The cameras that the archive knows, by name."""
+
+    default: str = Field(description="The one that routes without a camera speak of.", examples=["imager"])
+    cameras: list[CameraRecordOut]
 
 
 class Alive(BaseModel):

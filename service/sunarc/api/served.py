@@ -5,15 +5,17 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+
+from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, Refit
 from sunarc.board import StatusSnapshot
 from sunarc.calibration import Calibration, from_document
-from sunarc.errors import NotFoundError
+from sunarc.errors import InputError, NotFoundError
 from sunarc.sky import Site
 
 _MOST_PARSED = 16
@@ -53,6 +55,19 @@ class Served:
     token: bytes | None = field(repr=False)
     parsed: ParsedCalibrations = field(default_factory=ParsedCalibrations)
 
+    def of(self, request: Request) -> Served:
+        """Return what is served of the camera in a request's path; of this service's own where the path names none."""
+        name = request.path_params.get("camera", self.camera)
+        return self if name == self.camera else self._of_another(name)
+
+    def _of_another(self, name: str) -> Served:
+        """Return what the archive remembers of a camera that another service drives."""
+        known = next((camera for camera in self.archive.cameras() if camera.name == name), None)
+        if known is None:
+            raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
+        site = Site(latitude=known.latitude, longitude=known.longitude, altitude=known.altitude)
+        return replace(self, camera=name, site=site, latest_image=lambda: None, request_refit=_refuse_refit)
+
     def record(self, at: datetime | None) -> CalibrationRecord:
         """Return the calibration that answers now, or for the moment `at`; NotFoundError without one."""
         record = self.archive.current_calibration(self.camera, at=at)
@@ -65,7 +80,22 @@ class Served:
             )
         return record
 
+    def calibration(self, calibration_id: str) -> CalibrationRecord:
+        """Return this camera's calibration of an id; NotFoundError without one."""
+        record = self.archive.calibration(calibration_id)
+        if record.camera != self.camera:
+            raise NotFoundError(
+                field="id", problem=f"calibration {calibration_id} is another camera's", remedy="see /v1/cameras"
+            )
+        return record
+
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
         """Return the calibration that answers, in both its forms; None without one."""
         record = self.archive.current_calibration(self.camera, at=at)
         return None if record is None else (record, self.parsed.get(record))
+
+
+def _refuse_refit(_reason: str) -> Refit:
+    raise InputError(
+        field="camera", problem="another service solves this camera", remedy="ask the service that drives it"
+    )

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, date, datetime, timedelta
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
 
 from sunarc.api.fields import MOST_ROWS, SolarDate, Time
+from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
 from sunarc.api.schemas import Residual, Sun, SunPointOut, SunPoints, SunTrack
 from sunarc.api.served import Served
@@ -29,32 +31,46 @@ def sun_routes(served: Served) -> APIRouter:
     """Return the routes that speak of the sun."""
     routes = APIRouter(tags=["sun"])
 
-    @routes.get("/v1/sun", responses=answers(422))
-    def sun(at: Time | None = None) -> Sun:
+    @routes.get("/sun", responses=answers(422))
+    def sun(request: Request, at: Time | None = None) -> Sun:
         """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
-        return _sun(served, at or served.frame_clock(), past=at)
+        return _sun(served.of(request), at or served.frame_clock(), past=at)
 
-    @routes.get("/v1/sun/track", responses=answers(422))
+    @routes.get("/sun/track", responses=answers(422))
     def track(
-        date: SolarDate | None = None, step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120
+        *,
+        request: Request,
+        date: SolarDate | None = None,
+        step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120,
     ) -> SunTrack:
         """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
-        day = date or solar_date(served.frame_clock().timestamp(), longitude=served.site.longitude)
-        return _track(served, day, step_s)
+        chosen = served.of(request)
+        day = date or solar_date(served.frame_clock().timestamp(), longitude=chosen.site.longitude)
+        return _track(chosen, day, step_s)
 
-    @routes.get("/v1/sun-points", responses=answers(422))
+    @routes.get("/sun-points", responses=answers(422))
     def sun_points(
+        *,
+        request: Request,
         since: Time | None = None,
         until: Time | None = None,
-        accepted: bool | None = None,  # noqa: FBT001 - a query parameter
-        residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,  # noqa: FBT002 - a query parameter
+        accepted: bool | None = None,
+        residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,
         limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 1000,
+        cursor: Cursor = None,
     ) -> SunPoints:
         """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
-        found = served.archive.sun_points(
-            served.camera, since=since, until=until, accepted=accepted, newest_first=True, limit=limit + 1
+        chosen, page = served.of(request), page_at(cursor, limit)
+        found = chosen.archive.sun_points(
+            chosen.camera,
+            since=since,
+            until=page.until(until),
+            accepted=accepted,
+            newest_first=True,
+            limit=page.rows,
         )
-        return _sun_points(served, found[:limit], truncated=len(found) > limit, residuals=residuals)
+        told, following = page.cut(found, request, time=lambda point: point.time)
+        return _sun_points(chosen, told, residuals=residuals, following=following)
 
     return routes
 
@@ -103,7 +119,7 @@ def _track(served: Served, day: date, step_s: int) -> SunTrack:
     )
 
 
-def _sun_points(served: Served, found: tuple[SunPoint, ...], *, truncated: bool, residuals: bool) -> SunPoints:
+def _sun_points(served: Served, found: Sequence[SunPoint], *, residuals: bool, following: str | None) -> SunPoints:
     answering = served.calibration_or_none(None) if residuals else None
     told: list[Residual | None] = [None] * len(found)
     if answering is not None:
@@ -112,12 +128,12 @@ def _sun_points(served: Served, found: tuple[SunPoint, ...], *, truncated: bool,
         sun_points=[
             SunPointOut(**asdict(point), residual=residual) for point, residual in zip(found, told, strict=True)
         ],
-        truncated=truncated,
+        next=following,
         calibration=None if answering is None else answering[0].id,
     )
 
 
-def _residuals(calibration: Calibration, site: Site, points: tuple[SunPoint, ...]) -> list[Residual | None]:
+def _residuals(calibration: Calibration, site: Site, points: Sequence[SunPoint]) -> list[Residual | None]:
     """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     seen = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)

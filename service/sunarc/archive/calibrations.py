@@ -106,11 +106,16 @@ class Calibrations(Store):
             return told(self._required(connection, calibration_id))
 
     def calibrations(
-        self, camera: str, *, state: CalibrationState | None = None, limit: int | None = None
+        self,
+        camera: str,
+        *,
+        state: CalibrationState | None = None,
+        until: datetime | None = None,
+        limit: int | None = None,
     ) -> tuple[CalibrationRecord, ...]:
-        """Return a camera's calibrations, the newest first."""
+        """Return a camera's calibrations made before `until`, the newest first."""
         c = calibration.c
-        wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state))
+        wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
         with self._reading() as connection:
             return tuple(told(record) for record in self._records(connection, *wanted, limit=limit))
 

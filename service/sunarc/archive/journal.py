@@ -63,10 +63,13 @@ class Journal(Store):
             raise NotFoundError(field="id", problem=f"there is no refit {refit_id}", remedy="use an id that was given")
         return found[0]
 
-    def refits(self, camera: str, *, unfinished: bool = False, limit: int | None = None) -> tuple[Refit, ...]:
-        """Return a camera's refits, the newest first; only those that have not ended, if asked."""
+    def refits(
+        self, camera: str, *, unfinished: bool = False, until: datetime | None = None, limit: int | None = None
+    ) -> tuple[Refit, ...]:
+        """Return a camera's refits asked for before `until`, the newest first; those that have not ended, if asked."""
         c = tables.refit.c
-        statement = select(tables.refit).where(c.camera == camera).order_by(c.requested_at.desc()).limit(limit)
+        wanted = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
+        statement = select(tables.refit).where(*wanted).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
         return self._values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
     def add_event(self, event: Event) -> Event:

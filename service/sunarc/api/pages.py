@@ -1,0 +1,92 @@
+"""Long lists in pages: the newest first, each page with a link to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from typing import Annotated, TypeVar
+from urllib.parse import parse_qsl, urlencode
+
+from fastapi import Query, Request
+
+Row = TypeVar("Row")
+Cursor = Annotated[
+    str | None,
+    Query(
+        pattern=r"^\d{1,16}-\d{1,4}$",
+        description="Where a page begins, as the link `next` of the page before has it.",
+        examples=["1368469800000000-1"],
+    ),
+]
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+_MOST_SKIPPED = 9999
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A part of a list that is sorted by time, the newest first.
+
+    Attributes
+    ----------
+    last : the time of the last row that was told already; None on the first page.
+    skip : how many rows of exactly that time were told already.
+    limit : rows on a page.
+    """
+
+    last: datetime | None
+    skip: int
+    limit: int
+
+    @property
+    def rows(self) -> int:
+        """How many rows to ask for: what was told already, the page, and one that says whether there are more."""
+        return self.skip + self.limit + 1
+
+    def until(self, wanted: datetime | None) -> datetime | None:
+        """Return the end (exclusive) of the rows to ask for, where the client wants those before `wanted`."""
+        return _sooner(wanted, None if self.last is None else self.last + _MICROSECOND)
+
+    def until_date(self, wanted: date | None) -> date | None:
+        """Return the end (exclusive) of the dates to ask for, where the client wants those before `wanted`."""
+        return _sooner(wanted, None if self.last is None else self.last.date() + timedelta(days=1))
+
+    def cut(
+        self, found: Sequence[Row], request: Request, *, time: Callable[[Row], date]
+    ) -> tuple[Sequence[Row], str | None]:
+        """Return the page's rows, and the link to the next page (None on the last one).
+
+        Parameters
+        ----------
+        found : `rows` rows, fewer at the end of the list.
+        request : the question, which the link repeats.
+        time : tells a row's time, or date.
+        """
+        told = found[self.skip : self.skip + self.limit]
+        if len(found) < self.rows:
+            return told, None
+        last = time(told[-1])
+        seen = sum(time(row) == last for row in found[: self.skip + self.limit])
+        asked = [(name, value) for name, value in parse_qsl(request.url.query) if name != "cursor"]
+        return told, f"{request.url.path}?{urlencode([*asked, ('cursor', _written(last, seen))])}"
+
+
+def page_at(cursor: str | None, limit: int) -> Page:
+    """Return the page that a cursor names; the first one without a cursor."""
+    if cursor is None:
+        return Page(last=None, skip=0, limit=limit)
+    microseconds, skip = cursor.split("-")
+    return Page(last=_EPOCH + int(microseconds) * _MICROSECOND, skip=int(skip), limit=limit)
+
+
+def _written(last: date, seen: int) -> str:
+    moment = last if isinstance(last, datetime) else datetime(last.year, last.month, last.day, tzinfo=UTC)
+    return f"{(moment - _EPOCH) // _MICROSECOND}-{min(seen, _MOST_SKIPPED)}"
+
+
+Moment = TypeVar("Moment", bound=date)
+
+
+def _sooner(a: Moment | None, b: Moment | None) -> Moment | None:
+    return min((moment for moment in (a, b) if moment is not None), default=None)

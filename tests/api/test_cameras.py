@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.archive import CameraRecord
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+OTHER = CameraRecord(name="mast", latitude=-33.0, longitude=151.0, altitude=20.0, width=640, height=480)
+
+
+def test_the_archives_cameras_are_told(made: Made) -> None:
+    made.archive.save_camera(OTHER)
+    told = made.client.get("/v1/cameras").json()
+    assert told["default"] == "roof"
+    assert [(one["name"], one["width"], one["latitude"]) for one in told["cameras"]] == [
+        ("mast", 640, -33.0),
+        ("roof", 1748, 36.604043),
+    ]
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/calibration", "/calibrations", "/calibrations/first", "/sun", "/sun/track", "/sun-points?limit=9999", "/days"],
+)
+def test_a_route_answers_the_same_under_its_cameras_name(made: Made, path: str) -> None:
+    named, plain = made.client.get(f"/v1/cameras/roof{path}"), made.client.get(f"/v1{path}")
+    assert (named.status_code, named.json()) == (200, plain.json())
+
+
+def test_every_route_of_a_camera_also_stands_under_its_name(made: Made) -> None:
+    paths = set(made.client.get("/openapi.json").json()["paths"])
+    named = {path.removeprefix("/v1/cameras/{camera}") for path in paths if path.startswith("/v1/cameras/{camera}")}
+    of_the_service = {"/status", "/cameras"}
+    assert named == {path.removeprefix("/v1") for path in paths if path.startswith("/v1/")} - of_the_service - {
+        f"/cameras/{{camera}}{path}" for path in named
+    }
+
+
+def test_another_camera_has_its_own_sky_and_none_of_this_ones_record(made: Made) -> None:
+    made.archive.save_camera(OTHER)
+    noon = {"at": "2013-05-13T02:00:00Z"}
+    sun = made.client.get("/v1/cameras/mast/sun", params=noon).json()
+    assert sun["apparent_zenith"] < 55.0
+    assert sun["azimuth"] > 350.0  # north, at noon in the south
+    assert sun["calibration"] is None
+    assert made.client.get("/v1/cameras/mast/days").json() == {"days": [], "next": None}
+    for path in ("calibration", "image/latest", "calibrations/first"):
+        assert made.client.get(f"/v1/cameras/mast/{path}").status_code == 404, path
+
+
+def test_a_camera_that_another_service_drives_is_not_solved_here(made: Made) -> None:
+    made.archive.save_camera(OTHER)
+    answer = made.client.post("/v1/cameras/mast/refits", headers=made.bearer)
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "camera")
+    asked = made.client.post("/v1/cameras/roof/refits", headers=made.bearer)
+    assert asked.status_code == 202
+    assert made.client.get(f"/v1/cameras/mast/refits/{asked.json()['id']}").status_code == 404
+
+
+def test_a_camera_that_is_not_known_is_not_found(made: Made) -> None:
+    answer = made.client.get("/v1/cameras/none/sun")
+    assert answer.status_code == 404
+    assert answer.json()["errors"][0] == {
+        "field": "camera",
+        "problem": "there is no camera none",
+        "remedy": "see /v1/cameras",
+    }
