@@ -1,9 +1,9 @@
 """What others see: calibrations, directions, the sun, the record and the service's health over HTTP, and a dashboard.
 
 app.py: `create_app` · served.py: what the routes are handed · calibrations.py, directions.py, sun.py, record.py,
-refits.py, cameras.py, health.py: the routes · schemas.py, fields.py, pages.py: what is asked and answered ·
-problems.py: every failure as one shape · boundary.py: limits and headers · metrics.py: Prometheus · schema.py: the
-OpenAPI document · static/: the dashboard.
+refits.py, cameras.py, health.py: the routes · schemas.py, record_schemas.py, fields.py, pages.py: what is asked and
+answered · problems.py: every failure as one shape · boundary.py: limits and headers · metrics.py: Prometheus ·
+schema.py: the OpenAPI document · static/: the dashboard.
 """
 
 from sunarc.api.app import create_app

@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from sunarc.api.fields import Time
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.schemas import Calibrations, CalibrationSummary
+from sunarc.api.record_schemas import Calibrations, CalibrationSummary
 from sunarc.api.served import Served
 from sunarc.archive import CalibrationRecord, CalibrationState
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from sunarc.api.schemas import CameraRecordOut, Cameras
+from sunarc.api.record_schemas import CameraRecordOut, Cameras
 from sunarc.api.served import Served
 
 

@@ -6,7 +6,7 @@ import re
 from datetime import UTC, date, datetime
 from typing import Annotated
 
-from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field
+from pydantic import AfterValidator, AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 
 MOST_ROWS = 10_000
 """At most so many rows in one answer."""
@@ -62,3 +62,17 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Unit = Annotated[list[float], Field(min_length=3, max_length=3)]
 Size = Annotated[list[int], Field(min_length=2, max_length=2)]
 Answers = list[float | None]
+Next = Annotated[
+    str | None,
+    Field(
+        default=None,
+        description="Link to the following page; null on the last.",
+        examples=["/v1/events?limit=100&cursor=1368469800000000-1"],
+    ),
+]
+
+
+class Asked(BaseModel):
+    """What is asked; unknown names are refused."""
+
+    model_config = ConfigDict(extra="forbid")

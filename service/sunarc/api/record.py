@@ -12,7 +12,7 @@ from sunarc.api.calibrations import matches
 from sunarc.api.fields import MOST_ROWS, SolarDate, Time
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.schemas import DayOut, Days, EventOut, Events
+from sunarc.api.record_schemas import DayOut, Days, EventOut, Events
 from sunarc.api.served import Served
 from sunarc.archive import Day, EventSeverity
 from sunarc.errors import NotFoundError, OutsideError

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from sunarc.api.fields import MOST_ROWS
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import Fault, RefusedError, answers
-from sunarc.api.schemas import RefitOut, RefitRequest, Refits
+from sunarc.api.record_schemas import RefitOut, RefitRequest, Refits
 from sunarc.api.served import Served
 from sunarc.archive import Refit
 from sunarc.errors import NotFoundError

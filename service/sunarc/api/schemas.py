@@ -11,25 +11,12 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
 
-from sunarc.api.fields import Answers, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
-from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
+from sunarc.api.fields import Answers, Asked, Next, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
+from sunarc.api.record_schemas import CalibrationSummary, DayOut
 from sunarc.board import Health, Severity, WorkerState
 
-Next = Annotated[
-    str | None,
-    Field(
-        default=None,
-        description="Link to the following page; null on the last.",
-        examples=["/v1/events?limit=100&cursor=1368469800000000-1"],
-    ),
-]
 
-
-class _Asked(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class BackProjectRequest(_Asked):
+class BackProjectRequest(Asked):
     """Pixels whose directions are wanted."""
 
     pixels: list[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
@@ -66,7 +53,7 @@ _TWO_WAYS: tuple[JsonDict, ...] = (
 )
 
 
-class ProjectRequest(_Asked):
+class ProjectRequest(Asked):
     """Directions whose pixels are wanted: zenith and azimuth (as many of each), or vectors (none of length 0)."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [*_TWO_WAYS]})
@@ -170,119 +157,6 @@ class SunPoints(BaseModel):
     sun_points: list[SunPointOut]
     next: Next
     calibration: str | None = Field(default=None, description="Id of the calibration that the residuals speak of.")
-
-
-class DayOut(BaseModel):
-    """What a solar day was worth."""
-
-    date: SolarDate
-    verdict: DayVerdict
-    reasons: list[str]
-    n: int = Field(description="Accepted sightings.")
-    n_possible: int = Field(description="Sightings that the day had room for.")
-    arc_deg: float | None = Field(description="Arc of the sky that was covered, degrees.")
-    sd_px: float | None = Field(description="Scatter about the day's smooth arc, px per axis (Eq. 20).")
-    rmsd_px: float | None = Field(description="Scatter about the day's smooth arc, px in distance (Eq. 27c).")
-    decided_at: Time
-
-
-class Days(BaseModel):
-    """Days, the newest first."""
-
-    days: list[DayOut]
-    next: Next
-
-
-class CalibrationSummary(BaseModel):
-    """A calibration in the history; its document is at /v1/calibrations/{id}."""
-
-    id: str
-    camera: str
-    state: CalibrationState
-    method: str
-    created_at: Time
-    valid_from: Time
-    valid_until: Time | None
-    pose_epoch: str | None
-    parent: str | None
-    accepted: bool
-    reasons: list[str]
-    pinned: bool = Field(description="Whether it stays current whatever a refit finds.")
-    rmse_px: float | None = Field(description="Of the sightings used, 2-D distance, px.")
-    sky_rms_deg: float | None = Field(description="1-sigma per axis over the sky, degrees.")
-
-
-class Calibrations(BaseModel):
-    """Calibrations, the newest first."""
-
-    calibrations: list[CalibrationSummary]
-    next: Next
-
-
-class EventOut(BaseModel):
-    """Something that happened."""
-
-    id: int | None
-    time: Time
-    kind: str = Field(examples=["bump"])
-    severity: EventSeverity
-    text: str
-    camera: str | None
-    details: dict[str, object]
-
-
-class Events(BaseModel):
-    """Events, the newest first."""
-
-    events: list[EventOut]
-    next: Next
-
-
-class RefitRequest(_Asked):
-    """Why a refit is wanted."""
-
-    reason: str = Field(default="on request", max_length=200)
-
-
-class RefitOut(BaseModel):
-    """A refit, and how it went."""
-
-    id: str
-    camera: str
-    state: RefitState
-    reason: str
-    requested_at: Time
-    started_at: Time | None
-    finished_at: Time | None
-    calibration: str | None = Field(description="Id of the calibration it made, accepted or refused.")
-    message: str
-
-
-class Refits(BaseModel):
-    """Refits, the newest first."""
-
-    refits: list[RefitOut]
-    next: Next
-
-
-class CameraRecordOut(BaseModel):
-    """A camera that the archive knows: where it stands and what it makes."""
-
-    name: str = Field(description="As in /v1/cameras/{camera}/.", examples=["imager"])
-    latitude: float = Field(description="Degrees, north positive.", examples=[36.604043])
-    longitude: float = Field(description="Degrees, east positive.", examples=[-97.484856])
-    altitude: float = Field(description="Metres above sea level.", examples=[318.0])
-    width: int = Field(description="Of its image, px.", examples=[1748])
-    height: int = Field(description="Of its image, px.", examples=[1748])
-    model: str = Field(description="Vendor and model, as the camera tells them.", examples=["Vendor Model"])
-    serial: str = Field(description="Serial number, as the camera tells it.", examples=["SIM-0001"])
-
-
-class Cameras(BaseModel):
-    """The cameras that the archive knows, by name."""
-
-    default: str = Field(description="The one that routes without a camera speak of.", examples=["imager"])
-    cameras: list[CameraRecordOut]
 
 
 class Alive(BaseModel):
