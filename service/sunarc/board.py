@@ -55,10 +55,12 @@ class CameraStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockStatus:
-    """Whether the host's clock is disciplined (None: unknown), and the bound of its error in seconds."""
+    """Whether the host's clock is disciplined (None: unknown), the bound of its error, and when it was last set."""
 
     synchronised: bool | None
     max_error_s: float | None = None
+    last_step_s: float | None = None
+    last_step_at: datetime | None = None
 
 
 class Notes(TypedDict, total=False):

@@ -22,6 +22,9 @@ class Clock(Protocol):
     def wait(self, stop: threading.Event, seconds: float) -> bool:
         """Wait, at most `seconds`, and return whether `stop` was set."""
 
+    def state(self) -> ClockState:
+        """Return how far the wall time can be trusted."""
+
 
 class SystemClock:
     """The machine's own clocks."""
@@ -38,9 +41,13 @@ class SystemClock:
         """Wait, at most `seconds`, and return whether `stop` was set."""
         return stop.wait(max(seconds, 0.0))
 
+    def state(self) -> ClockState:
+        """Return what the kernel says of its clock."""
+        return host_clock_state()
+
 
 class VirtualClock:
-    """A clock that moves only when someone waits on it or advances it.
+    """A clock that moves only when someone waits on it or advances it, with a real clock's faults on demand.
 
     Parameters
     ----------
@@ -50,11 +57,14 @@ class VirtualClock:
     def __init__(self, start: datetime) -> None:
         self._start = start
         self._elapsed_s = 0.0
+        self._stepped_s = 0.0
+        self._state = ClockState(synchronised=True, error_bound_s=0.01)
         self._lock = threading.Lock()
 
     def now(self) -> datetime:
         """Return the wall time, aware, UTC."""
-        return self._start + timedelta(seconds=self.monotonic())
+        with self._lock:
+            return self._start + timedelta(seconds=self._elapsed_s + self._stepped_s)
 
     def monotonic(self) -> float:
         """Return the seconds advanced so far."""
@@ -72,6 +82,21 @@ class VirtualClock:
             self.advance(max(seconds, 0.0))
         return stop.is_set()
 
+    def step(self, seconds: float) -> None:
+        """Set the wall time forward (or back), as an administrator or a time service does; monotonic time goes on."""
+        with self._lock:
+            self._stepped_s += seconds
+
+    def state(self) -> ClockState:
+        """Return what `set_state` said last; at first, synchronised to within 10 ms."""
+        with self._lock:
+            return self._state
+
+    def set_state(self, state: ClockState) -> None:
+        """Say how far the wall time can be trusted from now on."""
+        with self._lock:
+            self._state = state
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockState:
@@ -80,11 +105,13 @@ class ClockState:
     Attributes
     ----------
     synchronised : whether the kernel's clock is disciplined by a time service.
-    error_bound_s : the kernel's bound on its error, seconds.
+    error_bound_s : the kernel's bound on its error, seconds; it says nothing about a clock that is not synchronised.
+    leap_second : whether the kernel is inserting or deleting a leap second, or has just done so.
     """
 
     synchronised: bool
     error_bound_s: float
+    leap_second: bool = False
 
 
 class _Timex(ctypes.Structure):
@@ -102,7 +129,7 @@ class _Timex(ctypes.Structure):
 
 
 _STA_UNSYNC = 0x0040
-_TIME_ERROR = 5
+_TIME_OOP, _TIME_WAIT, _TIME_ERROR = 3, 4, 5
 
 
 def host_clock_state() -> ClockState:
@@ -110,4 +137,8 @@ def host_clock_state() -> ClockState:
     timex = _Timex(modes=0)
     answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
     synchronised = answer not in {-1, _TIME_ERROR} and not timex.status & _STA_UNSYNC
-    return ClockState(synchronised=synchronised, error_bound_s=timex.maxerror * 1e-6)
+    return ClockState(
+        synchronised=synchronised,
+        error_bound_s=timex.maxerror * 1e-6,
+        leap_second=answer in {_TIME_OOP, _TIME_WAIT},
+    )

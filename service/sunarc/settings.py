@@ -19,7 +19,7 @@ from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging import SunExposureOptions
 from sunarc.sky import Site
-from sunarc.workers import CaptureOptions, RefitOptions, SensorOptions
+from sunarc.workers import CaptureOptions, ClockOptions, RefitOptions, SensorOptions
 
 _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
@@ -37,6 +37,7 @@ class Settings(BaseSettings):
     camera, replay : the GigE Vision camera, or the folder to replay.
     sensor, detection : what the detector is told.
     capture, sun_exposure : the cycle, and the control of its sun exposures.
+    clock : how the time of the frames is watched.
     calibration, refit, days : the fit, when and how it is run, and what makes a day clear.
     api : the web server.
     """
@@ -53,6 +54,7 @@ class Settings(BaseSettings):
     detection: DiscOptions = DiscOptions()
     capture: CaptureOptions = CaptureOptions()
     sun_exposure: SunExposureOptions = SunExposureOptions()
+    clock: ClockOptions = ClockOptions()
     calibration: CalibrationOptions = CalibrationOptions()
     refit: RefitOptions = RefitOptions()
     days: DayOptions = DayOptions()

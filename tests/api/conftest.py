@@ -259,7 +259,9 @@ def made(make: Make, tmp_path: Path) -> Made:
     made.board.set_worker(WorkerStatus(name="detect", state="running", heartbeat_age_s=0.5, restarts=1))
     made.board.note(
         camera=CameraStatus(name="roof", connected=True, address="127.0.0.9", model="Test", serial="1"),
-        clock=ClockStatus(synchronised=True, max_error_s=0.01),
+        clock=ClockStatus(
+            synchronised=True, max_error_s=0.01, last_step_s=-2.5, last_step_at=datetime(2013, 5, 13, 18, tzinfo=UTC)
+        ),
         disk_free_bytes=10**10,
         last_frame_at=NOON,
         last_sighting_at=NOON,

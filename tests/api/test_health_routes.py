@@ -53,7 +53,12 @@ def test_the_status_tells_everything_at_a_glance(made: Made) -> None:
         ("detect", "running", 1),
     ]
     assert told["camera"]["connected"] is True
-    assert told["clock"] == {"synchronised": True, "max_error_s": 0.01}
+    assert told["clock"] == {
+        "synchronised": True,
+        "max_error_s": 0.01,
+        "last_step_s": -2.5,
+        "last_step_at": "2013-05-13T18:00:00Z",
+    }
     assert (told["calibration"]["id"], told["last_day"]["date"]) == ("second", "2013-05-12")
     assert told["frame_time"] == told["last_frame_at"] == "2013-05-13T18:30:00Z"
 

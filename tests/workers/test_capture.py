@@ -154,3 +154,41 @@ def test_a_camera_that_answers_nothing_for_a_whole_cycle_is_opened_anew(bench: M
     made = bench(open_camera=open_camera)
     made.run_until(lambda: len(made.cycles) >= 1)
     assert len(opened) == 2
+
+
+@pytest.mark.parametrize("step_s", [4.0, -4.0, 7 * 3600.0 + 11.0, -7 * 3600.0 - 11.0])
+def test_cycles_neither_stall_nor_burst_when_the_clock_is_set(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, step_s: float
+) -> None:
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 2)
+    clock.advance(3.0)
+    clock.step(step_s)
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 7)
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    gaps = [later - earlier for earlier, later in pairwise(starts)]
+    assert sum(gap != pytest.approx(30.0) for gap in gaps) == 1  # the one in which the new alignment is found
+    assert max(gaps) < 60.0
+
+
+def test_a_clock_set_while_a_slot_is_waited_for_costs_one_slot_at_most(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock
+) -> None:
+    class Stepping(threading.Event):
+        def is_set(self) -> bool:
+            if len(camera.exposures) == 10 and clock.monotonic() > 60.0 and not self.stepped:
+                self.stepped = True
+                clock.step(-3600.0 - 17.0)
+            return super().is_set()
+
+        stepped = False
+
+    made = bench()
+    made.stop = Stepping()
+    made.run_until(lambda: len(made.cycles) >= 7)
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    gaps = [later - earlier for earlier, later in pairwise(starts)]
+    assert sum(gap != pytest.approx(30.0) for gap in gaps) <= 2
+    assert max(gaps) < 60.0
+    assert gaps[-2:] == pytest.approx([30.0, 30.0])

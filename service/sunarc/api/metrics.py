@@ -85,6 +85,10 @@ def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
     connected = None if snapshot.camera is None else float(snapshot.camera.connected)
     error_s = None if snapshot.clock is None else snapshot.clock.max_error_s
     yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
+    synchronised = None if snapshot.clock is None else snapshot.clock.synchronised
+    stepped_at = None if snapshot.clock is None else _unix_s(snapshot.clock.last_step_at)
+    yield _single("sunarc_clock_synchronised", "1 while a time service disciplines the host's clock.", synchronised)
+    yield _single("sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at)
     yield _single("sunarc_clock_error_seconds", "Bound of the host clock's error.", error_s)
     yield _single("sunarc_disk_free_bytes", "Free space where the state is kept.", snapshot.disk_free_bytes)
     yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))

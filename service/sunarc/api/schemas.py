@@ -202,10 +202,12 @@ class CameraOut(BaseModel):
 
 
 class ClockOut(BaseModel):
-    """Whether the host's clock is disciplined, and the bound of its error."""
+    """Whether the host's clock is disciplined, the bound of its error, and when the frames' clock was last set."""
 
     synchronised: bool | None
     max_error_s: float | None
+    last_step_s: float | None = Field(description="Seconds that the frames' clock was set by; positive is forward.")
+    last_step_at: Time | None
 
 
 class Status(BaseModel):

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 
 import sunarc
 from sunarc.archive import Archive, CameraRecord, ImageStore, Refit
-from sunarc.board import ClockStatus, Reason, StatusBoard
+from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
-from sunarc.clock import Clock, host_clock_state
+from sunarc.clock import Clock
 from sunarc.settings import Settings
 from sunarc.supervisor import Supervised
 from sunarc.workers import (
     CaptureWorker,
+    ClockWatch,
     ComposeWorker,
     DayJudge,
     DetectWorker,
@@ -48,6 +49,16 @@ class Service:
         self.clock = clock
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
+        self.clock_watch = ClockWatch(
+            clock=clock,
+            frame_time=self.frame_time,
+            archive=archive,
+            camera=settings.name,
+            options=settings.clock,
+            camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
+            finds_steps=settings.source == "aravis" and settings.capture.speed == 1.0,
+            board=self.board,
+        )
         self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
         self.exposures = SunExposures(settings.sun_exposure)
         self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
@@ -67,6 +78,7 @@ class Service:
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
+            Supervised(name="clock", make_worker=lambda: self.clock_watch),
             Supervised(name="refit", make_worker=self.refit_worker),
             Supervised(name="detect", make_worker=self.detect_worker),
             Supervised(name="compose", make_worker=self.compose_worker),
@@ -83,21 +95,9 @@ class Service:
         )
 
     def look_around(self) -> None:
-        """Judge the days that have ended, and look at the host's clock."""
-        state = host_clock_state()
-        self.board.note(clock=ClockStatus(synchronised=state.synchronised, max_error_s=state.error_bound_s))
-        if not self.settings.dated_by_camera and not state.synchronised:
-            self.board.set_reason(_unsynchronised())
-        else:
-            self.board.clear_reason("clock_unsynchronised")
-        if self.frame_time.known:
+        """Judge the days that have ended, while the time that dates them is known."""
+        if self.frame_time.known and self.clock_watch.trusted():
             self.days.judge_ended_days()
-
-    def clock_error_s(self) -> float:
-        """Return the bound of the error of the frames' times."""
-        if self.settings.dated_by_camera:
-            return self.settings.capture.camera_clock_error_s
-        return host_clock_state().error_bound_s
 
     def open_and_remember(self) -> SkyCamera:
         """Open the camera and write down what it is."""
@@ -158,7 +158,7 @@ class Service:
             predictor=self.predictor,
             options=self.settings.sensor,
             disc=self.settings.detection,
-            clock_error_s=self.clock_error_s,
+            clock_error_s=self.clock_watch.error_s,
             report=self.exposures.report,
             board=self.board,
         )
@@ -174,13 +174,5 @@ class Service:
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,
+            may_solve=self.clock_watch.trusted,
         )
-
-
-def _unsynchronised() -> Reason:
-    return Reason(
-        code="clock_unsynchronised",
-        severity="degraded",
-        text="the host's clock is not synchronised; an error of 1 s turns the sky by 0.004 degrees",
-        remedy="start a time service (systemd-timesyncd or chrony) and let it reach its servers",
-    )

@@ -92,6 +92,13 @@ class Sightings(Store):
         with self._writing() as connection:
             return connection.execute(insert(sun_point).on_conflict_do_nothing(), rows).rowcount
 
+    def doubt_times(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
+        """Widen the bound of the clock's error of sightings with `since` <= time <= `until`; return how many."""
+        c = sun_point.c
+        doubted = [c.camera == camera, c.time >= since, c.time <= until, func.coalesce(c.clock_error_s, 0.0) < error_s]
+        with self._writing() as connection:
+            return connection.execute(update(sun_point).where(*doubted).values(clock_error_s=error_s)).rowcount
+
     def sun_points(
         self,
         camera: str,

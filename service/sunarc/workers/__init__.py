@@ -1,6 +1,7 @@
 """The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
 
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
@@ -13,8 +14,11 @@ from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sun_exposures import SunExposures
 
 __all__ = [
+    "UNKNOWN_ERROR_S",
     "CaptureOptions",
     "CaptureWorker",
+    "ClockOptions",
+    "ClockWatch",
     "ComposeWorker",
     "DayJudge",
     "DetectWorker",

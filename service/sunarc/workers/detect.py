@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from datetime import datetime
 
 from sunarc.archive import Archive, sun_point_of
 from sunarc.board import StatusBoard
@@ -25,7 +26,7 @@ class DetectWorker:
     archive, camera : where sightings go, and under which name.
     predictor : where the sun should be.
     options, disc : the sensor, and the detector's settings.
-    clock_error_s : bound of the error of the frames' times, seconds.
+    clock_error_s : bound of the error of a frame's time, seconds.
     report : told of every detection (the exposure controller listens).
     board : told when the sun was last seen.
     """
@@ -39,7 +40,7 @@ class DetectWorker:
         predictor: SunPredictor,
         options: SensorOptions,
         disc: DiscOptions,
-        clock_error_s: Callable[[], float],
+        clock_error_s: Callable[[datetime], float],
         report: Callable[[Frame, Detection], None],
         board: StatusBoard,
     ) -> None:
@@ -79,7 +80,7 @@ class DetectWorker:
             pose_epoch=epoch.id,
             time=frame.time,
             exposure_us=frame.exposure_us,
-            clock_error_s=self._clock_error_s(),
+            clock_error_s=self._clock_error_s(frame.time),
         )
         self._archive.add_sun_points([point])
         self._report(frame, detection)

@@ -53,6 +53,7 @@ class RefitWorker:
     clock : real time.
     now : frame time, which dates calibrations.
     board : where the lack of a calibration is shown.
+    may_solve : whether a refit may begin now; the others wait.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class RefitWorker:
         clock: Clock,
         now: Callable[[], datetime],
         board: StatusBoard,
+        may_solve: Callable[[], bool] = lambda: True,
     ) -> None:
         self._archive = archive
         self._camera = camera
@@ -75,6 +77,7 @@ class RefitWorker:
         self._clock = clock
         self._now = now
         self._board = board
+        self._may_solve = may_solve
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
@@ -82,7 +85,7 @@ class RefitWorker:
         while not stop.is_set():
             heartbeat()
             waiting = self._archive.refits(self._camera, unfinished=True)
-            if waiting:
+            if waiting and self._may_solve():
                 self.carry_out(waiting[-1], stop, heartbeat)
             else:
                 self._clock.wait(stop, _POLL_S)

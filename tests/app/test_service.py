@@ -1,0 +1,69 @@
+"""The parts of a running imager, as they are joined."""
+
+from __future__ import annotations
+
+import threading
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from sunarc.app import Service
+from sunarc.archive import CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.cameras import AravisOptions, SkyCamera
+from sunarc.clock import ClockState, VirtualClock
+from sunarc.settings import Settings
+from sunarc.sky import Site
+
+NOON = datetime(2026, 5, 1, 18, 30, tzinfo=UTC)
+CAMERA = CameraRecord(name="imager", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6)
+
+
+def no_camera() -> SkyCamera:
+    raise AssertionError("no camera is asked for")
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock(NOON)
+
+
+@pytest.fixture
+def service(tmp_path: Path, clock: VirtualClock) -> Service:
+    upgrade(tmp_path / "sunarc.sqlite")
+    settings = Settings(
+        site=Site(latitude=36.6, longitude=-97.5, altitude=318.0),
+        state=tmp_path,
+        camera=AravisOptions(address="127.0.0.9", timestamps="host"),
+    )
+    made = Service(settings, archive=open_archive(settings.database), clock=clock, open_camera=no_camera)
+    made.archive.save_camera(CAMERA)
+    return made
+
+
+def test_days_wait_for_a_synchronised_clock_and_are_then_judged(service: Service, clock: VirtualClock) -> None:
+    epoch = service.archive.epoch_at("imager", NOON, reason="first frame")
+    rejected = SunPoint(
+        camera="imager", pose_epoch=epoch.id, time=NOON, method="disc", accepted=False, verdict="hidden"
+    )
+    service.archive.add_sun_points([rejected])
+    clock.advance(timedelta(days=1).total_seconds())
+    clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
+    service.look_around()
+    assert service.archive.days("imager") == ()
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
+    service.look_around()
+    assert [day.verdict for day in service.archive.days("imager")] == ["unusable"]
+
+
+def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: VirtualClock) -> None:
+    service.request_refit("by hand")
+    worker = service.refit_worker()
+    stop = threading.Event()
+    clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
+    worker.run(stop, lambda: stop.set() if clock.monotonic() > 5.0 else None)
+    assert [refit.state for refit in service.archive.refits("imager")] == ["requested"]
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
+    stop.clear()
+    worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
+    assert [refit.message for refit in service.archive.refits("imager")] == ["there are no accepted sightings yet"]

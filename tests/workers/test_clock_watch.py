@@ -1,0 +1,249 @@
+"""The clock that dates the frames, set and left without its time service."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.board import StatusBoard
+from sunarc.clock import ClockState, VirtualClock
+from sunarc.errors import InputError, OutsideError
+from sunarc.workers import UNKNOWN_ERROR_S, ClockOptions, ClockWatch, FrameTime
+
+from .conftest import NOON
+
+UNSYNCHRONISED = ClockState(synchronised=False, error_bound_s=16.0)
+HOUR_S = 3600.0
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Archive:
+    upgrade(tmp_path / "sunarc.sqlite")
+    opened = open_archive(tmp_path / "sunarc.sqlite")
+    opened.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
+    return opened
+
+
+MakeWatch = Callable[..., ClockWatch]
+
+
+@pytest.fixture
+def watch_with(clock: VirtualClock, archive: Archive, board: StatusBoard) -> MakeWatch:
+    def make(
+        *,
+        options: ClockOptions | None = None,
+        frame_time: FrameTime | None = None,
+        camera_error_s: float | None = None,
+        finds_steps: bool = True,
+    ) -> ClockWatch:
+        made = ClockWatch(
+            clock=clock,
+            frame_time=frame_time or FrameTime(clock, follows_camera=False),
+            archive=archive,
+            camera="roof",
+            options=options or ClockOptions(),
+            camera_error_s=camera_error_s,
+            finds_steps=finds_steps,
+            board=board,
+        )
+        made.look()
+        return made
+
+    return make
+
+
+@pytest.fixture
+def watch(watch_with: MakeWatch) -> ClockWatch:
+    return watch_with()
+
+
+def reasons(board: StatusBoard) -> set[str]:
+    return {reason.code for reason in board.snapshot().reasons}
+
+
+def store_sighting(archive: Archive, at: datetime, *, clock_error_s: float) -> None:
+    epoch = archive.epoch_at("roof", at, reason="first frame")
+    archive.add_sun_points(
+        [
+            SunPoint(
+                camera="roof",
+                pose_epoch=epoch.id,
+                time=at,
+                method="disc",
+                accepted=True,
+                verdict="clear",
+                x_px=4.0,
+                y_px=3.0,
+                clock_error_s=clock_error_s,
+            )
+        ]
+    )
+
+
+def test_a_sighting_carries_the_kernels_bound_and_never_less_than_the_least(
+    watch: ClockWatch, clock: VirtualClock
+) -> None:
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.3))
+    assert watch.error_s(clock.now()) == 0.3
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.0))  # as systemd-timesyncd leaves it
+    assert watch.error_s(clock.now()) == ClockOptions().least_error_s
+
+
+def test_a_clock_without_its_time_service_has_no_bound_stops_calibration_and_says_so(
+    watch: ClockWatch, clock: VirtualClock, board: StatusBoard
+) -> None:
+    assert watch.trusted()
+    assert reasons(board) == set()
+    clock.set_state(UNSYNCHRONISED)
+    watch.look()
+    assert not watch.trusted()
+    assert watch.error_s(clock.now()) == UNKNOWN_ERROR_S
+    assert reasons(board) == {"clock_unsynchronised"}
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
+    watch.look()
+    assert watch.trusted()
+    assert reasons(board) == set()
+
+
+def test_an_operator_may_vouch_for_a_clock_that_the_kernel_knows_nothing_of(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+) -> None:
+    clock.set_state(UNSYNCHRONISED)
+    watch = watch_with(options=ClockOptions(assumed_error_s=0.05))
+    assert watch.trusted()
+    assert watch.error_s(clock.now()) == 0.05
+    assert reasons(board) == set()
+
+
+@pytest.mark.parametrize("step_s", [3.0, -3.0, 5 * HOUR_S, -5 * HOUR_S, 0.2])
+def test_a_step_is_found_remembered_and_shown_for_a_while(
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusBoard, step_s: float
+) -> None:
+    clock.advance(1.0)
+    watch.look()
+    clock.advance(0.4)
+    clock.step(step_s)
+    clock.advance(0.6)
+    watch.look()
+    (event,) = archive.events("roof")
+    assert event.kind == "clock_step"
+    assert event.details["step_s"] == pytest.approx(step_s, abs=1e-6)
+    assert event.details["noticed_within_s"] == pytest.approx(1.0)
+    assert event.time == clock.now()
+    status = board.snapshot().clock
+    assert status is not None
+    assert status.last_step_s == pytest.approx(step_s, abs=1e-6)
+    assert reasons(board) == {"clock_stepped"}
+    clock.advance(ClockOptions().show_step_s)
+    watch.look()
+    assert reasons(board) == set()
+    assert len(archive.events("roof")) == 1
+
+
+@pytest.mark.parametrize("step_s", [7.0, -7.0])
+def test_sightings_around_a_step_carry_its_size_whether_they_were_stored_before_or_after_it_was_found(
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, step_s: float
+) -> None:
+    long_before = clock.now() - timedelta(minutes=5)
+    clock.advance(0.5)
+    just_before = clock.now()
+    for moment in (long_before, just_before):
+        store_sighting(archive, moment, clock_error_s=0.01)
+    clock.step(step_s)
+    just_after = clock.now()
+    assert watch.error_s(just_after) == pytest.approx(7.0)
+    assert watch.error_s(just_before) == pytest.approx(7.0)
+    watch.look()
+    assert {p.time: p.clock_error_s for p in archive.sun_points("roof")} == {
+        long_before: 0.01,
+        just_before: pytest.approx(7.0),
+    }
+    clock.advance(20.0)
+    assert watch.error_s(clock.now()) == ClockOptions().least_error_s
+
+
+def test_a_slew_of_500_ppm_for_a_day_is_no_step(watch: ClockWatch, clock: VirtualClock, archive: Archive) -> None:
+    for _ in range(2000):
+        clock.advance(30.0)
+        clock.step(30.0 * 500e-6)
+        watch.look()
+    assert archive.events("roof") == ()
+
+
+@pytest.mark.parametrize("step_s", [-1.0, 1.0])
+def test_a_leap_second_is_no_step_but_its_second_is_in_doubt(
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusBoard, step_s: float
+) -> None:
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.01, leap_second=True))
+    clock.advance(0.5)
+    clock.step(step_s)
+    within = clock.now()
+    watch.look()
+    assert archive.events("roof") == ()
+    assert reasons(board) == set()
+    assert watch.error_s(within) == pytest.approx(1.0)
+
+
+def test_a_step_that_cannot_be_written_down_is_written_down_later(
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> int:
+        raise OutsideError("cannot use the database: disk is full")
+
+    clock.step(3.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(archive, "add_event", full)
+        watch.look()
+    assert archive.events("roof") == ()
+    watch.look()
+    assert [event.kind for event in archive.events("roof")] == ["clock_step"]
+
+
+def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_until_it_is_right_again(
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusBoard
+) -> None:
+    frame_time = FrameTime(clock, follows_camera=True)
+    frame_time.note(NOON)
+    watch = watch_with(frame_time=frame_time, camera_error_s=0.001)
+    for _ in range(20):  # frames come a little late
+        clock.advance(30.0)
+        frame_time.note(clock.now() - timedelta(seconds=0.3))
+        watch.look()
+    assert archive.events("roof") == ()
+    frame_time.note(datetime.fromtimestamp(0.0, NOON.tzinfo))  # rebooted
+    watch.look()
+    assert watch.error_s(frame_time.now()) > 1e8
+    assert not watch.trusted()
+    assert reasons(board) == {"clock_stepped", "clock_unsynchronised"}
+    frame_time.note(clock.now())  # has its PTP master again
+    watch.look()
+    assert watch.trusted()
+    assert reasons(board) == {"clock_stepped"}
+    clock.advance(60.0)
+    assert watch.error_s(frame_time.now()) == 0.001
+
+
+def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: Archive) -> None:
+    frame_time = FrameTime(clock, follows_camera=True)
+    watch = watch_with(frame_time=frame_time, camera_error_s=0.001, finds_steps=False)
+    for day in range(3):
+        frame_time.note(NOON + timedelta(days=day))
+        watch.look()
+    assert archive.events("roof") == ()
+    assert watch.trusted()
+
+
+def test_it_runs_until_stopped(watch: ClockWatch, clock: VirtualClock) -> None:
+    stop = threading.Event()
+    watch.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
+    assert clock.monotonic() >= 10.0
+
+
+def test_durations_that_are_none_are_refused() -> None:
+    with pytest.raises(InputError, match="clock"):
+        ClockOptions(step_s=0.0)
