@@ -12,7 +12,7 @@ import pytest
 
 from sunarc.board import StatusBoard, WorkerStatus
 from sunarc.clock import SystemClock, VirtualClock
-from sunarc.supervisor import Supervised, Supervisor, Worker
+from sunarc.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 PATIENCE_S = 20.0  # only a failing test waits as long
@@ -174,7 +174,7 @@ def test_a_worker_that_keeps_dying_is_given_up_with_a_reason(
 ) -> None:
     told = threading.Event()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=make_worker, max_restarts=3)],
+        [Supervised(name="capture", make_worker=make_worker, options=SupervisorOptions(max_restarts=3))],
         clock=clock,
         board=board,
         on_failed=told.set,
@@ -196,7 +196,7 @@ def test_the_end_of_one_worker_leaves_the_others_running(clock: VirtualClock, bo
     told, runs = threading.Event(), threading.Event()
     supervisor = Supervisor(
         [
-            Supervised(name="capture", make_worker=Factory([die]), max_restarts=0),
+            Supervised(name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0)),
             Supervised(name="detect", make_worker=Factory([obey_and_tell(runs)])),
         ],
         clock=clock,
@@ -212,7 +212,10 @@ def test_the_end_of_one_worker_leaves_the_others_running(clock: VirtualClock, bo
 
 def test_the_process_is_told_once_however_many_workers_are_given_up(clock: VirtualClock, board: StatusBoard) -> None:
     tellings: list[str] = []
-    workers = [Supervised(name=name, make_worker=Factory([die]), max_restarts=0) for name in ("capture", "detect")]
+    workers = [
+        Supervised(name=name, make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0))
+        for name in ("capture", "detect")
+    ]
     supervisor = Supervisor(workers, clock=clock, board=board, on_failed=lambda: tellings.append("failed"))
     supervisor.start()
     for thread in supervisor._threads:
@@ -230,7 +233,7 @@ def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: St
 
     told = threading.Event()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=make_worker, max_restarts=7, within_s=1e6)],
+        [Supervised(name="capture", make_worker=make_worker, options=SupervisorOptions(max_restarts=7, within_s=1e6))],
         clock=clock,
         board=board,
         on_failed=told.set,
@@ -248,7 +251,9 @@ def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusBoard)
     runs = threading.Event()
     factory = Factory([die_late] * 20 + [obey_and_tell(runs)])
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=factory, max_restarts=1, within_s=600.0)], clock=clock, board=board
+        [Supervised(name="capture", make_worker=factory, options=SupervisorOptions(max_restarts=1, within_s=600.0))],
+        clock=clock,
+        board=board,
     )
     supervisor.start()
     assert runs.wait(PATIENCE_S)
@@ -268,7 +273,9 @@ def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock
         stop.wait(PATIENCE_S)
 
     supervisor = Supervisor(
-        [Supervised(name="detect", make_worker=Factory([deed]), stale_after_s=60.0)], clock=clock, board=board
+        [Supervised(name="detect", make_worker=Factory([deed]), options=SupervisorOptions(stale_after_s=60.0))],
+        clock=clock,
+        board=board,
     )
     supervisor.start()
     assert runs.wait(PATIENCE_S)
@@ -296,7 +303,9 @@ def test_being_stuck_is_logged_once(
         release.wait(PATIENCE_S)
 
     supervisor = Supervisor(
-        [Supervised(name="detect", make_worker=Factory([deed]), stale_after_s=60.0)], clock=clock, board=board
+        [Supervised(name="detect", make_worker=Factory([deed]), options=SupervisorOptions(stale_after_s=60.0))],
+        clock=clock,
+        board=board,
     )
     supervisor.start()
     assert runs.wait(PATIENCE_S)
@@ -340,7 +349,9 @@ def test_a_stop_interrupts_the_back_off(board: StatusBoard) -> None:
 
     clock = SystemClock()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=Factory([deed]), max_restarts=100)], clock=clock, board=board
+        [Supervised(name="capture", make_worker=Factory([deed]), options=SupervisorOptions(max_restarts=100))],
+        clock=clock,
+        board=board,
     )
     supervisor.start()
     assert died.wait(PATIENCE_S)
@@ -358,7 +369,7 @@ def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: Status
         done.set()
 
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=Factory([die]), max_restarts=0)],
+        [Supervised(name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0))],
         clock=clock,
         board=board,
         on_failed=stop_all,
@@ -402,7 +413,13 @@ class Turns(VirtualClock):
 def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusBoard) -> None:
     clock, runs, meals = Turns(), threading.Event(), list[float]()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=Factory([obey_and_tell(runs)]), stale_after_s=60.0)],
+        [
+            Supervised(
+                name="capture",
+                make_worker=Factory([obey_and_tell(runs)]),
+                options=SupervisorOptions(stale_after_s=60.0),
+            )
+        ],
         clock=clock,
         board=board,
         feed=lambda: meals.append(clock.monotonic()),

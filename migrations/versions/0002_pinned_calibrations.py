@@ -18,3 +18,8 @@ depends_on = None
 def upgrade() -> None:
     """Nothing was pinned until now."""
     op.add_column("calibration", sa.Column("pinned", sa.Boolean(), nullable=False, server_default=sa.false()))
+
+
+def downgrade() -> None:
+    """What was pinned is merely current."""
+    op.drop_column("calibration", "pinned")

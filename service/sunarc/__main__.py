@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import os
 import sys
 from collections import Counter
 from dataclasses import asdict
@@ -19,6 +19,7 @@ from sunarc.calibration import CalibrationOptions
 from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, SunarcError
+from sunarc.journal import start_log
 from sunarc.offline.command_line import Config, db_cli, points_cli
 from sunarc.offline.history_command_line import calibrations_cli
 from sunarc.settings import load_settings
@@ -87,7 +88,7 @@ def serve(config: Config = None) -> None:
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
-    _log_to_standard_error()
+    start_log(os.environ)
     sys.exit(app.serve(load_settings(config)))
 
 
@@ -111,7 +112,7 @@ def simulate(
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
-    _log_to_standard_error()
+    start_log(os.environ)
     app.simulate(
         address=address,
         start=parse_time(start, where="--start"),
@@ -284,12 +285,6 @@ def check(config: Config = None, *, as_json: AsJson = False) -> None:
         _out.print(table(("", "", ""), [[finding.outcome, finding.what, finding.text] for finding in findings]))
     if any(finding.outcome == "fail" for finding in findings):
         raise typer.Exit(1)
-
-
-def _log_to_standard_error() -> None:
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    logging.getLogger("apscheduler").setLevel(logging.WARNING)
-    logging.getLogger("alembic").setLevel(logging.WARNING)
 
 
 def _choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:

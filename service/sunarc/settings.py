@@ -19,6 +19,7 @@ from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging import SunExposureOptions
 from sunarc.sky import Site
+from sunarc.supervisor import SupervisorOptions
 from sunarc.workers import CaptureOptions, ClockOptions, RefitOptions, SensorOptions
 
 _PREFIX = "SUNARC_"
@@ -40,6 +41,7 @@ class Settings(BaseSettings):
     clock : how the time of the frames is watched.
     calibration, refit, days : the fit, when and how it is run, and what makes a day clear.
     api : the web server.
+    supervisor : when a worker is given up, or taken for stuck.
     """
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True)
@@ -59,6 +61,7 @@ class Settings(BaseSettings):
     refit: RefitOptions = RefitOptions()
     days: DayOptions = DayOptions()
     api: ApiOptions = ApiOptions()
+    supervisor: SupervisorOptions = SupervisorOptions()
 
     @property
     def dated_by_camera(self) -> bool:

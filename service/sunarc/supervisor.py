@@ -11,11 +11,13 @@ from typing import Protocol
 
 from sunarc.board import Reason, StatusBoard, WorkerState, WorkerStatus
 from sunarc.clock import Clock
+from sunarc.errors import InputError
 
 _log = logging.getLogger(__name__)
 
 _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
+_LEAST_STALE_S = 5.0
 
 
 class Worker(Protocol):
@@ -26,6 +28,32 @@ class Worker(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisorOptions:
+    """When a worker is given up, or taken for stuck.
+
+    Attributes
+    ----------
+    max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` is given up.
+    stale_after_s : a worker without a heartbeat for longer is stuck; systemd's watchdog is then no longer fed.
+    """
+
+    max_restarts: int = 5
+    within_s: float = 600.0
+    stale_after_s: float = 120.0
+
+    def __post_init__(self) -> None:
+        """Refuse what would give up at once, or take a busy worker for stuck."""
+        if self.max_restarts < 0:
+            raise InputError(field="supervisor.max_restarts", problem="below 0", remedy="give 0 or more")
+        if self.within_s <= 0.0 or self.stale_after_s < _LEAST_STALE_S:
+            raise InputError(
+                field="supervisor",
+                problem=f"within_s is not positive, or stale_after_s below {_LEAST_STALE_S:g}",
+                remedy="give seconds; a worker shows signs of life every second",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Supervised:
     """A worker the supervisor keeps alive.
 
@@ -33,15 +61,12 @@ class Supervised:
     ----------
     name : of the worker, of its thread and on the board.
     make_worker : called before every life, in the worker's thread; what it raises is a death too.
-    max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` is given up.
-    stale_after_s : a worker without a heartbeat for longer is stuck.
+    options : when it is given up, or taken for stuck.
     """
 
     name: str
     make_worker: Callable[[], Worker]
-    max_restarts: int = 5
-    within_s: float = 600.0
-    stale_after_s: float = 120.0
+    options: SupervisorOptions = SupervisorOptions()
 
 
 class Supervisor:
@@ -160,7 +185,7 @@ class _Life:
             self._last_error = self._live()
             if self._stop.is_set():
                 break
-            if self._count_death() > self._worker.max_restarts:
+            if self._count_death() > self._worker.options.max_restarts:
                 self._give_up()
                 return
             self._enter("restarting")
@@ -172,11 +197,11 @@ class _Life:
         """Write the heartbeat's age on the board, and return whether it is young enough."""
         with self._lock:
             age_s = self._clock.monotonic() - self._beat_at
-            stuck = self._state == "running" and age_s > self._worker.stale_after_s
+            stuck = self._state == "running" and age_s > self._worker.options.stale_after_s
             self._write(age_s)
         if stuck and not self._stuck:
             _log.error("%s gave no sign of life for %.0f s", self.name, age_s)
-            self._board.set_reason(_stuck_reason(self.name, self._worker.stale_after_s))
+            self._board.set_reason(_stuck_reason(self.name, self._worker.options.stale_after_s))
         elif self._stuck and not stuck:
             self._board.clear_reason(_stuck_code(self.name))
         self._stuck = stuck
@@ -201,7 +226,7 @@ class _Life:
     def _count_death(self) -> int:
         now_s = self._clock.monotonic()
         self._deaths.append(now_s)
-        while self._deaths[0] < now_s - self._worker.within_s:
+        while self._deaths[0] < now_s - self._worker.options.within_s:
             self._deaths.popleft()
         return len(self._deaths)
 

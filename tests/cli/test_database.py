@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import xarray as xr
 
 from sunarc.archive import CameraRecord, open_archive
 
@@ -112,3 +113,35 @@ def test_a_folder_that_cannot_be_written_to_is_one_line_and_exit_3(sunarc: Sunar
     answer = sunarc("db", "upgrade", "--state", str(tmp_path / "state"))
     assert answer.code == 3
     assert answer.err.count("\n") == 1
+
+
+def test_everything_is_written_as_files_that_other_tools_read(
+    sunarc: Sunarc, with_camera: Path, tmp_path: Path
+) -> None:
+    points = tmp_path / "points.csv"
+    points.write_text(POINTS)
+    assert sunarc("points", "import", str(points), "--config", str(with_camera)).code == 0
+    state, folder = str(tmp_path / "state"), tmp_path / "everything"
+    answer = sunarc("db", "export", str(folder), "--state", state, "--json")
+    assert answer.code == 0
+    assert json.loads(answer.out)["sun_points.csv"] == 2
+    rows = (folder / "sun_points.csv").read_text().splitlines()
+    assert rows[1].split(",")[rows[0].split(",").index("x_px")] == "871.5"
+    with xr.open_dataset(folder / "sun_points.nc", engine="h5netcdf") as sightings:
+        assert str(sightings.time.values[0]) == "2013-05-13T18:30:00.000000000"
+        assert sightings.x_px.values.tolist() == [871.5, 870.0]
+        assert sightings.x_px.units == "px"
+    again = sunarc("db", "export", str(folder), "--state", state)
+    assert again.code == 2
+    assert "is not empty" in again.err
+
+
+def test_a_copy_is_restored_and_a_missing_one_refused(sunarc: Sunarc, with_camera: Path, tmp_path: Path) -> None:
+    state = str(tmp_path / "state")
+    assert with_camera.exists()
+    assert sunarc("db", "backup", str(tmp_path / "copies"), "--keep", "3", "--state", state).code == 0
+    (copy,) = (tmp_path / "copies").iterdir()
+    assert "the former one is kept" in sunarc("db", "restore", str(copy), "--state", state).out
+    assert sunarc("db", "check", "--state", state).code == 0
+    assert sunarc("db", "restore", str(tmp_path / "none"), "--state", state).code == 2
+    assert sunarc("db", "downgrade", "--to", "7", "--state", state).code == 2

@@ -11,7 +11,7 @@ from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
 from sunarc.settings import Settings
-from sunarc.supervisor import Supervised
+from sunarc.supervisor import Supervised, Worker
 from sunarc.workers import (
     CaptureWorker,
     ClockWatch,
@@ -78,15 +78,17 @@ class Service:
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
-            Supervised(name="clock", make_worker=lambda: self.clock_watch),
-            Supervised(name="refit", make_worker=self.refit_worker),
-            Supervised(name="detect", make_worker=self.detect_worker),
-            Supervised(name="compose", make_worker=self.compose_worker),
-            Supervised(
-                name="capture",
-                make_worker=self.replay_worker if self.settings.source == "replay" else self.capture_worker,
+            self._supervised("clock", lambda: self.clock_watch),
+            self._supervised("refit", self.refit_worker),
+            self._supervised("detect", self.detect_worker),
+            self._supervised("compose", self.compose_worker),
+            self._supervised(
+                "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
             ),
         )
+
+    def _supervised(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
+        return Supervised(name=name, make_worker=make_worker, options=self.settings.supervisor)
 
     def request_refit(self, reason: str) -> Refit:
         """Ask for a refit; the refit worker finds it in the archive."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -36,7 +37,7 @@ def serve(settings: Settings) -> int:
         open_camera=camera_opener(settings, clock),
     )
     notifier = notifier_from(os.environ)
-    server = _web_server(service)
+    server = _web_server(service, on_started=lambda: notifier.ready(f"serving at {_address(settings)}"))
     for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
         signal.signal(number, lambda *_: None)
     with ExitStack() as stack:
@@ -44,13 +45,12 @@ def serve(settings: Settings) -> int:
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
         stack.enter_context(_scheduled(service))
-        notifier.ready(f"serving at http://{settings.api.host}:{settings.api.port}/")
         server.run(sockets=[listening])
         notifier.stopping()
     return 3 if supervisor.failed.is_set() else 0
 
 
-def _web_server(service: Service) -> uvicorn.Server:
+def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.Server:
     app = create_app(
         archive=service.archive,
         camera=service.settings.name,
@@ -61,9 +61,27 @@ def _web_server(service: Service) -> uvicorn.Server:
         latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
         options=service.settings.api,
     )
-    return uvicorn.Server(
-        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False)
+    return _Server(
+        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False),
+        on_started=on_started,
     )
+
+
+class _Server(uvicorn.Server):
+    """A web server that says when it listens; before that, nobody is told that the service is ready."""
+
+    def __init__(self, config: uvicorn.Config, *, on_started: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._on_started = on_started
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, and say so."""
+        await super().startup(sockets)
+        self._on_started()
+
+
+def _address(settings: Settings) -> str:
+    return f"http://{settings.api.host}:{settings.api.port}/"
 
 
 def _stop_serving(server: uvicorn.Server) -> None:

@@ -1,12 +1,13 @@
 """What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
 
 values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
-schema.py: revisions, migrations (in migrations/), checks, backups · sightings.py, calibrations.py (with documents.py,
-validity.py), history.py, journal.py: the parts of `Archive` · archive.py: the whole · images.py: composites on disk ·
-csv_files.py: the files people hand us.
+schema.py: revisions, migrations (in migrations/), checks · copies.py: backups and their way back · sightings.py,
+calibrations.py (with documents.py, validity.py), history.py, journal.py: the parts of `Archive` · archive.py: the
+whole · images.py: composites on disk · csv_files.py: the files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
+from sunarc.archive.copies import backup, backup_into, restore
 from sunarc.archive.csv_files import (
     SightingTable,
     parse_time,
@@ -16,7 +17,7 @@ from sunarc.archive.csv_files import (
     write_sightings,
 )
 from sunarc.archive.images import ImageStore
-from sunarc.archive.schema import Check, backup, check, head_revision, upgrade
+from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
 from sunarc.archive.values import (
     CalibrationRecord,
@@ -51,12 +52,16 @@ __all__ = [
     "SunPoint",
     "SunPointColumns",
     "backup",
+    "backup_into",
     "check",
+    "downgrade",
     "head_revision",
     "open_archive",
     "parse_time",
     "read_pairs",
     "read_sightings",
+    "require_file",
+    "restore",
     "sun_point_of",
     "upgrade",
     "write_columns",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, replace
 from datetime import date, datetime
 
@@ -12,6 +13,9 @@ from sunarc.archive import tables
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.values import Day, Event, EventSeverity, Refit, RefitState
 from sunarc.errors import NotFoundError
+
+_log = logging.getLogger(__name__)
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ERROR}
 
 
 class Journal(Store):
@@ -73,12 +77,15 @@ class Journal(Store):
         return self._values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
     def add_event(self, event: Event) -> Event:
-        """Write an event down and return it with its id."""
+        """Write an event down, tell the log of it, and return it with its id."""
         row = asdict(event)
         row.pop("id")
         with self._writing() as connection:
             key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
-        return replace(event, id=None if key is None else int(key[0]))
+        known = replace(event, id=None if key is None else int(key[0]))
+        fields = {"event_id": known.id, "event_kind": known.kind}  # what the journal's line shares with /v1/events
+        _log.log(_LEVELS[known.severity], "%s", known.text, extra=fields)
+        return known
 
     def events(
         self,

@@ -1,10 +1,8 @@
-"""The database's revision: compare, migrate, check, back up."""
+"""The database's revision: compare, migrate, check."""
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, func, select
 
 import sunarc
+from sunarc.archive.copies import backup
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
@@ -65,7 +64,7 @@ def upgrade(path: Path) -> Path | None:
             revision = _revision(connection)
         if revision == head_revision():
             return None
-        copy = backup(path, path.with_name(f"{path.name}.before-{revision or 'none'}")) if existed else None
+        copy = backup(path, _kept_aside(path, revision), replace=True) if existed else None
         config = _config()
         with writing(engine) as connection:
             config.attributes["connection"] = connection
@@ -91,18 +90,32 @@ def check(path: Path) -> Check:
         engine.dispose()
 
 
-def backup(path: Path, target: Path) -> Path:
-    """Copy a database while others use it; `target` must not exist, and appears only when it is whole."""
-    if target.exists():
-        raise InputError(field="target", problem=f"{target} exists", remedy="name a file that does not exist yet")
-    partial = target.with_name(f"{target.name}.partial")
+def downgrade(path: Path, revision: str) -> Path:
+    """Bring a database back to an older revision, for an older version of the service; return the copy made first.
+
+    What only the newer revision can hold is lost; everything else stays.
+    """
+    require_file(path, command="sunarc db upgrade")
+    known = tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
+    engine = create_archive_engine(path, foreign_keys=False)
     try:
-        with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(partial)) as copy:
-            source.backup(copy)
-        partial.replace(target)
-    except (sqlite3.Error, OSError) as error:
-        raise OutsideError(f"cannot copy {path} to {target}: {error}") from error
-    return target
+        with reading(engine) as connection:
+            present = _revision(connection)
+        if present not in known or revision not in known or known.index(revision) < known.index(present):
+            older = ", ".join(known[known.index(present) :]) if present in known else "none"
+            raise InputError(
+                field="--to",
+                problem=f"{path} is at revision {present}, which cannot be brought to {revision}",
+                remedy=f"give one of: {older}",
+            )
+        copy = backup(path, path.with_name(f"{path.name}.at-{present}"), replace=True)
+        config = _config()
+        with writing(engine) as connection:
+            config.attributes["connection"] = connection
+            command.downgrade(config, revision)
+    finally:
+        engine.dispose()
+    return copy
 
 
 def require_file(path: Path, *, command: str) -> None:
@@ -122,6 +135,10 @@ def require_head(connection: Connection, *, path: Path, command: str) -> None:
         f"{path} is at revision {revision}, which this version ({sunarc.__version__}, {head}) does not know; "
         "install the version that wrote it, or a newer one"
     )
+
+
+def _kept_aside(path: Path, revision: str | None) -> Path:
+    return path.with_name(f"{path.name}.before-{revision or 'none'}")
 
 
 def _revision(connection: Connection) -> str | None:

@@ -11,7 +11,9 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import parse_time
+from sunarc.clock import SystemClock
 from sunarc.offline import storing
+from sunarc.offline.everything import export_everything
 from sunarc.settings import load_settings
 from sunarc.terminal import print_json, table
 
@@ -75,12 +77,53 @@ def check_database(state: State, *, as_json: AsJson = False) -> None:
 
 
 @db_cli.command()
-def backup(target: Annotated[Path, typer.Argument(help="File to write.")], *, state: State) -> None:
+def downgrade(*, to: Annotated[str, typer.Option("--to", help="The older revision.")], state: State) -> None:
+    """Bring the database back to an older revision, before an older version is installed; a copy is kept.
+
+    Example: sunarc db downgrade --to 0001 --state /var/lib/sunarc
+    """
+    print(storing.downgrade_database(state, to))
+
+
+@db_cli.command()
+def backup(
+    target: Annotated[Path, typer.Argument(help="File to write; with --keep, folder of dated copies.")],
+    *,
+    state: State,
+    keep: Annotated[int | None, typer.Option(help="How many copies the folder keeps, the newest.")] = None,
+) -> None:
     """Copy the database, consistently, while the service runs.
 
     Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
     """
-    print(storing.backup_database(state, target))
+    if keep is None:
+        print(storing.backup_database(state, target))
+    else:
+        print(storing.backup_database_into(state, target, keep=keep, clock=SystemClock()))
+
+
+@db_cli.command()
+def restore(source: Annotated[Path, typer.Argument(help="A copy of the database.")], *, state: State) -> None:
+    """Put a copy in the database's place, the service being stopped; the former one is kept.
+
+    Example: sunarc db restore /var/lib/sunarc/backups/sunarc-20260501T020000Z.sqlite --state /var/lib/sunarc
+    """
+    print(storing.restore_database(state, source, clock=SystemClock()))
+
+
+@db_cli.command("export")
+def export_all(
+    folder: Annotated[Path, typer.Argument(help="A new folder.")], *, state: State, as_json: AsJson = False
+) -> None:
+    """Write everything that the archive holds as CSV, JSON and NetCDF.
+
+    Example: sunarc db export everything/ --state /var/lib/sunarc
+    """
+    written = export_everything(state, folder)
+    if as_json:
+        print_json(written)
+    else:
+        Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
 
 
 def _moment(text: str | None, option: str) -> datetime | None:

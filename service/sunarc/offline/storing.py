@@ -8,7 +8,20 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from sunarc.archive import SunPoint, backup, check, open_archive, read_sightings, upgrade, write_sightings
+from sunarc.archive import (
+    SunPoint,
+    backup,
+    backup_into,
+    check,
+    downgrade,
+    open_archive,
+    read_sightings,
+    require_file,
+    restore,
+    upgrade,
+    write_sightings,
+)
+from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
@@ -82,9 +95,30 @@ def check_database(state: Path) -> dict[str, Any]:
     }
 
 
+def downgrade_database(state: Path, revision: str) -> str:
+    """Bring the database back to an older revision and say what was kept."""
+    path = database_of(state)
+    return f"{path} is at revision {revision} now; the former one is kept as {downgrade(path, revision).name}"
+
+
 def backup_database(state: Path, target: Path) -> str:
     """Copy the database and say where to."""
+    require_file(database_of(state), command=f"sunarc db upgrade --state {state}")
     return f"copied to {backup(database_of(state), target)}"
+
+
+def backup_database_into(state: Path, folder: Path, *, keep: int, clock: Clock) -> str:
+    """Copy the database into a folder of dated copies and say where to."""
+    require_file(database_of(state), command=f"sunarc db upgrade --state {state}")
+    return f"copied to {backup_into(database_of(state), folder, keep=keep, now=clock.now())}"
+
+
+def restore_database(state: Path, source: Path, *, clock: Clock) -> str:
+    """Put a copy in the database's place and say what was kept."""
+    path = database_of(state)
+    kept = restore(path, source, now=clock.now())
+    former = "" if kept is None else f"; the former one is kept as {kept.name}"
+    return f"{path} is what {source} was{former}"
 
 
 def database_of(state: Path) -> Path:

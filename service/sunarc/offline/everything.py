@@ -1,0 +1,124 @@
+"""All that the archive holds, in files that any tool reads: CSV, JSON and NetCDF."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.archive import Archive, CameraRecord, Day, Event, PoseEpoch, Refit, SunPoint, open_archive
+from sunarc.errors import InputError, OutsideError
+from sunarc.offline.storing import database_of
+
+_UNITS = {"x_px": "px", "y_px": "px", "sigma_px": "px", "exposure_us": "us", "clock_error_s": "s"}
+
+
+def export_everything(state: Path, folder: Path) -> dict[str, int]:
+    """Write every table of a state folder's archive and return the number of rows by file.
+
+    `calibrations/ID.json` are calibration documents; `sun_points.nc` holds the sightings' numbers once more, as
+    NetCDF with units; times are UTC.
+
+    Raises
+    ------
+    InputError : the folder exists and is not empty.
+    OutsideError : it cannot be written.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
+    archive = open_archive(database_of(state))
+    try:
+        (folder / "calibrations").mkdir(parents=True, exist_ok=True)
+        return _write(archive, folder)
+    except OSError as error:
+        raise OutsideError(f"cannot write to {folder}: {error.strerror}; free some space, or name another") from None
+    finally:
+        archive.close()
+
+
+def _write(archive: Archive, folder: Path) -> dict[str, int]:
+    cameras = archive.cameras()
+    names = [camera.name for camera in cameras]
+    points = [point for name in names for point in archive.sun_points(name)]
+    calibrations = [record for name in names for record in archive.calibrations(name)]
+    for record in calibrations:
+        _write_json(folder / "calibrations" / f"{record.id}.json", dict(record.document))
+    return {
+        "cameras.csv": _write_csv(folder / "cameras.csv", CameraRecord, cameras),
+        "pose_epochs.csv": _write_csv(
+            folder / "pose_epochs.csv", PoseEpoch, [epoch for name in names for epoch in archive.epochs(name)]
+        ),
+        "sun_points.csv": _write_csv(folder / "sun_points.csv", SunPoint, points),
+        "sun_points.nc": _write_netcdf(folder / "sun_points.nc", points),
+        "days.csv": _write_csv(folder / "days.csv", Day, [day for name in names for day in archive.days(name)]),
+        "refits.csv": _write_csv(folder / "refits.csv", Refit, [fit for name in names for fit in archive.refits(name)]),
+        "events.csv": _write_csv(folder / "events.csv", Event, archive.events()),
+        "calibrations/": len(calibrations),
+    }
+
+
+def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
+    names = [field.name for field in fields(kind)]
+    written = 0
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        for value in values:
+            writer.writerow([_cell(getattr(value, name)) for name in names])
+            written += 1
+    return written
+
+
+def _cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a field holds
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return int(value)
+    if isinstance(value, str | int | float):
+        return value
+    if isinstance(value, datetime):
+        return value.isoformat().replace("+00:00", "Z")
+    if isinstance(value, date):
+        return value.isoformat()
+    return json.dumps(value, default=str)
+
+
+def _write_json(path: Path, document: dict[str, Any]) -> None:
+    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def _write_netcdf(path: Path, points: Sequence[SunPoint]) -> int:
+    import xarray as xr  # noqa: PLC0415 - a second that only this command pays
+
+    def column(name: str) -> NDArray[np.float64]:
+        values = (getattr(point, name) for point in points)
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    dataset = xr.Dataset(
+        {
+            **{name: ("sighting", column(name), {"units": unit}) for name, unit in _UNITS.items()},
+            "accepted": ("sighting", np.array([point.accepted for point in points], dtype=np.int8)),
+            "verdict": ("sighting", np.array([point.verdict for point in points], dtype=object)),
+        },
+        coords={
+            "time": (
+                "sighting",
+                np.array([point.time.timestamp() for point in points], dtype=np.float64),
+                {"units": "seconds since 1970-01-01 00:00:00", "calendar": "standard", "standard_name": "time"},
+            )
+        },
+        attrs={
+            "Conventions": "CF-1.10",
+            "title": "sun sightings",
+            "comment": "x right, y down, (0, 0) the centre of the top-left pixel; time: UTC, mid-exposure",
+        },
+    )
+    dataset.to_netcdf(path, engine="h5netcdf")
+    return len(points)
