@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 from collections.abc import Mapping
+from pathlib import Path
 
 _log = logging.getLogger(__name__)
 
@@ -50,6 +51,13 @@ class Notifier:
 def notifier_from(environment: Mapping[str, str]) -> Notifier:
     """Return the notifier that the process's environment asks for (NOTIFY_SOCKET)."""
     return Notifier(environment.get("NOTIFY_SOCKET", ""))
+
+
+def credential(environment: Mapping[str, str], name: str) -> Path | None:
+    """Return the file of a credential that the unit loads (`LoadCredential=NAME:…`); None without one."""
+    folder = environment.get("CREDENTIALS_DIRECTORY")
+    path = Path(folder) / name if folder else None
+    return path if path is not None and path.exists() else None
 
 
 def watchdog_interval_s(environment: Mapping[str, str], *, pid: int) -> float | None:

@@ -130,8 +130,8 @@ def sightings(until: datetime, *, every_s: float = 300.0) -> Iterator[SunPoint]:
 class Client:
     """Asks an application without a network; a failure of the application is an answer too."""
 
-    def __init__(self, app: FastAPI) -> None:
-        self._transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+    def __init__(self, app: FastAPI, address: str = "127.0.0.1") -> None:
+        self._transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=(address, 1))
 
     def get(self, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - of httpx
         return self.request("GET", path, **how)
@@ -160,6 +160,10 @@ class Made:
     site: Site = SITE
     lens: Camera = LENS
     bearer: dict[str, str] = field(default_factory=lambda: {"authorization": f"Bearer {TOKEN}"})
+
+    def client_at(self, address: str) -> Client:
+        """Return a client that asks from another host."""
+        return Client(self.app, address)
 
 
 Make = Callable[..., Made]

@@ -10,6 +10,7 @@ from typing import Annotated
 from fastapi import Depends, FastAPI, Path
 from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry
+from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
 
@@ -17,16 +18,19 @@ import sunarc
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
+from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
 from sunarc.api.health import health_routes
+from sunarc.api.limits import Limits
 from sunarc.api.metrics import StatusCollector
-from sunarc.api.options import ApiOptions, read_token
+from sunarc.api.options import ApiOptions
 from sunarc.api.problems import add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
 from sunarc.api.schema import describe
 from sunarc.api.served import Served
 from sunarc.api.sun import sun_routes
+from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit
 from sunarc.board import StatusSnapshot
 from sunarc.sky import Site
@@ -73,7 +77,7 @@ def create_app(
         frame_clock=frame_clock,
         latest_image=latest_image,
         options=options,
-        token=read_token(options.token_file),
+        token=read_token(options.token_file, setting="api.token_file"),
     )
     numbers = registry or CollectorRegistry()
     numbers.register(StatusCollector(served))
@@ -84,19 +88,37 @@ def create_app(
     _add_dashboard(app)
     add_problem_handlers(app)
     describe(app)
+    _add_guards(app, served)
+    return app
+
+
+def _add_guards(app: FastAPI, served: Served) -> None:
+    """Put what every request passes before the application, the innermost first."""
+    options = served.options
     app.add_middleware(
         GZipMiddleware,
         minimum_size=_WORTH_COMPRESSING_BYTES,
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
     )
-    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes)
-    return app
+    reading = read_token(options.read_token_file, setting="api.read_token_file")
+    if reading is not None:
+        app.add_middleware(ReadingNeeds, tokens=(reading,) if served.token is None else (reading, served.token))
+    app.add_middleware(Limits, per_s=options.requests_per_s, burst=options.burst, at_once=options.max_at_once)
+    if options.cors_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=list(options.cors_origins),
+            allow_methods=["GET", "POST"],
+            allow_headers=["authorization", "content-type", "if-none-match"],
+            expose_headers=["etag", "location", "retry-after"],
+        )
+    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, within_s=options.request_within_s)
 
 
 def _add_camera_routes(app: FastAPI, served: Served) -> None:
     """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
-    for routes in (calibration_routes, direction_routes, sun_routes, record_routes, refit_routes):
+    for routes in (calibration_routes, decision_routes, direction_routes, sun_routes, record_routes, refit_routes):
         of_camera = routes(served)
         app.include_router(of_camera, prefix="/v1")
         app.include_router(

@@ -1,37 +1,43 @@
-"""What every request passes on its way in and every answer on its way out: the limit on size, the security headers."""
+"""What every request passes on its way in and every answer on its way out: how large, how slow, which headers."""
 
 from __future__ import annotations
 
+import asyncio
 from http import HTTPStatus
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.problems import Fault, problem_response
+from sunarc.api.problems import Fault, UnreadError
 
 _HEADERS = {
     "content-security-policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), geolocation=(), microphone=()",
     "referrer-policy": "no-referrer",
     "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
 }
 
 
 class Boundary:
-    """Refuses bodies that are too large before they are read, and adds the headers that keep browsers strict.
+    """Refuses bodies that are too large or too slow, and adds the headers that keep browsers strict.
 
     Parameters
     ----------
     app : what is behind it.
-    max_body_bytes : a larger body is refused.
+    max_body_bytes : a larger body is refused, before it is read where it announces its size.
+    within_s : a body that is not there after so many seconds is refused.
     """
 
-    def __init__(self, app: ASGIApp, *, max_body_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, *, max_body_bytes: int, within_s: float) -> None:
         self._app = app
         self._max_body_bytes = max_body_bytes
+        self._within_s = within_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let one request pass, or refuse it."""
@@ -40,34 +46,39 @@ class Boundary:
             return
         guarded = _with_headers(send)
         if _announced_bytes(scope) > self._max_body_bytes:
-            fault = Fault(field="body", problem=self._too_large(), remedy="send it in parts")
-            refusal = problem_response(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                path=scope["path"],
-                detail=f"body: {fault.problem}; {fault.remedy}",
-                errors=[fault],
-                headers={"connection": "close"},
-            )
-            await refusal(scope, receive, guarded)
+            await self._too_large().response(scope["path"])(scope, receive, guarded)
             return
         await self._app(scope, self._counted(receive), guarded)
 
-    def _too_large(self) -> str:
-        return f"larger than {self._max_body_bytes} bytes"
+    def _too_large(self) -> UnreadError:
+        return _refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {self._max_body_bytes} bytes")
+
+    def _too_slow(self) -> UnreadError:
+        return _refused(HTTPStatus.REQUEST_TIMEOUT, f"not there within {self._within_s:g} s")
 
     def _counted(self, receive: Receive) -> Receive:
-        """Stop reading a body that did not announce its size."""
-        read = 0
+        """Stop reading a body that does not announce its size, or does not come."""
+        read, more, end_s = 0, True, asyncio.get_running_loop().time() + self._within_s
 
         async def counting() -> Message:
-            nonlocal read
-            message = await receive()
-            read += len(message.get("body", b""))
+            nonlocal read, more
+            if not more:  # what comes now is the end of the connection, and has no hurry
+                return await receive()
+            try:
+                async with asyncio.timeout_at(end_s):
+                    message = await receive()
+            except TimeoutError:
+                raise self._too_slow() from None
+            read, more = read + len(message.get("body", b"")), message.get("more_body", False)
             if read > self._max_body_bytes:
-                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"body: {self._too_large()}; send it in parts")
+                raise self._too_large()
             return message
 
         return counting
+
+
+def _refused(status: HTTPStatus, problem: str) -> UnreadError:
+    return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))
 
 
 def _announced_bytes(scope: Scope) -> int:

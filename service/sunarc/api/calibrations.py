@@ -72,8 +72,8 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
         pose_epoch=record.pose_epoch,
         parent=record.parent,
         accepted=record.accepted,
-        reasons=list(record.reasons),
         pinned=record.pinned,
+        reasons=list(record.reasons),
         rmse_px=metrics.get("rmse_px"),
         sky_rms_deg=uncertainty.get("sky_rms_deg"),
     )

@@ -24,7 +24,7 @@ def direction_routes(served: Served) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
 
-    @routes.post("/back-project", responses=answers(400, 404, 413, 422))
+    @routes.post("/back-project", responses=answers(400, 404, 408, 413, 415, 422))
     def back_project(request: Request, asked: BackProjectRequest, at: Time | None = None) -> BackProjectAnswer:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
         _require_few(len(asked.pixels), most=served.options.max_points, field="pixels")
@@ -32,7 +32,7 @@ def direction_routes(served: Served) -> APIRouter:
         pixels = np.array(asked.pixels, dtype=np.float64).reshape(-1, 2)
         return _back_projected(served.parsed.get(record), pixels, record.id)
 
-    @routes.post("/project", responses=answers(400, 404, 413, 422))
+    @routes.post("/project", responses=answers(400, 404, 408, 413, 415, 422))
     def project(request: Request, asked: ProjectRequest, at: Time | None = None) -> ProjectAnswer:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
         directions = _directions(asked)

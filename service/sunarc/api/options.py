@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from sunarc.errors import ConfigurationError, InputError
-
-_SHORTEST_TOKEN = 16
+from sunarc.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,38 +16,45 @@ class ApiOptions:
     ----------
     host, port : the address it listens on.
     token_file : a file whose one line is the token that changing anything needs; None: nothing can be changed here.
+    read_token_file : likewise, for reading; None: whoever reaches the port may read.
+    cors_origins : other sites whose pages may ask this service from a browser ("https://forecast.example").
     max_body_bytes : a larger request is refused (413).
     max_points : more pixels or directions in one request are refused (413).
+    max_connections : open connections; of more, the one that was idle longest is closed.
+    max_at_once : requests being answered; more are refused (503).
+    requests_per_s, burst : of one address, in the long run and after a pause; more are refused (429). Loopback is not
+        counted. 0 requests_per_s: no limit.
+    request_within_s : a request that is not there, or an answer that is not taken, after so long ends its connection.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     token_file: Path | None = None
+    read_token_file: Path | None = None
+    cors_origins: tuple[str, ...] = ()
     max_body_bytes: int = 8_000_000
     max_points: int = 100_000
+    max_connections: int = 512
+    max_at_once: int = 128
+    requests_per_s: float = 100.0
+    burst: int = 400
+    request_within_s: float = 30.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be served."""
         if not 0 <= self.port <= 65_535:
             raise InputError(field="api.port", problem=f"{self.port} is no port", remedy="give 0 to 65535")
-        for name in ("max_body_bytes", "max_points"):
+        for name in ("max_body_bytes", "max_points", "max_connections", "max_at_once", "burst"):
             if getattr(self, name) < 1:
                 raise InputError(field=f"api.{name}", problem="not positive", remedy="give a number of at least 1")
-
-
-def read_token(path: Path | None) -> bytes | None:
-    """Return the token that a file holds; None without a file.
-
-    Raises
-    ------
-    ConfigurationError : the file cannot be read, or its token is too short to be one.
-    """
-    if path is None:
-        return None
-    try:
-        token = path.read_bytes().strip()
-    except OSError as error:
-        raise ConfigurationError(f"api.token_file {path}: {error.strerror}") from error
-    if len(token) < _SHORTEST_TOKEN:
-        raise ConfigurationError(f"api.token_file {path}: a token has at least {_SHORTEST_TOKEN} characters")
-    return token
+        if self.requests_per_s < 0.0:
+            raise InputError(field="api.requests_per_s", problem="negative", remedy="give 0 for no limit")
+        if not 0.1 <= self.request_within_s <= 3600.0:
+            raise InputError(field="api.request_within_s", problem="out of bounds", remedy="give 0.1 to 3600 seconds")
+        for origin in self.cors_origins:
+            if not origin.startswith(("http://", "https://")) or origin.count("/") != 2:
+                raise InputError(
+                    field="api.cors_origins",
+                    problem=f"{origin!r} is no origin",
+                    remedy="give scheme and host, as https://forecast.example",
+                )

@@ -52,6 +52,9 @@ class Problem(BaseModel):
     errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
 
 
+_NOT_JSON = Fault(field="content-type", problem="is not understood here", remedy="send application/json")
+
+
 class RefusedError(SunarcError):
     """A request that is refused by its form, whatever it asks.
 
@@ -67,6 +70,27 @@ class RefusedError(SunarcError):
         self.status = status
         self.fault = fault
         self.headers = headers
+
+
+class UnreadError(HTTPException):
+    """A body that is not read to its end; the connection ends with it. FastAPI hands it on where it reads a body.
+
+    Parameters
+    ----------
+    status : the HTTP status.
+    fault : where, what and what to do.
+    """
+
+    def __init__(self, status: HTTPStatus, fault: Fault) -> None:
+        detail = f"{fault.field}: {fault.problem}; {fault.remedy}"
+        super().__init__(status, detail, headers={"connection": "close"})
+        self.fault = fault
+
+    def response(self, path: str) -> JSONResponse:
+        """Return the answer to the request for a path."""
+        return problem_response(
+            HTTPStatus(self.status_code), path=path, detail=self.detail, errors=[self.fault], headers=self.headers
+        )
 
 
 def problem_response(
@@ -123,13 +147,22 @@ _KINDS = {
 
 def _invalid(request: Request, error: Exception) -> JSONResponse:
     found = error.errors() if isinstance(error, RequestValidationError) else ()
+    if any(tuple(one["loc"]) == ("body",) for one in found) and not _sends_json(request):
+        return _ours(request, RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, _NOT_JSON))
     faults = [_fault(one) for one in list(found)[:_MOST_FAULTS]]
     return problem_response(
         HTTPStatus.UNPROCESSABLE_ENTITY, path=request.url.path, detail=_sentence(faults), errors=faults
     )
 
 
+def _sends_json(request: Request) -> bool:
+    media_type = request.headers.get("content-type", "application/json").partition(";")[0].strip().lower()
+    return media_type == "application/json" or media_type.endswith("+json")
+
+
 def _http(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, UnreadError):
+        return error.response(request.url.path)
     known = error if isinstance(error, HTTPException) else HTTPException(500)
     status = HTTPStatus(known.status_code)
     return problem_response(status, path=request.url.path, detail=str(known.detail), headers=known.headers)

@@ -55,6 +55,17 @@ class Calibrations(BaseModel):
     next: Next
 
 
+class Decision(Asked):
+    """What a person decides, and why."""
+
+    reason: str = Field(
+        min_length=1,
+        max_length=500,
+        description="Why, in words; kept in the record.",
+        examples=["the dome was cleaned"],
+    )
+
+
 class EventOut(BaseModel):
     """Something that happened."""
 

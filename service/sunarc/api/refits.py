@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import hmac
 from dataclasses import asdict
-from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from sunarc.api.fields import MOST_ROWS
 from sunarc.api.pages import Cursor, page_at
-from sunarc.api.problems import Fault, RefusedError, answers
+from sunarc.api.problems import answers
 from sunarc.api.record_schemas import RefitOut, RefitRequest, Refits
 from sunarc.api.served import Served
+from sunarc.api.tokens import changing_needs
 from sunarc.archive import Refit
 from sunarc.errors import NotFoundError
 
@@ -22,11 +21,11 @@ def refit_routes(served: Served) -> APIRouter:
     """Return the routes that ask for refits and follow them."""
     routes = APIRouter(tags=["refits"])
 
-    def with_token(request: Request) -> None:
-        _require_token(request.headers.get("authorization", ""), served.token)
-
     @routes.post(
-        "/refits", status_code=202, dependencies=[Depends(with_token)], responses=answers(400, 401, 403, 413, 422)
+        "/refits",
+        status_code=202,
+        dependencies=[Depends(changing_needs(served.token))],
+        responses=answers(400, 403, 408, 413, 415, 422),
     )
     def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> RefitOut:
         """Ask for a refit with all sightings; the answer says where to follow it."""
@@ -57,18 +56,3 @@ def refit_routes(served: Served) -> APIRouter:
 
 def _out(refit: Refit) -> RefitOut:
     return RefitOut(**asdict(refit))
-
-
-def _require_token(authorization: str, token: bytes | None) -> None:
-    if token is None:
-        raise RefusedError(
-            HTTPStatus.FORBIDDEN,
-            Fault(field="authorization", problem="nothing can be changed here", remedy="set api.token_file"),
-        )
-    scheme, _, given = authorization.partition(" ")
-    if scheme.lower() != "bearer" or not hmac.compare_digest(given.strip().encode("utf-8", "replace"), token):
-        raise RefusedError(
-            HTTPStatus.UNAUTHORIZED,
-            Fault(field="authorization", problem="no token, or a wrong one", remedy="send Authorization: Bearer …"),
-            headers={"www-authenticate": "Bearer"},
-        )

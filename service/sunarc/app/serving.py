@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import cast
 
 import uvicorn
 
-from sunarc.api import create_app
+from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener
 from sunarc.app.service import Service
 from sunarc.archive import ImageStore, open_archive, upgrade
@@ -19,9 +23,10 @@ from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
 from sunarc.settings import Settings
 from sunarc.supervisor import Supervisor
-from sunarc.systemd import Notifier, notifier_from, watchdog_interval_s
+from sunarc.systemd import Notifier, credential, notifier_from, watchdog_interval_s
 
 _STOP_WITHIN_S = 4.0
+_KEEP_ALIVE_S = 20
 
 
 def serve(settings: Settings) -> int:
@@ -51,6 +56,7 @@ def serve(settings: Settings) -> int:
 
 
 def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.Server:
+    options = _with_credentials(service.settings.api)
     app = create_app(
         archive=service.archive,
         camera=service.settings.name,
@@ -59,11 +65,31 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,
         latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
-        options=service.settings.api,
+        options=options,
     )
     return _Server(
-        uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1, server_header=False),
+        uvicorn.Config(
+            app,
+            http=cast("type[asyncio.Protocol]", partial(BoundedConnection, options)),
+            ws="none",
+            log_level="warning",
+            access_log=False,  # addresses and queries are nobody's business
+            timeout_keep_alive=_KEEP_ALIVE_S,
+            timeout_graceful_shutdown=1,
+            server_header=False,
+            proxy_headers=True,  # for whom a proxy on loopback asks; nobody else is believed
+            forwarded_allow_ips=["127.0.0.1", "::1"],
+        ),
         on_started=on_started,
+    )
+
+
+def _with_credentials(options: ApiOptions) -> ApiOptions:
+    """Return the options with the tokens that systemd holds, where no file is set."""
+    return replace(
+        options,
+        token_file=options.token_file or credential(os.environ, "api-token"),
+        read_token_file=options.read_token_file or credential(os.environ, "api-read-token"),
     )
 
 

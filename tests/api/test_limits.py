@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+import uvicorn
+from starlette.types import Receive, Scope, Send
+from tests.api.test_problems import check_shape
+
+from sunarc.api import ApiOptions, BoundedConnection
+from sunarc.api.limits import Allowances, Limits
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+AWAY = "192.0.2.7"
+
+
+def test_a_bucket_holds_a_burst_and_fills_steadily() -> None:
+    allowances = Allowances(per_s=2.0, burst=3)
+    assert [allowances.take("a", 1.0, now_s=0.0) for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
+    assert allowances.take("b", 1.0, now_s=0.0) == 0.0
+    assert allowances.take("a", 1.0, now_s=0.49) > 0.0
+    assert allowances.take("a", 1.0, now_s=0.51) == 0.0
+    assert [allowances.take("a", 1.0, now_s=1e6) for _ in range(4)][:3] == [0.0, 0.0, 0.0]
+
+
+def test_the_memory_of_clients_is_bounded() -> None:
+    allowances = Allowances(per_s=1.0, burst=1)
+    for number in range(20_000):
+        allowances.take(str(number), 1.0, now_s=0.0)
+    assert len(allowances._left) == 4096
+    assert allowances.take("19999", 1.0, now_s=0.0) > 0.0
+
+
+def test_who_asks_too_much_is_told_when_to_come_back(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(requests_per_s=0.5, burst=3)
+    statuses = [made.client_at(AWAY).get("/v1/days").status_code for _ in range(4)]
+    assert statuses == [200, 200, 200, 429]
+    answer = made.client_at(AWAY).get("/v1/days")
+    check_shape(answer, 429, "/v1/days")
+    assert 1 <= int(answer.headers["retry-after"]) <= 2
+    assert made.client_at("192.0.2.8").get("/v1/days").status_code == 200
+    assert made.client_at(AWAY).get("/healthz").status_code == 200
+
+
+def test_a_network_of_ipv6_counts_as_one_client_and_the_host_itself_not_at_all(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(requests_per_s=0.001, burst=2)
+    addresses = [f"2001:db8::{number:x}" for number in range(1, 4)]
+    assert [made.client_at(one).get("/v1/days").status_code for one in addresses] == [200, 200, 429]
+    for address in ("127.0.0.1", "::1"):
+        assert {made.client_at(address).get("/v1/days").status_code for _ in range(5)} == {200}
+
+
+def test_guessing_tokens_uses_up_what_a_client_may_ask(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(requests_per_s=0.001, burst=100)
+    wrong = {"authorization": "Bearer wrong wrong wrong wrong"}
+    statuses = [made.client_at(AWAY).post("/v1/refits", headers=wrong).status_code for _ in range(6)]
+    assert statuses == [401, 401, 401, 401, 401, 429]
+
+
+def test_more_at_once_than_can_be_answered_is_refused() -> None:
+    gate, told = asyncio.Event(), []
+
+    async def slow(_scope: Scope, _receive: Receive, send: Send) -> None:
+        await gate.wait()
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def asking() -> None:
+        limits = Limits(slow, per_s=0.0, burst=1, at_once=2)
+
+        async def send(message: Any) -> None:  # noqa: ANN401 - of ASGI
+            if message["type"] == "http.response.start":
+                told.append(message["status"])
+
+        scope = {"type": "http", "path": "/v1/sun", "method": "GET", "headers": [], "client": (AWAY, 1)}
+        waiting = [asyncio.create_task(limits(scope, cast("Receive", None), send)) for _ in range(2)]
+        await asyncio.sleep(0)
+        await limits(scope, cast("Receive", None), send)
+        assert told == [503]
+        gate.set()
+        await asyncio.gather(*waiting)
+        await limits(scope, cast("Receive", None), send)
+
+    asyncio.run(asking())
+    assert told == [503, 200, 200, 200]
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(request_within_s=0.2)
+
+    async def trickling() -> AsyncIterator[bytes]:
+        for _ in range(100):
+            yield b" "
+            await asyncio.sleep(0.05)
+
+    answer = made.client.post("/v1/back-project", content=trickling(), headers={"content-type": "application/json"})
+    check_shape(answer, 408, "/v1/back-project")
+    assert answer.headers["connection"] == "close"
+
+
+async def _large(scope: Scope, _receive: Receive, send: Send) -> None:
+    """Answer at once, or with more than any buffer holds."""
+    if scope["type"] != "http":
+        return
+    size = 50_000_000 if scope["path"] == "/large" else 2
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", str(size).encode())]})
+    await send({"type": "http.response.body", "body": b"x" * size})
+
+
+@contextmanager
+def serving(**options: Any) -> Iterator[tuple[uvicorn.Server, int]]:  # noqa: ANN401 - of ApiOptions
+    http = cast("Any", partial(BoundedConnection, ApiOptions(**options)))
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        config = uvicorn.Config(_large, http=http, lifespan="off", log_level="error", timeout_keep_alive=60)
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+        thread.start()
+        try:
+            yield server, listening.getsockname()[1]
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+def connect(port: int) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=10.0)
+
+
+def ask(connection: socket.socket, path: str = "/") -> bytes:
+    connection.sendall(f"GET {path} HTTP/1.1\r\nhost: x\r\n\r\n".encode())
+    return connection.recv(12)
+
+
+def ended(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.mark.parametrize("head", [b"", b"GET / HTTP/1.1\r\nhost:"])
+def test_a_head_that_does_not_come_is_not_waited_for(head: bytes) -> None:
+    with serving(request_within_s=0.3) as (_, port), connect(port) as connection:
+        connection.sendall(head)
+        assert ended(connection)
+
+
+def test_a_connection_that_asks_in_time_stays_open() -> None:
+    with serving(request_within_s=0.3) as (_, port), connect(port) as connection:
+        assert ask(connection) == b"HTTP/1.1 200"
+        threading.Event().wait(0.6)
+        connection.recv(1000)
+        assert ask(connection) == b"HTTP/1.1 200"
+
+
+def test_an_answer_that_is_not_taken_is_given_up() -> None:
+    with serving(request_within_s=0.3) as (server, port), connect(port) as connection:
+        assert ask(connection, "/large") == b"HTTP/1.1 200"
+        for _ in range(50):
+            if not server.server_state.connections:
+                break
+            threading.Event().wait(0.1)
+        assert not server.server_state.connections
+
+
+def test_of_too_many_connections_the_longest_idle_one_makes_room() -> None:
+    with serving(max_connections=5) as (server, port):
+        idle = [connect(port) for _ in range(20)]
+        with connect(port) as last:
+            assert ask(last) == b"HTTP/1.1 200"
+            assert len(server.server_state.connections) <= 5
+            assert ended(idle[0])
+            for connection in idle:
+                connection.close()
+
+
+def test_what_is_no_http_is_refused_in_the_shape_of_all_refusals() -> None:
+    with serving() as (_, port), connect(port) as connection:
+        connection.sendall(b"nonsense\r\n\r\n")
+        told = b""
+        while more := connection.recv(4096):
+            told += more
+    assert told.startswith(b"HTTP/1.1 400")
+    assert b"application/problem+json" in told
+    assert b"urn:sunarc:problem:malformed" in told
