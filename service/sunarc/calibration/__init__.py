@@ -2,8 +2,9 @@
 
 Map: `points` what is given · `options` what may be chosen · `calibrate` the way through · `start`, `initial` the first
 camera · `priors`, `problem`, `solve` the most probable one · `loss`, `noise`, `bins` how much a sighting counts ·
-`field`, `evidence`, `scales`, `robust` the service's method · `covariance` how sure one is · `metrics`, `backward`,
-`verdict`, `acceptance` what it is worth · `days` what a day is worth · `circle` the image circle · `document` its JSON.
+`field`, `evidence`, `scales`, `robust` the service's method · `covariance` how sure one is · `lookup`, `maps` many
+pixels at once · `metrics`, `backward`, `verdict`, `acceptance` what it is worth · `days` what a day is worth ·
+`circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement
@@ -20,6 +21,7 @@ from sunarc.calibration.covariance import (
 from sunarc.calibration.days import DayMeasure, DayOptions, DayVerdict, decide_day, measure_day, smooth_arc
 from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.field import Field, WaveBasis
+from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
@@ -27,6 +29,8 @@ from sunarc.calibration.points import SunPoints
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 
 __all__ = [
+    "BACK_PROJECTED",
+    "PROJECTED",
     "SCHEMA",
     "BackProjectionMap",
     "BackwardModel",
@@ -39,6 +43,7 @@ __all__ = [
     "Field",
     "ImageCircle",
     "LensTolerances",
+    "Lookup",
     "Method",
     "Metrics",
     "PaperOptions",
@@ -56,6 +61,7 @@ __all__ = [
     "fit_backward",
     "from_document",
     "hemisphere",
+    "lookup",
     "measure_day",
     "measures",
     "project_with_covariance",

@@ -41,18 +41,27 @@ _POLAR = 1.55
 """Latitude in radians beyond which east has no meaning."""
 
 
-class _Uncertain(Protocol):
+class Uncertain(Protocol):
+    """A camera, and how sure one is of it."""
+
     @property
-    def camera(self) -> Camera: ...
+    def camera(self) -> Camera:
+        """The camera."""
+
     @property
-    def parameter_names(self) -> tuple[str, ...]: ...
+    def parameter_names(self) -> tuple[str, ...]:
+        """What the covariance speaks of, in its order."""
+
     @property
-    def covariance(self) -> FloatArray: ...
+    def covariance(self) -> FloatArray:
+        """(p, p) of the parameters."""
+
     @property
-    def field(self) -> Field: ...
+    def field(self) -> Field:
+        """What no lens model says."""
 
 
-def project_with_covariance(calibration: _Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Project directions and say how sure one is of the pixels.
 
     Parameters
@@ -71,7 +80,7 @@ def project_with_covariance(calibration: _Uncertain, directions: ArrayLike) -> t
     return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
 
 
-def _predicted(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return pixels (n, 2), their covariance (n, 2, 2), and derivatives by the direction (n, 2, 3)."""
     pixels, covariance = np.empty((directions.shape[0], 2)), np.empty((directions.shape[0], 2, 2))
     by_direction = np.empty((directions.shape[0], 2, 3))
@@ -81,7 +90,7 @@ def _predicted(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatAr
     return pixels, covariance, by_direction
 
 
-def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
     chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
     rows = np.ascontiguousarray(by_parameters[..., chosen])
@@ -99,7 +108,7 @@ def _chunk(calibration: _Uncertain, directions: FloatArray) -> tuple[FloatArray,
     return pixels, covariance, by_parameters[..., 8:11] @ rotation_matrix(calibration.camera.rotation_cam_enu)
 
 
-def unproject_with_sigma(calibration: _Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
+def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Say where pixels look, and how sure one is.
 
     Parameters
@@ -123,16 +132,36 @@ def unproject_with_sigma(calibration: _Uncertain, pixels: ArrayLike) -> tuple[Fl
     return directions, sigma, inside
 
 
-def sigma_deg(calibration: _Uncertain, directions: FloatArray) -> FloatArray:
+def sigma_deg(calibration: Uncertain, directions: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma per axis on the sphere of directions (n, 3), degrees."""
+    return uncertainties(calibration, directions)[1]
+
+
+def uncertainties(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return covariances (n, 2, 2) in px² and 1-sigma per axis on the sphere (n,) in degrees of directions (n, 3)."""
     _, covariance, by_direction = _predicted(calibration, directions)
-    stretch = by_direction @ tangent_basis(directions)
+    on_sky = _on_sky(covariance, by_direction @ tangent_basis(directions))
+    with np.errstate(invalid="ignore"):
+        half_trace = np.maximum(0.5 * np.trace(on_sky, axis1=-2, axis2=-1), 0.0)
+    return covariance, np.degrees(np.sqrt(half_trace))
+
+
+def direction_covariance(camera: Camera, directions: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return (n, 3, 3): covariances of unit vectors (n, 3), whose pixels have the covariances (n, 2, 2) px²."""
+    _, by_parameters = project_with_rows_fast(camera, directions)
+    basis = tangent_basis(directions)
+    stretch = by_parameters[..., 8:11] @ rotation_matrix(camera.rotation_cam_enu) @ basis
+    return np.asarray(basis @ _on_sky(covariance, stretch) @ np.swapaxes(basis, -1, -2))
+
+
+def _on_sky(covariance: FloatArray, stretch: FloatArray) -> FloatArray:
+    """Return (n, 2, 2) rad² on the tangent plane, from px² and px per radian; NaN where the lens hardly stretches."""
     (a, b), (c, d) = np.moveaxis(stretch, 0, -1)
     determinant = a * d - b * c
     with np.errstate(invalid="ignore", divide="ignore"):
-        adjoint = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0) / determinant[:, None, None]
-        half_trace = 0.5 * np.einsum("nij,njk,nik->n", adjoint, covariance, adjoint, optimize=True)
-        return np.where(np.abs(determinant) > 1e-9, np.degrees(np.sqrt(np.maximum(half_trace, 0.0))), np.nan)
+        inverse = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0) / determinant[:, None, None]
+        on_sky = inverse @ covariance @ np.swapaxes(inverse, -1, -2)
+        return np.where((np.abs(determinant) > 1e-9)[:, None, None], on_sky, np.nan)
 
 
 def sigma_px(covariance: FloatArray) -> FloatArray:
@@ -149,7 +178,7 @@ def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
     return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), up], axis=-1)
 
 
-def sky_sigma_deg(calibration: _Uncertain) -> tuple[float, float]:
+def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees."""
     directions = hemisphere()
     pixels = project(calibration.camera, directions)
