@@ -15,6 +15,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.staticfiles import StaticFiles
 
 import sunarc
+from sunarc.api.arrays import Gate
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
@@ -28,7 +29,7 @@ from sunarc.api.problems import add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
 from sunarc.api.schema import describe
-from sunarc.api.served import Served
+from sunarc.api.served import CurrentRecords, Served
 from sunarc.api.sun import sun_routes
 from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit
@@ -70,6 +71,7 @@ def create_app(
     """
     served = Served(
         archive=archive,
+        current=CurrentRecords(archive),
         camera=camera,
         site=site,
         status=status,
@@ -111,15 +113,27 @@ def _add_guards(app: FastAPI, served: Served) -> None:
             allow_origins=list(options.cors_origins),
             allow_methods=["GET", "POST"],
             allow_headers=["authorization", "content-type", "if-none-match"],
-            expose_headers=["etag", "location", "retry-after"],
+            expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
         )
-    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, within_s=options.request_within_s)
+    app.add_middleware(
+        Boundary,
+        max_body_bytes=options.max_body_bytes,
+        max_array_bytes=options.max_array_bytes,
+        within_s=options.request_within_s,
+    )
 
 
 def _add_camera_routes(app: FastAPI, served: Served) -> None:
     """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
-    for routes in (calibration_routes, decision_routes, direction_routes, sun_routes, record_routes, refit_routes):
-        of_camera = routes(served)
+    gate = Gate(served.options.max_large_at_once)
+    for of_camera in (
+        calibration_routes(served),
+        decision_routes(served),
+        direction_routes(served, gate),
+        sun_routes(served),
+        record_routes(served),
+        refit_routes(served),
+    ):
         app.include_router(of_camera, prefix="/v1")
         app.include_router(
             of_camera, prefix="/v1/cameras/{camera}", dependencies=[Depends(_named)], responses=answers(404, 422)

@@ -8,6 +8,7 @@ from http import HTTPStatus
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from sunarc.api.arrays import NPY
 from sunarc.api.problems import Fault, UnreadError
 
 _HEADERS = {
@@ -31,12 +32,14 @@ class Boundary:
     ----------
     app : what is behind it.
     max_body_bytes : a larger body is refused, before it is read where it announces its size.
+    max_array_bytes : likewise, of .npy.
     within_s : a body that is not there after so many seconds is refused.
     """
 
-    def __init__(self, app: ASGIApp, *, max_body_bytes: int, within_s: float) -> None:
+    def __init__(self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int, within_s: float) -> None:
         self._app = app
         self._max_body_bytes = max_body_bytes
+        self._max_array_bytes = max_array_bytes
         self._within_s = within_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -45,18 +48,16 @@ class Boundary:
             await self._app(scope, receive, send)
             return
         guarded = _with_headers(send)
-        if _announced_bytes(scope) > self._max_body_bytes:
-            await self._too_large().response(scope["path"])(scope, receive, guarded)
+        most = self._max_array_bytes if _is_array(scope) else self._max_body_bytes
+        if _announced_bytes(scope) > most:
+            await _too_large(most).response(scope["path"])(scope, receive, guarded)
             return
-        await self._app(scope, self._counted(receive), guarded)
-
-    def _too_large(self) -> UnreadError:
-        return _refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {self._max_body_bytes} bytes")
+        await self._app(scope, self._counted(receive, most), guarded)
 
     def _too_slow(self) -> UnreadError:
         return _refused(HTTPStatus.REQUEST_TIMEOUT, f"not there within {self._within_s:g} s")
 
-    def _counted(self, receive: Receive) -> Receive:
+    def _counted(self, receive: Receive, most: int) -> Receive:
         """Stop reading a body that does not announce its size, or does not come."""
         read, more, end_s = 0, True, asyncio.get_running_loop().time() + self._within_s
 
@@ -70,8 +71,8 @@ class Boundary:
             except TimeoutError:
                 raise self._too_slow() from None
             read, more = read + len(message.get("body", b"")), message.get("more_body", False)
-            if read > self._max_body_bytes:
-                raise self._too_large()
+            if read > most:
+                raise _too_large(most)
             return message
 
         return counting
@@ -79,6 +80,14 @@ class Boundary:
 
 def _refused(status: HTTPStatus, problem: str) -> UnreadError:
     return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))
+
+
+def _too_large(most: int) -> UnreadError:
+    return _refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {most} bytes")
+
+
+def _is_array(scope: Scope) -> bool:
+    return Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower() == NPY
 
 
 def _announced_bytes(scope: Scope) -> int:

@@ -1,94 +1,109 @@
-"""Routes: from pixels to directions and back."""
+"""Routes: from pixels to directions and back, one or a million at once."""
 
 from __future__ import annotations
 
-import math
-from http import HTTPStatus
 from typing import Any
 
 import numpy as np
 from fastapi import APIRouter, Request
+from fastapi.responses import Response
 from numpy.typing import NDArray
 
+from sunarc.api.arrays import Gate, Rows, require_few
+from sunarc.api.computing import Answering, Computation, body_of, compute, read_asked, rows_told
 from sunarc.api.fields import Time
-from sunarc.api.problems import Fault, RefusedError, answers
+from sunarc.api.problems import answers
 from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.served import Served
-from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px, unproject_with_sigma
-from sunarc.sky import angles_from_direction, direction_from_angles
+from sunarc.calibration import BACK_PROJECTED, PROJECTED
+from sunarc.sky import direction_from_angles
 
 FloatArray = NDArray[np.float64]
 
 
-def direction_routes(served: Served) -> APIRouter:
+def direction_routes(served: Served, gate: Gate) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
+    failures = answers(404, 408, 413, 415, 422)
 
-    @routes.post("/back-project", responses=answers(400, 404, 408, 413, 415, 422))
-    def back_project(request: Request, asked: BackProjectRequest, at: Time | None = None) -> BackProjectAnswer:
+    @routes.post(
+        "/back-project",
+        response_model=BackProjectAnswer,
+        responses=rows_told(BACK_PROJECTED) | failures,
+        openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
+    )
+    async def back_project(request: Request, at: Time | None = None) -> Response:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
-        _require_few(len(asked.pixels), most=served.options.max_points, field="pixels")
-        record = served.of(request).record(at)
-        pixels = np.array(asked.pixels, dtype=np.float64).reshape(-1, 2)
-        return _back_projected(served.parsed.get(record), pixels, record.id)
+        return await compute(_BACK_PROJECTION, served, gate, request, at)
 
-    @routes.post("/project", responses=answers(400, 404, 408, 413, 415, 422))
-    def project(request: Request, asked: ProjectRequest, at: Time | None = None) -> ProjectAnswer:
+    @routes.post(
+        "/project",
+        response_model=ProjectAnswer,
+        responses=rows_told(PROJECTED) | failures,
+        openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
+    )
+    async def project(request: Request, at: Time | None = None) -> Response:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
-        directions = _directions(asked)
-        _require_few(len(directions), most=served.options.max_points, field="directions")
-        record = served.of(request).record(at)
-        return _projected(served.parsed.get(record), directions, record.id)
+        return await compute(_PROJECTION, served, gate, request, at)
 
     return routes
 
 
-def _back_projected(calibration: Calibration, pixels: FloatArray, calibration_id: str) -> BackProjectAnswer:
-    with np.errstate(all="ignore"):  # what lies beyond all bounds is answered with null
-        directions, sigma, inside = unproject_with_sigma(calibration, pixels)
-    zenith, azimuth = angles_from_direction(directions)
-    return BackProjectAnswer(
-        calibration=calibration_id,
-        zenith_deg=_numbers(zenith),
-        azimuth_deg=_numbers(azimuth),
-        direction_enu=_rows(directions),
-        sigma_deg=_numbers(sigma),
-        inside=inside.tolist(),
-    )
+def read_pixels(body: bytes, most: int) -> FloatArray:
+    """Return the pixels (n, 2) that a JSON body holds."""
+    pixels = read_asked(BackProjectRequest, body).pixels
+    require_few(len(pixels), most=most, field="pixels")
+    return np.array(pixels, dtype=np.float64).reshape(-1, 2)
 
 
-def _projected(calibration: Calibration, directions: FloatArray, calibration_id: str) -> ProjectAnswer:
-    pixels, covariance = project_with_covariance(calibration, directions)
-    return ProjectAnswer(
-        calibration=calibration_id,
-        pixels=_rows(pixels),
-        sigma_px=_numbers(sigma_px(covariance)),
-        covariance_px2=_rows(covariance),
-        inside=camera_sees(calibration.camera, pixels).tolist(),
-    )
+def known_rows(rows: Rows) -> list[Any]:
+    """Return rows as lists, None for one that holds no number."""
+    if np.all(np.isfinite(rows)):
+        return list(rows.tolist())
+    known = np.all(np.isfinite(rows), axis=1)
+    return [row if finite else None for row, finite in zip(rows.tolist(), known, strict=True)]
 
 
-def _directions(asked: ProjectRequest) -> FloatArray:
-    if asked.direction_enu is None:
-        return direction_from_angles(zenith_deg=asked.zenith_deg or [], azimuth_deg=asked.azimuth_deg or [])
-    vectors = np.array(asked.direction_enu, dtype=np.float64).reshape(-1, 3)
-    scaled = vectors / np.max(np.abs(vectors), axis=-1, keepdims=True)  # the squares of tiny or huge ones would fail
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+def _tell_directions(rows: Rows) -> dict[str, Any]:
+    return {
+        "zenith_deg": rows[:, 0].tolist(),
+        "azimuth_deg": rows[:, 1].tolist(),
+        "direction_enu": known_rows(rows[:, 2:5]),
+        "sigma_deg": rows[:, 5].tolist(),
+        "inside": (rows[:, 6] == 1.0).tolist(),
+    }
 
 
-def _require_few(count: int, *, most: int, field: str) -> None:
-    if count > most:
-        raise RefusedError(
-            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-            Fault(field=field, problem=f"{count} at once, more than {most}", remedy="ask in parts"),
-        )
+def _read_directions(body: bytes, most: int) -> FloatArray:
+    asked = read_asked(ProjectRequest, body)
+    if asked.direction_enu is not None:
+        require_few(len(asked.direction_enu), most=most, field="directions")
+        return np.array(asked.direction_enu, dtype=np.float64).reshape(-1, 3)
+    require_few(len(asked.zenith_deg or []), most=most, field="directions")
+    return direction_from_angles(zenith_deg=asked.zenith_deg or [], azimuth_deg=asked.azimuth_deg or [])
 
 
-def _numbers(values: FloatArray) -> list[float | None]:
-    return [value if math.isfinite(value) else None for value in values.tolist()]
+def _back_project(answering: Answering, pixels: Rows) -> Rows:
+    return answering.ready.back_project(pixels)
 
 
-def _rows(values: FloatArray) -> list[Any]:
-    """Return rows of any shape, None for one that holds no number."""
-    known = np.all(np.isfinite(values), axis=tuple(range(1, values.ndim)))
-    return [row if finite else None for row, finite in zip(values.tolist(), np.atleast_1d(known), strict=True)]
+def _project(answering: Answering, vectors: Rows) -> Rows:
+    with np.errstate(all="ignore"):  # a vector of length 0 has no direction, and its pixel no number
+        scaled = vectors / np.max(np.abs(vectors), axis=-1, keepdims=True)  # squares of tiny or huge ones would fail
+        return answering.ready.project(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+
+
+def _tell_pixels(rows: Rows) -> dict[str, Any]:
+    covariance = [None if row is None else [row[:2], row[1:]] for row in known_rows(rows[:, 3:6])]
+    return {
+        "pixels": known_rows(rows[:, :2]),
+        "sigma_px": rows[:, 2].tolist(),
+        "covariance_px2": covariance,
+        "inside": (rows[:, 6] == 1.0).tolist(),
+    }
+
+
+_BACK_PROJECTION = Computation(
+    read=read_pixels, columns=(2,), answer=_back_project, told=BACK_PROJECTED, tell=_tell_directions
+)
+_PROJECTION = Computation(read=_read_directions, columns=(3,), answer=_project, told=PROJECTED, tell=_tell_pixels)

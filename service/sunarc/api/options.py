@@ -7,6 +7,17 @@ from pathlib import Path
 
 from sunarc.errors import InputError
 
+_COUNTS = (
+    "max_body_bytes",
+    "max_array_bytes",
+    "max_points",
+    "max_rows",
+    "max_large_at_once",
+    "max_connections",
+    "max_at_once",
+    "burst",
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiOptions:
@@ -19,7 +30,11 @@ class ApiOptions:
     read_token_file : likewise, for reading; None: whoever reaches the port may read.
     cors_origins : other sites whose pages may ask this service from a browser ("https://forecast.example").
     max_body_bytes : a larger request is refused (413).
-    max_points : more pixels or directions in one request are refused (413).
+    max_array_bytes : a larger request of .npy is refused (413).
+    max_points : more pixels or directions in one request of JSON are refused (413).
+    max_rows : more of them in one request of .npy are refused (413).
+    max_large_at_once : large requests (of .npy, of long JSON, of exports that are to be made) that are answered at the
+        same time; more are refused (429).
     max_connections : open connections; of more, the one that was idle longest is closed.
     max_at_once : requests being answered; more are refused (503).
     requests_per_s, burst : of one address, in the long run and after a pause; more are refused (429). Loopback is not
@@ -33,7 +48,10 @@ class ApiOptions:
     read_token_file: Path | None = None
     cors_origins: tuple[str, ...] = ()
     max_body_bytes: int = 8_000_000
+    max_array_bytes: int = 100_000_000
     max_points: int = 100_000
+    max_rows: int = 4_000_000
+    max_large_at_once: int = 4
     max_connections: int = 512
     max_at_once: int = 128
     requests_per_s: float = 100.0
@@ -44,7 +62,7 @@ class ApiOptions:
         """Refuse what cannot be served."""
         if not 0 <= self.port <= 65_535:
             raise InputError(field="api.port", problem=f"{self.port} is no port", remedy="give 0 to 65535")
-        for name in ("max_body_bytes", "max_points", "max_connections", "max_at_once", "burst"):
+        for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise InputError(field=f"api.{name}", problem="not positive", remedy="give a number of at least 1")
         if self.requests_per_s < 0.0:

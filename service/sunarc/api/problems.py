@@ -19,7 +19,11 @@ MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
 _log = logging.getLogger(__name__)
 
-_PROBLEMS = {"json_invalid": "is not JSON", "model_attributes_type": "is not a JSON object"}
+_PROBLEMS = {
+    "json_invalid": "is not JSON",
+    "model_attributes_type": "is not a JSON object",
+    "model_type": "is not a JSON object",
+}
 _REMEDIES = {
     "missing": "add it",
     "extra_forbidden": "remove it or correct its spelling",
@@ -29,6 +33,7 @@ _REMEDIES = {
     "tuple_type": "give a list",
     "json_invalid": "send a JSON document",
     "model_attributes_type": "send a JSON object, with its content type",
+    "model_type": "send a JSON object",
 }
 _REMEDY = "see /openapi.json for what is expected"
 

@@ -6,15 +6,25 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from pydantic.json_schema import models_json_schema
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from sunarc.api.problems import Fault, Problem, answers
+from sunarc.api.schemas import BackProjectRequest, ProjectRequest
 
 _DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun.
 
 Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
 azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.
 A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer."""
+
+_OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
+    (Problem, "serialization"),
+    (Fault, "serialization"),
+    (BackProjectRequest, "validation"),
+    (ProjectRequest, "validation"),
+)
+"""Shapes that no route's signature names."""
 
 
 def describe(app: FastAPI) -> None:
@@ -31,11 +41,11 @@ def describe(app: FastAPI) -> None:
 def _document(app: FastAPI) -> dict[str, Any]:
     document = get_openapi(title=app.title, version=app.version, description=_DESCRIPTION, routes=app.routes)
     template = "#/components/schemas/{model}"
-    _, problem = models_json_schema([(Problem, "serialization"), (Fault, "serialization")], ref_template=template)
+    _, others = models_json_schema([*_OTHERS], ref_template=template)
     schemas = document["components"]["schemas"]
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
-    schemas |= problem["$defs"]
+    schemas |= others["$defs"]
     for path in document["paths"].values():
         for operation in path.values():
             _only_problems(operation["responses"])

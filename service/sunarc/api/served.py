@@ -8,36 +8,78 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, Refit
 from sunarc.board import StatusSnapshot
-from sunarc.calibration import Calibration, from_document
+from sunarc.calibration import Calibration, Lookup, from_document, lookup
 from sunarc.errors import InputError, NotFoundError
 from sunarc.sky import Site
 
-_MOST_PARSED = 16
+_MOST_KEPT = 8
+
+Value = TypeVar("Value")
 
 
-class ParsedCalibrations:
-    """The calibrations that were asked for lately, ready to compute with; parsing one is slower than using it."""
+class Kept(Generic[Value]):
+    """What was made of the calibrations that were asked for lately: made once, however many ask at the same time.
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._parsed: OrderedDict[str, Calibration] = OrderedDict()
+    Parameters
+    ----------
+    make : makes it; a model never changes under one id.
+    """
 
-    def get(self, record: CalibrationRecord) -> Calibration:
-        """Return the calibration of a record; its model never changes under one id."""
-        with self._lock:
-            found = self._parsed.get(record.id)
+    def __init__(self, make: Callable[[CalibrationRecord], Value]) -> None:
+        self._make = make
+        self._turn = threading.Lock()
+        self._kept: OrderedDict[str, Value] = OrderedDict()
+
+    def known(self, record: CalibrationRecord | None) -> Value | None:
+        """Return what is there already, at once."""
+        return None if record is None else self._kept.get(record.id)
+
+    def get(self, record: CalibrationRecord) -> Value:
+        """Return what is made of a record; it may have to be made."""
+        with self._turn:
+            found = self._kept.get(record.id)
             if found is None:
-                found = self._parsed[record.id] = from_document(record.document)
-            self._parsed.move_to_end(record.id)
-            while len(self._parsed) > _MOST_PARSED:
-                self._parsed.popitem(last=False)
+                found = self._kept[record.id] = self._make(record)
+            self._kept.move_to_end(record.id)
+            while len(self._kept) > _MOST_KEPT:
+                self._kept.popitem(last=False)
             return found
+
+
+class CurrentRecords:
+    """The current calibrations, as last read; read again after anything was written to the archive.
+
+    Parameters
+    ----------
+    archive : where they are.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._known: dict[str, tuple[int, CalibrationRecord | None]] = {}
+
+    def get(self, camera: str) -> CalibrationRecord | None:
+        """Return the calibration of a camera that answers now; None without one."""
+        revision = self._archive.revision()
+        kept = self._known.get(camera)
+        if kept is None or kept[0] != revision:
+            kept = self._known[camera] = (revision, self._archive.current_calibration(camera))
+        return kept[1]
+
+
+def _parse(record: CalibrationRecord) -> Calibration:
+    return from_document(record.document)
+
+
+def _make_ready(record: CalibrationRecord) -> Lookup:
+    return lookup(_parse(record))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +95,9 @@ class Served:
     latest_image: Callable[[], Path | None]
     options: ApiOptions
     token: bytes | None = field(repr=False)
-    parsed: ParsedCalibrations = field(default_factory=ParsedCalibrations)
+    current: CurrentRecords
+    parsed: Kept[Calibration] = field(default_factory=lambda: Kept(_parse))
+    ready: Kept[Lookup] = field(default_factory=lambda: Kept(_make_ready))
 
     def of(self, request: Request) -> Served:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""
@@ -70,7 +114,7 @@ class Served:
 
     def record(self, at: datetime | None) -> CalibrationRecord:
         """Return the calibration that answers now, or for the moment `at`; NotFoundError without one."""
-        record = self.archive.current_calibration(self.camera, at=at)
+        record = self.record_or_none(at)
         if record is None:
             when = "is current" if at is None else f"answers for {at.isoformat()}"
             raise NotFoundError(
@@ -91,8 +135,12 @@ class Served:
 
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
         """Return the calibration that answers, in both its forms; None without one."""
-        record = self.archive.current_calibration(self.camera, at=at)
+        record = self.record_or_none(at)
         return None if record is None else (record, self.parsed.get(record))
+
+    def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
+        """Return the calibration that answers; None without one."""
+        return self.current.get(self.camera) if at is None else self.archive.current_calibration(self.camera, at=at)
 
 
 def _refuse_refit(_reason: str) -> Refit:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Engine, Select
 
+from sunarc.archive.changes import Changes
 from sunarc.archive.engine import reading, writing
 
 Value = TypeVar("Value")
@@ -24,11 +25,17 @@ class Store:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self._changes = Changes(engine)
         self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
 
     def close(self) -> None:
         """Close the connections that are not in use."""
+        self._changes.close()
         self._engine.dispose()
+
+    def revision(self) -> int:
+        """Return a number that is another one after anything was written, by whomever; takes microseconds."""
+        return self._changes.count()
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:

@@ -1,0 +1,153 @@
+"""Many rows at once, as numpy writes them (.npy): read whole, answered as they are computed."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from http import HTTPStatus
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from sunarc.api.problems import Fault, RefusedError
+from sunarc.errors import InputError
+
+NPY = "application/x-npy"
+Rows = NDArray[np.float64] | NDArray[np.float32]
+
+_CHUNK = 65_536
+_AHEAD = 2
+_MOST_HEADER_BYTES = 10_000
+_REMEDY = "send what numpy.save writes: two dimensions, float64 or float32, C order"
+
+
+class Gate:
+    """Lets so many large requests in at once, so that memory and processors are bounded.
+
+    Parameters
+    ----------
+    most : how many.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._free = most
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Hold a place; RefusedError (429) when there is none. On the event loop alone."""
+        if self._free < 1:
+            fault = Fault(field="request", problem="too many large requests at once", remedy="ask again in a second")
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+        self._free -= 1
+        try:
+            yield
+        finally:
+            self._free += 1
+
+
+def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
+    """Return the rows of a .npy file; InputError where it is none, RefusedError (413) where it holds too many.
+
+    Parameters
+    ----------
+    body : the file.
+    columns : how many columns it may have.
+    most : so many rows at most.
+    """
+    stream = io.BytesIO(body)
+    try:
+        version = npy.read_magic(stream)
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream, max_header_size=_MOST_HEADER_BYTES)
+    except (ValueError, SyntaxError, TypeError) as error:
+        raise InputError(field="body", problem="is no .npy file", remedy=_REMEDY) from error
+    if dtype.kind != "f" or dtype.itemsize not in (4, 8) or fortran_order or len(shape) != 2:
+        order = "Fortran" if fortran_order else "C"
+        raise InputError(field="body", problem=f"holds {dtype} of shape {shape} in {order} order", remedy=_REMEDY)
+    count, width = shape
+    if width not in columns:
+        wanted = " or ".join(str(number) for number in columns)
+        raise InputError(field="body", problem=f"has {width} columns", remedy=f"give {wanted} columns")
+    require_few(count, most=most, field="body")
+    content = memoryview(body)[stream.tell() :]
+    if len(content) != count * width * dtype.itemsize:
+        raise InputError(field="body", problem=f"is cut short, or longer than its {count} rows", remedy=_REMEDY)
+    return np.frombuffer(content, dtype=dtype).reshape(count, width).astype(dtype.newbyteorder("="), copy=False)
+
+
+def require_few(count: int, *, most: int, field: str) -> None:
+    """Raise RefusedError (413) where there are more than `most`."""
+    if count > most:
+        raise RefusedError(
+            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            Fault(field=field, problem=f"{count} at once, more than {most}", remedy="ask in parts"),
+        )
+
+
+class RowsResponse(Response):
+    """Answers rows with rows, a chunk computed in a thread while another one is being sent.
+
+    Parameters
+    ----------
+    rows : (n, k) what was asked.
+    answer : returns what is told of a chunk, (m, `width`).
+    width : columns of the answer.
+    headers : to send along.
+    held : the place at the gate, left when all is sent.
+    """
+
+    media_type = NPY
+
+    def __init__(
+        self,
+        rows: Rows,
+        answer: Callable[[Rows], Rows],
+        *,
+        width: int,
+        headers: dict[str, str],
+        held: AbstractContextManager[object],
+    ) -> None:
+        self._rows, self._answer, self._held = rows, answer, held
+        self._start = _header(rows.dtype, (rows.shape[0], width))
+        length = len(self._start) + rows.shape[0] * width * rows.dtype.itemsize
+        self.status_code, self.background = 200, None
+        self.init_headers(headers | {"content-length": str(length)})
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 - the protocol's
+        """Send the answer."""
+        with self._held:
+            await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+            await send({"type": "http.response.body", "body": self._start, "more_body": True})
+            async for chunk in self._chunks():
+                await send({"type": "http.response.body", "body": chunk, "more_body": True})
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _chunks(self) -> AsyncIterator[memoryview]:
+        parts = [self._rows[begin : begin + _CHUNK] for begin in range(0, len(self._rows), _CHUNK)]
+        coming: list[asyncio.Task[Rows]] = []
+        try:
+            for part in parts:
+                coming.append(asyncio.create_task(run_in_threadpool(self._answer, part)))
+                if len(coming) > _AHEAD:
+                    yield _bytes(await coming.pop(0))
+            while coming:
+                yield _bytes(await coming.pop(0))
+        finally:
+            for task in coming:
+                task.cancel()
+
+
+def _header(dtype: np.dtype[np.floating], shape: tuple[int, int]) -> bytes:
+    stream = io.BytesIO()
+    npy.write_array_header_1_0(stream, {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape})
+    return stream.getvalue()
+
+
+def _bytes(rows: Rows) -> memoryview:
+    return np.ascontiguousarray(rows).data.cast("B")

@@ -1,0 +1,146 @@
+"""How a question with many rows is read, answered and told: at once when small, in a thread and by turns when large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from http import HTTPStatus
+from typing import Any, TypeVar
+
+import numpy as np
+from fastapi import Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+
+from sunarc.api.arrays import NPY, Gate, Rows, RowsResponse, read_rows
+from sunarc.api.problems import Fault, RefusedError
+from sunarc.api.served import Served
+from sunarc.archive import CalibrationRecord
+from sunarc.calibration import Lookup
+
+FloatArray = NDArray[np.float64]
+Asked = TypeVar("Asked", bound=BaseModel)
+
+_JSON = "application/json"
+_SMALL_BYTES = 4096
+"""A question of this size is answered faster than a thread takes over."""
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answering:
+    """What answers a question.
+
+    Attributes
+    ----------
+    served : of the camera that was asked for.
+    record : its calibration.
+    ready : made ready.
+    moment : that was asked for; now by the frames' time where none was.
+    """
+
+    served: Served
+    record: CalibrationRecord
+    ready: Lookup
+    moment: datetime
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Computation:
+    """One kind of question.
+
+    Attributes
+    ----------
+    read : returns the rows of a JSON body; at most so many.
+    columns : how many columns the rows may have.
+    answer : returns what is told of rows.
+    told : names of the answer's columns.
+    tell : returns what is told of it as JSON.
+    """
+
+    read: Callable[[bytes, int], FloatArray]
+    columns: tuple[int, ...]
+    answer: Callable[[Answering, Rows], Rows]
+    told: tuple[str, ...]
+    tell: Callable[[Rows], dict[str, Any]]
+
+
+async def compute(
+    computation: Computation, served: Served, gate: Gate, request: Request, at: datetime | None
+) -> Response:
+    """Answer a request in kind: JSON with JSON, .npy with .npy."""
+    media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
+    if media_type == NPY:
+        return await _rows(computation, served, gate, request, at)
+    if media_type != _JSON:
+        fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
+        raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
+    body = await request.body()
+    at_once = at is None and "camera" not in request.path_params and len(body) <= _SMALL_BYTES
+    if at_once and served.ready.known(served.record_or_none(None)) is not None:
+        return _json(computation, served, request, body, at)
+    with gate.entered():
+        return await run_in_threadpool(_json, computation, served, request, body, at)
+
+
+def read_asked(model: type[Asked], body: bytes) -> Asked:
+    """Return what a JSON body asks; RequestValidationError, as FastAPI's own, where it is not of the model."""
+    try:
+        return model.model_validate_json(body)
+    except ValidationError as error:
+        faults = error.errors(include_url=False, include_context=False, include_input=False)
+        raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in faults]) from None
+
+
+def body_of(schema: str, rows: str) -> dict[str, Any]:
+    """Return the description of a body that is JSON of a schema, or rows."""
+    content = {_JSON: {"schema": {"$ref": f"#/components/schemas/{schema}"}}, NPY: _BINARY}
+    return {"requestBody": {"required": True, "content": content, "description": f"JSON, or as .npy: {rows}"}}
+
+
+def rows_told(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+    """Return the description of an answer that may be rows."""
+    text = f"What was asked; as .npy, (n, {len(columns)}) in the precision of the question: {', '.join(columns)}."
+    headers = {
+        "Sunarc-Calibration": {"description": "Id of the calibration that answered.", "schema": {"type": "string"}},
+        "Sunarc-Columns": {"description": "Names of the columns of a .npy.", "schema": {"type": "string"}},
+    }
+    return {200: {"description": text, "headers": headers, "content": {NPY: _BINARY}}}
+
+
+def _json(computation: Computation, served: Served, request: Request, body: bytes, at: datetime | None) -> Response:
+    rows = computation.read(body, served.options.max_points)
+    answering = _answering(served, request, at)
+    told = {"calibration": answering.record.id} | computation.tell(computation.answer(answering, rows))
+    content = to_json(told, inf_nan_mode="null")
+    return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
+
+
+async def _rows(
+    computation: Computation, served: Served, gate: Gate, request: Request, at: datetime | None
+) -> Response:
+    with ExitStack() as stack:
+        stack.enter_context(gate.entered())
+        body = await request.body()
+        rows = read_rows(body, columns=computation.columns, most=served.options.max_rows)
+        answering = await run_in_threadpool(_answering, served, request, at)
+        return RowsResponse(
+            rows,
+            partial(computation.answer, answering),
+            width=len(computation.told),
+            headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.told)},
+            held=stack.pop_all(),
+        )
+
+
+def _answering(served: Served, request: Request, at: datetime | None) -> Answering:
+    chosen = served.of(request)
+    record = chosen.record(at)
+    return Answering(served=chosen, record=record, ready=chosen.ready.get(record), moment=at or chosen.frame_clock())

@@ -1,0 +1,39 @@
+"""Whether anything was written since: a question that costs microseconds, so that answers may be kept until then."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+
+from sqlalchemy import Engine
+
+from sunarc.archive.engine import outside_errors
+
+
+class Changes:
+    """A connection of its own to a database, which sees every commit of all others.
+
+    Parameters
+    ----------
+    engine : names the database file.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._turn = threading.Lock()
+        self._connection: sqlite3.Connection | None = None
+
+    def count(self) -> int:
+        """Return a number that is another one after any commit, of this process or another."""
+        with self._turn, outside_errors(self._engine):
+            if self._connection is None:
+                self._connection = sqlite3.connect(f"{self._engine.url.database}", check_same_thread=False)
+            (version,) = self._connection.execute("PRAGMA data_version").fetchone()
+            return int(version)
+
+    def close(self) -> None:
+        """Close the connection; the next question opens another."""
+        with self._turn:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None
