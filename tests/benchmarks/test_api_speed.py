@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import uvicorn
 from fastapi import FastAPI
+from numpy.typing import NDArray
 from tests.api.conftest import NOON, SITE, _archive, fill
 
 from sunarc.api import ApiOptions, create_app
@@ -98,9 +99,12 @@ def test_one_pixel(ours: HTTPConnection, benchmark: Any) -> None:  # noqa: ANN40
 def test_a_million_pixels(ours: HTTPConnection, kind: str, benchmark: Any) -> None:  # noqa: ANN401 - the plug-in's own type
     pixels = np.random.default_rng(0).uniform(300.0, 1400.0, (1_000_000, 2)).astype(kind)
 
-    def asked() -> np.ndarray[Any, Any]:
+    def asked() -> NDArray[np.floating]:
         stream = io.BytesIO()
         np.save(stream, pixels)
-        return np.load(io.BytesIO(_ask(ours, "POST", "/v1/back-project", stream.getvalue(), "application/x-npy")))
+        answer: NDArray[np.floating] = np.load(
+            io.BytesIO(_ask(ours, "POST", "/v1/back-project", stream.getvalue(), "application/x-npy"))
+        )
+        return answer
 
     assert np.all(np.isfinite(benchmark(asked)))
