@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
@@ -15,11 +15,11 @@ from rich.progress import track
 
 from sunarc import __version__, app, doctor, offline
 from sunarc.archive import parse_time
-from sunarc.calibration import CalibrationOptions
 from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, SunarcError
 from sunarc.journal import start_log
+from sunarc.offline.calibrate_command_line import calibrate
 from sunarc.offline.command_line import Config, db_cli, points_cli
 from sunarc.offline.history_command_line import calibrations_cli
 from sunarc.settings import load_settings
@@ -40,6 +40,7 @@ cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
 cli.add_typer(calibrations_cli, name="calibrations")
 cli.add_typer(study_cli, name="study")
+cli.command()(calibrate)
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)]
@@ -196,64 +197,6 @@ def ingest(
 
 
 @cli.command()
-def calibrate(
-    points: Annotated[Path, typer.Argument(help="Sightings: time_utc,x_px,y_px[,sigma_px][,body].")],
-    *,
-    latitude: Latitude,
-    longitude: Longitude,
-    image_size: Annotated[str, typer.Option(help="W,H in px.")],
-    image_circle: Annotated[
-        str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.")
-    ] = None,
-    altitude: Altitude = 0.0,
-    pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
-    temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
-    projection: Annotated[str, typer.Option(help="The lens's ideal projection.")] = "equisolid",
-    method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
-    mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
-    level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
-    start: Annotated[Path | None, typer.Option(help="Begin at the camera of this calibration document.")] = None,
-    pose_only: Annotated[
-        bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
-    ] = False,
-    plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Fit the camera to sightings; exit 1 when the fit is refused.
-
-    Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
-    """
-    if pose_only and start is None:
-        raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
-    document = offline.calibrate_file(
-        points,
-        site=Site(
-            latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
-        ),
-        image_size=_image_size(image_size),
-        options=CalibrationOptions(
-            method=method,  # type: ignore[arg-type]
-            projection=projection,  # type: ignore[arg-type]
-            mirrored=mirrored,  # type: ignore[arg-type]
-            level_within_deg=level_within,
-            free="pose" if pose_only else "all",
-        ),
-        clock=SystemClock(),
-        circle=None if image_circle is None else offline.image_circle_of(image_circle),
-        start=start,
-        plots=plots,
-    )
-    if as_json:
-        print_json(document)
-    else:
-        _print_calibration(document)
-        if plots is not None:
-            print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
-    if not document["verdict"]["accepted"]:
-        raise typer.Exit(1)
-
-
-@cli.command()
 def project(calibration: CalibrationFile) -> None:
     """Read zenith_deg,azimuth_deg from standard input and write where they land in the image.
 
@@ -292,35 +235,6 @@ def _choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
         if text == choice:
             return choice
     raise InputError(field=option, problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(choices)}")
-
-
-def _image_size(text: str) -> tuple[int, int]:
-    try:
-        width, height = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(
-            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
-        ) from None
-    return width, height
-
-
-def _print_calibration(document: dict[str, Any]) -> None:
-    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
-    rows: list[list[Any]] = [
-        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
-        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
-        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
-        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
-        ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
-        ["RMSE", f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"],
-        [
-            "1-sigma over the sky",
-            "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
-        ],
-        ["verdict", "accepted" if verdict["accepted"] else "refused"],
-        *(["", reason] for reason in verdict["reasons"]),
-    ]
-    _out.print(table(("", ""), rows))
 
 
 if __name__ == "__main__":

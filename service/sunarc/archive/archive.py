@@ -9,9 +9,10 @@ from sunarc.archive.history import History
 from sunarc.archive.journal import Journal
 from sunarc.archive.schema import require_file, require_head
 from sunarc.archive.sightings import Sightings
+from sunarc.archive.used import UsedSightings
 
 
-class Archive(Sightings, History, Journal):
+class Archive(Sightings, History, UsedSightings, Journal):
     """What we remember: values in, values out; one object serves all threads."""
 
 

@@ -12,8 +12,9 @@ from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
 from sunarc.archive.documents import Documents
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration
+from sunarc.archive.used import keep_used
 from sunarc.archive.validity import SERVED, end_others, set_columns, told, wrong_state
-from sunarc.archive.values import CalibrationRecord, CalibrationState
+from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.errors import InputError, NotFoundError
 
 _FIELDS = ("id", "camera", "method", "pose_epoch")
@@ -26,19 +27,24 @@ class Calibrations(Store):
         super().__init__(engine)
         self._documents = Documents()
 
-    def add_calibration(self, document: Mapping[str, Any], *, parent: str | None = None) -> CalibrationRecord:
+    def add_calibration(
+        self, document: Mapping[str, Any], *, parent: str | None = None, used: SunPointColumns | None = None
+    ) -> CalibrationRecord:
         """Keep a calibration document, as a candidate or as refused, by its verdict.
 
         Parameters
         ----------
         document : schema sunarc.calibration/1; `state` and validity in it are those of the archive from now on.
         parent : the id of the calibration that it was compared with, or copied from.
+        used : the sightings that it was given, in the order of time; None where the archive does not have them.
         """
         record = _record(document, parent)
         with self._writing() as connection:
             if self._records(connection, calibration.c.id == record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(asdict(record)))
+            if used is not None:
+                keep_used(connection, record.id, used)
         return told(record)
 
     def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, func, insert, select
 
 from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.tables import calibration, event
+from sunarc.archive.used import copy_used
 from sunarc.archive.validity import SERVED, end_others, set_columns, told, written, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
 
@@ -40,6 +41,7 @@ class History(Calibrations):
             if record.state in SERVED:
                 chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
                 connection.execute(insert(calibration).values(asdict(chosen)))
+                copy_used(connection, record.id, to=chosen.id)
             else:
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
                 set_columns(connection, record.id, **decided, reasons=reasons)

@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from datetime import UTC, date, datetime, timedelta
-from typing import Any, cast
 
-import numpy as np
-from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column, select, update
+from sqlalchemy import ColumnElement, func, select, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
+from sunarc.archive.columns import read_columns
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.errors import InputError
 from sunarc.sky import day_bounds_unix_s, solar_date
-
-_COLUMNS = np.dtype([("time", "i8"), ("x", "f8"), ("y", "f8"), ("sigma", "f8"), ("clock", "f8"), ("epoch", "i8")])
-_EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
 
 
 class Sightings(Store):
@@ -132,17 +128,7 @@ class Sightings(Store):
         wanted = _wanted(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
         wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
         with self._reading() as connection:
-            ids = _epoch_ids(connection, camera)
-            rows = _numbers(connection, wanted)
-        present, epoch = np.unique(rows["epoch"], return_inverse=True)
-        return SunPointColumns(
-            unix_s=rows["time"] / 1e6,
-            pixels=np.stack([rows["x"], rows["y"]], axis=-1),
-            sigma_px=_nan_for_negative(rows["sigma"]),
-            clock_error_s=_nan_for_negative(rows["clock"]),
-            epoch=epoch.astype(np.int64),
-            epoch_ids=tuple(ids[number] for number in present.tolist()),
-        )
+            return read_columns(connection, camera, wanted)
 
     def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
         """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""
@@ -179,24 +165,3 @@ def _wanted(
 
 def _day_start(day: date, longitude: float) -> datetime:
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=day_bounds_unix_s(day, longitude=longitude)[0])
-
-
-def _epoch_ids(connection: Connection, camera: str) -> dict[int, str]:
-    epochs = tables.pose_epoch.c
-    rows = connection.execute(select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera))
-    return {int(number): epoch_id for number, epoch_id in rows}
-
-
-def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
-    """Read straight from the driver's cursor: of millions of rows no object per row is kept."""
-    c, epochs = sun_point.c, tables.pose_epoch
-    numbers = (c.time, c.x_px, c.y_px, func.coalesce(c.sigma_px, -1.0), func.coalesce(c.clock_error_s, -1.0))
-    joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
-    statement = select(*numbers, _EPOCH_NUMBER).select_from(joined).where(*wanted).order_by(c.time, c.id)
-    result = connection.execute(statement)
-    cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
-    return np.fromiter(cursor, dtype=_COLUMNS)
-
-
-def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.where(column < 0.0, np.nan, column)

@@ -16,6 +16,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    LargeBinary,
     MetaData,
     Table,
     Text,
@@ -167,6 +168,15 @@ calibration = Table(
     Column("pinned", Boolean, nullable=False, server_default=false()),
     Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
     Index("uq_calibration_one_current", "camera", unique=True, sqlite_where=text("state = 'current'")),
+)
+
+used_sightings = Table(
+    "used_sightings",
+    metadata,
+    Column("calibration", Text, ForeignKey("calibration.id"), primary_key=True),
+    Column("ids", LargeBinary, nullable=False),
+    Column("epochs", JSON, nullable=False),
+    Column("digest", Text, nullable=False),
 )
 
 refit = Table(

@@ -104,6 +104,7 @@ class SunPointColumns:
     clock_error_s : (n,) NaN where not known.
     epoch : (n,) index into `epoch_ids`.
     epoch_ids : the pose epochs that occur.
+    ids : (n,) the rows' keys.
     """
 
     unix_s: NDArray[np.float64]
@@ -112,6 +113,20 @@ class SunPointColumns:
     clock_error_s: NDArray[np.float64]
     epoch: NDArray[np.int64]
     epoch_ids: tuple[str, ...]
+    ids: NDArray[np.int64]
+
+    def select(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> SunPointColumns:
+        """Return the sightings that an index or a mask picks, with the epochs that occur among them."""
+        present, epoch = np.unique(self.epoch[which], return_inverse=True)
+        return SunPointColumns(
+            unix_s=self.unix_s[which],
+            pixels=self.pixels[which],
+            sigma_px=self.sigma_px[which],
+            clock_error_s=self.clock_error_s[which],
+            epoch=epoch.astype(np.int64),
+            epoch_ids=tuple(self.epoch_ids[number] for number in present.tolist()),
+            ids=self.ids[which],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

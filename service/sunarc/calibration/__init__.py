@@ -1,13 +1,15 @@
 """Which camera explains the sun: sightings in, a calibration with its uncertainty and a verdict out.
 
-Map: `points` what is given · `options` what may be chosen · `calibrate` the way through · `start`, `initial` the first
-camera · `priors`, `problem`, `solve` the most probable one · `loss`, `noise`, `bins` how much a sighting counts ·
-`field`, `evidence`, `scales`, `robust` the service's method · `covariance` how sure one is · `lookup`, `maps` many
-pixels at once · `metrics`, `backward`, `verdict`, `acceptance` what it is worth · `days` what a day is worth ·
-`circle` the image circle · `document` its JSON.
+Map: `points` what is given · `selection`, `patches` what of a long record is used · `options` what may be chosen ·
+`calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
+`loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `robust` the service's method ·
+`covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`, `acceptance`
+what it is worth · `again` the same fit once more · `days` what a day is worth · `circle` the image circle ·
+`document` its JSON.
 """
 
-from sunarc.calibration.acceptance import accept, disagreement
+from sunarc.calibration.acceptance import accept, disagreement, distance_px
+from sunarc.calibration.again import calibrate_again
 from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.circle import find_image_circle
@@ -27,6 +29,7 @@ from sunarc.calibration.metrics import Metrics, measures
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.result import Calibration, Evidence, Verdict
+from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
 __all__ = [
     "BACK_PROJECTED",
@@ -47,6 +50,8 @@ __all__ = [
     "Method",
     "Metrics",
     "PaperOptions",
+    "Selection",
+    "SelectionOptions",
     "SunPoints",
     "Verdict",
     "WaveBasis",
@@ -54,9 +59,11 @@ __all__ = [
     "back_project",
     "back_projection_map",
     "calibrate",
+    "calibrate_again",
     "camera_sees",
     "decide_day",
     "disagreement",
+    "distance_px",
     "find_image_circle",
     "fit_backward",
     "from_document",
@@ -65,6 +72,7 @@ __all__ = [
     "measure_day",
     "measures",
     "project_with_covariance",
+    "select_sightings",
     "sigma_deg",
     "sigma_px",
     "smooth_arc",

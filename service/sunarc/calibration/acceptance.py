@@ -8,6 +8,7 @@ import numpy as np
 
 from sunarc.calibration.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.result import Calibration, Verdict
+from sunarc.optics import project
 
 _WORSE = 1.15
 _FAR_SIGMAS = 5.0
@@ -41,6 +42,13 @@ def accept(candidate: Calibration, current: Calibration | None = None, *, same_p
             where = f"{100 * share:.0f} % of the sky contradicts the current one, by up to {worst_px:.2f} px"
             return Verdict(accepted=False, reasons=(f"{where}: the camera may have moved",))
     return Verdict(accepted=True, reasons=(f"surer of the sky: 1-sigma {now:.4f} against {before:.4f} degrees",))
+
+
+def distance_px(first: Calibration, second: Calibration) -> float:
+    """Return how far two cameras are apart at most over the sky that both see, px; infinite where they share none."""
+    directions = hemisphere()
+    apart = np.linalg.norm(project(first.camera, directions) - project(second.camera, directions), axis=-1)
+    return float(np.nanmax(apart)) if np.any(np.isfinite(apart)) else math.inf
 
 
 def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]:

@@ -37,6 +37,7 @@ class Job(NamedTuple):
     image_size: tuple[int, int]
     options: CalibrationOptions
     circle: ImageCircle | None
+    start: Camera | None = None
 
 
 class Fitted(NamedTuple):
@@ -79,7 +80,13 @@ def finished(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
         metrics=_metrics(fitted, usable, cameras),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
-        evidence=_evidence(fitted, job),
+        evidence=_evidence(
+            job,
+            n_used=int(np.sum(fitted.used)),
+            sigma_px=fitted.sigma_px,
+            inflation=fitted.inflation,
+            radial_px=fitted.radial_px,
+        ),
         verdict=Verdict(accepted=False, reasons=("not judged yet",)),
         method=options.method,
         site=job.site,
@@ -120,18 +127,19 @@ def _clock_error(points: SunPoints) -> float:
     return float(np.max(np.abs(stated), initial=0.0))
 
 
-def _evidence(fitted: Fitted, job: Job) -> Evidence:
-    n_used = int(np.sum(fitted.used))
+def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Evidence:
     return Evidence(
         days=_dates(job.usable),
         n_supplied=len(job.points),
         n_used=n_used,
         n_rejected=len(job.points) - n_used,
         options=asdict(job.options),
-        sigma_px=fitted.sigma_px,
-        inflation=fitted.inflation,
-        radial_px=fitted.radial_px,
+        sigma_px=sigma_px,
+        inflation=inflation,
+        radial_px=radial_px,
         clock_error_s=_clock_error(job.points),
+        circle=None if job.circle is None else asdict(job.circle),
+        start=None if job.start is None else asdict(job.start),
     )
 
 
@@ -166,17 +174,7 @@ def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
         metrics=NO_METRICS,
         pose=pose_angles(camera.rotation_cam_enu),
         backward=NO_BACKWARD,
-        evidence=Evidence(
-            days=_dates(job.usable),
-            n_supplied=len(job.points),
-            n_used=0,
-            n_rejected=len(job.points),
-            options=asdict(options),
-            sigma_px=math.nan,
-            inflation=math.nan,
-            radial_px=math.nan,
-            clock_error_s=_clock_error(job.points),
-        ),
+        evidence=_evidence(job, n_used=0, sigma_px=math.nan, inflation=math.nan, radial_px=math.nan),
         verdict=Verdict(accepted=False, reasons=reasons),
         method=options.method,
         site=job.site,

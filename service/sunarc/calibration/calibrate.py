@@ -64,7 +64,9 @@ def calibrate(
     if start is not None:
         chosen = replace(chosen, projection=start.projection)
     usable = usable_points(points, site=site)
-    job = Job(points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle)
+    job = Job(
+        points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle, start=start
+    )
     problems = before_fit(usable)
     if problems:
         return refused(job, problems)

@@ -245,6 +245,9 @@ def _read_evidence(read: _Reader) -> Evidence:
         inflation=read.number("evidence.inflation", needed=False),
         radial_px=read.number("evidence.radial_px", needed=False),
         clock_error_s=read.number("evidence.clock_error_s", needed=False),
+        circle=read.value("evidence.circle", needed=False),
+        start=read.value("evidence.start", needed=False),
+        selection=read.value("evidence.selection", needed=False) or {},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ class Evidence:
     inflation : by how much neighbours erring alike inflates a sighting's variance (mean).
     radial_px : scale of the residual radial distortion, as found.
     clock_error_s : the largest stated bound of the clock's error.
+    circle : the image circle that was given, by name; None without one.
+    start : the camera that the fit began at, by name; None where it was sought.
+    selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
     """
 
     days: tuple[str, ...]
@@ -50,6 +53,9 @@ class Evidence:
     inflation: float
     radial_px: float
     clock_error_s: float
+    circle: Mapping[str, object] | None = None
+    start: Mapping[str, object] | None = None
+    selection: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

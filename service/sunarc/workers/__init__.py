@@ -7,6 +7,7 @@ from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
+from sunarc.workers.points import points_of
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
 from sunarc.workers.replay import ReplayWorker
@@ -30,4 +31,5 @@ __all__ = [
     "SensorOptions",
     "SunExposures",
     "SunPredictor",
+    "points_of",
 ]

@@ -1,0 +1,50 @@
+"""Sightings read as columns: of millions of rows no object per row is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, cast
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column, select
+
+from sunarc.archive import tables
+from sunarc.archive.tables import sun_point
+from sunarc.archive.values import SunPointColumns
+
+_COLUMNS = np.dtype(
+    [("time", "i8"), ("x", "f8"), ("y", "f8"), ("sigma", "f8"), ("clock", "f8"), ("epoch", "i8"), ("id", "i8")]
+)
+_EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
+
+
+def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement[bool]]) -> SunPointColumns:
+    """Return the sightings of a camera that meet the conditions, in the order of their times."""
+    rows = _numbers(connection, wanted)
+    epochs = tables.pose_epoch.c
+    known = connection.execute(select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera))
+    ids = {int(number): epoch_id for number, epoch_id in known}
+    present, epoch = np.unique(rows["epoch"], return_inverse=True)
+    return SunPointColumns(
+        unix_s=rows["time"] / 1e6,
+        pixels=np.stack([rows["x"], rows["y"]], axis=-1),
+        sigma_px=_nan_for_negative(rows["sigma"]),
+        clock_error_s=_nan_for_negative(rows["clock"]),
+        epoch=epoch.astype(np.int64),
+        epoch_ids=tuple(ids[number] for number in present.tolist()),
+        ids=rows["id"].copy(),
+    )
+
+
+def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+    c, epochs = sun_point.c, tables.pose_epoch
+    numbers = (c.time, c.x_px, c.y_px, func.coalesce(c.sigma_px, -1.0), func.coalesce(c.clock_error_s, -1.0))
+    joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
+    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*wanted).order_by(c.time, c.id)
+    result = connection.execute(statement)
+    cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
+    return np.fromiter(cursor, dtype=_COLUMNS)
+
+
+def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.where(column < 0.0, np.nan, column)

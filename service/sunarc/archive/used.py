@@ -1,0 +1,114 @@
+"""Which sightings a calibration rests on, so that it can be solved again years later."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Select, func, insert, select
+
+from sunarc.archive.columns import read_columns
+from sunarc.archive.store import Store
+from sunarc.archive.tables import calibration, sun_point, used_sightings
+from sunarc.archive.values import SunPointColumns
+from sunarc.errors import InputError, NotFoundError
+
+IntArray = NDArray[np.int64]
+
+
+class UsedSightings(Store):
+    """The part of the archive that remembers what calibrations rest on."""
+
+    def sightings_of(self, calibration_id: str) -> SunPointColumns:
+        """Return the sightings that a calibration was given, as they were.
+
+        Raises
+        ------
+        NotFoundError : nothing was kept for this calibration.
+        InputError : they were changed or deleted since.
+        """
+        with self._reading() as connection:
+            kept = connection.execute(
+                select(used_sightings, calibration.c.camera)
+                .join(calibration, calibration.c.id == used_sightings.c.calibration)
+                .where(used_sightings.c.calibration == calibration_id)
+            ).one_or_none()
+            if kept is None:
+                raise NotFoundError(
+                    field="id",
+                    problem=f"no sightings were kept with calibration {calibration_id}",
+                    remedy="name one that a refit made, see `sunarc calibrations list`",
+                )
+            ids = _unpacked(kept.ids)
+            found = read_columns(connection, kept.camera, [sun_point.c.id.in_(_listed(ids))])
+        if found.ids.size != ids.size:
+            raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
+        columns = _as_then(found, kept.epochs)
+        if _digest(columns) != kept.digest:
+            raise _changed(calibration_id, "its sightings were changed since")
+        return columns
+
+
+def keep_used(connection: Connection, calibration_id: str, columns: SunPointColumns) -> None:
+    """Write down which sightings a calibration rests on."""
+    starts = np.searchsorted(columns.epoch, np.arange(len(columns.epoch_ids)))  # epochs follow each other in time
+    connection.execute(
+        insert(used_sightings).values(
+            calibration=calibration_id,
+            ids=_packed(columns.ids),
+            digest=_digest(columns),
+            epochs=[[name, int(start)] for name, start in zip(columns.epoch_ids, starts, strict=True)],
+        )
+    )
+
+
+def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
+    """Let a copy of a calibration rest on the same sightings."""
+    row = connection.execute(select(used_sightings).where(used_sightings.c.calibration == calibration_id)).one_or_none()
+    if row is not None:
+        connection.execute(insert(used_sightings).values({**row._mapping, "calibration": to}))  # noqa: SLF001 - public
+
+
+def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]]) -> SunPointColumns:
+    """Return sightings in the pose epochs that they were in when the calibration was made."""
+    starts = np.array([start for _, start in epochs])
+    return SunPointColumns(
+        unix_s=found.unix_s,
+        pixels=found.pixels,
+        sigma_px=found.sigma_px,
+        clock_error_s=found.clock_error_s,
+        epoch=np.searchsorted(starts, np.arange(found.ids.size), side="right").astype(np.int64) - 1,
+        epoch_ids=tuple(name for name, _ in epochs),
+        ids=found.ids,
+    )
+
+
+def _listed(ids: IntArray) -> Select[tuple[int]]:
+    return select(func.json_each(str(ids.tolist())).table_valued("value").c.value)
+
+
+def _packed(ids: IntArray) -> bytes:
+    """Return keys as steps, compressed: a few thousand take a few kilobytes."""
+    return zlib.compress(np.diff(ids, prepend=0).astype("<i8").tobytes(), 9)
+
+
+def _unpacked(packed: bytes) -> IntArray:
+    return np.cumsum(np.frombuffer(zlib.decompress(packed), dtype="<i8")).astype(np.int64)
+
+
+def _digest(columns: SunPointColumns) -> str:
+    """Return what changes when a sighting that counted is changed."""
+    told = hashlib.sha256()
+    for column in (columns.unix_s, columns.pixels, columns.sigma_px, columns.clock_error_s):
+        told.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
+    return told.hexdigest()
+
+
+def _changed(calibration_id: str, problem: str) -> InputError:
+    return InputError(
+        field=f"calibration {calibration_id}",
+        problem=problem,
+        remedy="take the sightings from a backup (sunarc db backup), or calibrate anew",
+    )

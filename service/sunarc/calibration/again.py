@@ -1,0 +1,55 @@
+"""The fit of a past calibration once more, from its own evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
+from sunarc.calibration.points import SunPoints
+from sunarc.calibration.result import Calibration
+from sunarc.errors import InputError
+from sunarc.optics import Camera
+
+
+def calibrate_again(past: Calibration, points: SunPoints) -> Calibration:
+    """Return the calibration that the evidence of a past one leads to.
+
+    Parameters
+    ----------
+    past : as it was made, or as its document tells it.
+    points : the sightings that it was given.
+
+    Raises
+    ------
+    InputError
+        Where its evidence is not whole: made by hand, or by a version with other options.
+    """
+    evidence = past.evidence
+    try:
+        return calibrate(
+            points,
+            site=past.site,
+            image_size=(past.camera.width, past.camera.height),
+            options=_options(evidence.options),
+            circle=None if evidence.circle is None else ImageCircle(**_named(evidence.circle)),
+            start=None if evidence.start is None else Camera(**_named(evidence.start)),
+        )
+    except TypeError as error:
+        raise InputError(
+            field="evidence", problem=f"is of another version ({error})", remedy="use the version that made it"
+        ) from error
+
+
+def _options(told: Mapping[str, object]) -> CalibrationOptions:
+    if not told:
+        raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
+    named = _named(told)
+    lens, paper = LensTolerances(**named.pop("tolerances")), PaperOptions(**named.pop("paper"))
+    return CalibrationOptions(**named, tolerances=lens, paper=paper)
+
+
+def _named(told: Mapping[str, object]) -> dict[str, Any]:
+    """Return arguments by name; JSON has lists where values have tuples."""
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}

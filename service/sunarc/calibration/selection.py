@@ -1,0 +1,220 @@
+"""Which sightings of a long record a fit uses: what each direction tells, and not how often it was seen.
+
+A *pass* is the sun's way through one patch of the sky on one day. Passes are taken whole, so that neighbouring
+sightings still show how alike they err. Each patch takes passes up to its fill: those of the latest pose first, among
+them the most precise, among alike ones those of days that lie far apart. A direction that is new is never left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.patches import sky_patches
+from sunarc.calibration.points import SunPoints
+from sunarc.errors import InputError
+from sunarc.sky import Site, sun_directions
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_SECONDS_PER_DEGREE = 240.0
+_SECONDS_PER_DAY = 86_400
+_DAY_BITS = 17
+"""Days since 1970 of more than three centuries."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectionOptions:
+    """How many sightings a fit uses, and which never.
+
+    Attributes
+    ----------
+    patch_deg : width of a patch of sky.
+    most_per_patch, most_per_epoch : fill of a patch, over all pose epochs and in each.
+    most : sightings in all; the fill is lowered towards it, but every patch keeps one pass.
+    largest_clock_error_s : sightings whose clock may be wrong by more are left out.
+    """
+
+    patch_deg: float = 2.0
+    most_per_patch: int = 48
+    most_per_epoch: int = 32
+    most: int = 20_000
+    largest_clock_error_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse limits that leave nothing."""
+        for name in ("patch_deg", "most_per_patch", "most_per_epoch", "most", "largest_clock_error_s"):
+            if not getattr(self, name) > 0:
+                raise InputError(field=name, problem="is not positive", remedy="give more than 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Selection:
+    """Which sightings a fit uses, and why not the others.
+
+    Attributes
+    ----------
+    index : (n,) rows of the sightings supplied, in the order of time.
+    n_supplied, n_doubtful_clock, n_other_days, n_brackets, n_repeated : how many there were, and how many were left out
+        for their clock, for their day, beside another one of their slot, and in patches that were full.
+    n_patches : patches of sky that the selected ones lie in; fill: how many sightings filled one.
+    """
+
+    index: IntArray
+    n_supplied: int
+    n_doubtful_clock: int
+    n_other_days: int
+    n_brackets: int
+    n_repeated: int
+    n_patches: int
+    fill: int
+
+    def told(self) -> dict[str, int]:
+        """Return the counts by name, for the evidence."""
+        counts = (field.name for field in fields(self) if field.name != "index")
+        return {name: int(getattr(self, name)) for name in counts}
+
+
+class _Passes(NamedTuple):
+    """Passes in the order in which they are taken: (k,) each, and the pass of every sighting (n,)."""
+
+    n: IntArray
+    before: IntArray
+    before_in_epoch: IntArray
+    rank: IntArray
+    patches: int
+
+
+def select_sightings(
+    points: SunPoints,
+    *,
+    site: Site,
+    slot_s: float = 30.0,
+    options: SelectionOptions | None = None,
+    left_out_days: NDArray[np.int64] | None = None,
+) -> Selection:
+    """Return which sightings a fit uses; the same record gives the same selection.
+
+    Parameters
+    ----------
+    points : the whole record, in any order.
+    site : where the camera stands.
+    slot_s : the capture's cadence: sightings within one slot (a bracket) count as one.
+    options : the limits.
+    left_out_days : local mean solar days, counted from 1970, that are not used.
+    """
+    wanted = SelectionOptions() if options is None else options
+    finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
+    doubtful = finite & (np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)
+    left = np.flatnonzero(finite & ~doubtful)
+    n_finite, day = left.size, _solar_day(points.unix_s[left], site)
+    if left_out_days is not None:
+        used = ~np.isin(day, left_out_days)
+        left, day = left[used], day[used]
+    n_days = n_finite - left.size
+    single = _one_a_slot(points, left, slot_s)
+    n_brackets = left.size - int(single.sum())
+    left, day = left[single], day[single]
+    passes = _passes(points, left, day, site, wanted)
+    fill, kept = _filled(passes, wanted)
+    index = left[kept[passes.rank]]
+    return Selection(
+        index=index[np.argsort(points.unix_s[index], kind="stable")],
+        n_supplied=len(points),
+        n_doubtful_clock=int(doubtful.sum()),
+        n_other_days=n_days,
+        n_brackets=n_brackets,
+        n_repeated=left.size - index.size,
+        n_patches=passes.patches,
+        fill=fill,
+    )
+
+
+def _solar_day(unix_s: FloatArray, site: Site) -> IntArray:
+    return np.floor((unix_s + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
+
+
+def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:
+    """Return which sightings stand for their slot: the most precise of it, the earliest among equals."""
+    times, epoch = points.unix_s[among], points.epoch[among]
+    sigma = np.nan_to_num(points.sigma_px[among], nan=np.inf)
+    slot = np.floor(times / slot_s)
+    order = np.lexsort((times, sigma, slot, epoch))
+    first = np.ones(among.size, dtype=bool)
+    first[1:] = (np.diff(slot[order]) != 0) | (np.diff(epoch[order]) != 0)
+    chosen = np.zeros(among.size, dtype=bool)
+    chosen[order[first]] = True
+    return chosen
+
+
+def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
+    """Return the passes by patch, in each the latest pose's first, by precision, then by their days' bits reversed."""
+    patch = sky_patches(sun_directions(points.unix_s[among], site), width_deg=options.patch_deg)
+    epoch = points.epoch[among]
+    days = day - day.min() if day.size else day
+    n_days, n_epochs = int(days.max(initial=0)) + 1, int(epoch.max(initial=0)) + 1
+    key, member = np.unique((patch * n_epochs + epoch) * n_days + days, return_inverse=True)
+    count = np.bincount(member, minlength=key.size)
+    of_patch, of_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
+    of_day = key % n_days + int(day.min(initial=0) if day.size else 0)
+    grade = _grade(points.sigma_px[among], member, count)
+    order = np.lexsort((_bits_reversed(of_day), grade, of_epoch < n_epochs - 1, of_patch))
+    count, of_patch, of_epoch = count[order], of_patch[order], of_epoch[order]
+    rank = np.empty(key.size, dtype=np.int64)
+    rank[order] = np.arange(key.size)
+    return _Passes(
+        n=count,
+        before=_before(count, of_patch),
+        before_in_epoch=_before(count, of_patch * n_epochs + of_epoch),
+        rank=rank[member],
+        patches=int(np.unique(of_patch).size),
+    )
+
+
+def _grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
+    """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where nobody states one."""
+    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    if not np.any(stated):
+        return np.zeros(count.size, dtype=np.int64)
+    usual = float(np.median(sigma_px[stated]))
+    logs = np.log2(np.where(stated, sigma_px, usual) / usual)
+    mean = np.bincount(member, weights=logs, minlength=count.size) / np.maximum(count, 1)
+    return np.maximum(np.rint(mean), 0.0).astype(np.int64)
+
+
+def _bits_reversed(day: IntArray) -> IntArray:
+    """Return a fixed order of days in which any first few lie far apart."""
+    reverse = np.zeros_like(day)
+    for bit in range(_DAY_BITS):
+        reverse |= ((day >> bit) & 1) << (_DAY_BITS - 1 - bit)
+    return reverse
+
+
+def _before(count: IntArray, group: IntArray) -> IntArray:
+    """Return (k,): how many sightings of the same group come before each pass."""
+    order = np.argsort(group, kind="stable")
+    running = np.cumsum(count[order]) - count[order]
+    fresh = np.r_[True, np.diff(group[order]) != 0][: group.size]
+    running -= np.repeat(running[fresh], np.diff(np.append(np.flatnonzero(fresh), group.size)))
+    result = np.empty_like(count)
+    result[order] = running
+    return result
+
+
+def _filled(passes: _Passes, options: SelectionOptions) -> tuple[int, BoolArray]:
+    """Return the largest fill with which no more than `most` are used, and which passes it takes."""
+    share = options.most_per_epoch / options.most_per_patch
+    low, high = 1, options.most_per_patch
+    kept = (passes.before < high) & (passes.before_in_epoch < options.most_per_epoch)
+    if int(passes.n[kept].sum()) <= options.most:
+        return high, kept
+    while high - low > 1:
+        fill = (low + high) // 2
+        kept = (passes.before < fill) & (passes.before_in_epoch < max(1.0, share * fill))
+        low, high = (fill, high) if int(passes.n[kept].sum()) <= options.most else (low, fill)
+    return low, (passes.before < low) & (passes.before_in_epoch < max(1.0, share * low))

@@ -1,0 +1,44 @@
+"""A past calibration, solved again from its evidence in the archive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sunarc
+from sunarc.archive import open_archive
+from sunarc.calibration import calibrate_again, distance_px, from_document, to_document
+from sunarc.settings import Settings
+from sunarc.workers import points_of
+
+_ROUNDING_PX = 1e-6
+
+
+def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
+    """Return what solving a past calibration again led to: whether it is the same, and its document.
+
+    Raises
+    ------
+    NotFoundError : there is no such calibration, or nothing was kept with it.
+    InputError : its sightings were changed or deleted since.
+    """
+    archive = open_archive(settings.database)
+    try:
+        record = archive.calibration(calibration_id)
+        points = points_of(archive.sightings_of(calibration_id))
+    finally:
+        archive.close()
+    past = from_document(record.document)
+    solved = calibrate_again(past, points)
+    apart_px = distance_px(past, solved)
+    document = to_document(
+        solved,
+        id=f"{calibration_id}-again",
+        camera=record.camera,
+        state="candidate" if solved.verdict.accepted else "refused",
+        created_at=record.created_at,
+        valid_from=record.valid_from,
+        valid_until=record.valid_until,
+        pose_epoch=record.pose_epoch or "",
+        software_version=sunarc.__version__,
+    )
+    return {"same": apart_px <= _ROUNDING_PX, "apart_px": apart_px, "sightings": len(points), "calibration": document}

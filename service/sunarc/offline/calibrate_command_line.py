@@ -1,0 +1,141 @@
+"""The command `sunarc calibrate`: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from rich.console import Console
+
+from sunarc import offline
+from sunarc.calibration import CalibrationOptions
+from sunarc.clock import SystemClock
+from sunarc.errors import InputError
+from sunarc.offline.again import solve_again
+from sunarc.offline.command_line import AsJson, Config
+from sunarc.settings import load_settings
+from sunarc.sky import Site
+from sunarc.terminal import print_json, table
+
+_SITE = "Where the camera stands"
+
+Value = TypeVar("Value")
+
+
+def calibrate(
+    points: Annotated[
+        Path | None, typer.Argument(help="Sightings: time_utc,x_px,y_px[,sigma_px][,body].", show_default=False)
+    ] = None,
+    *,
+    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)] = None,
+    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=_SITE)] = None,
+    image_size: Annotated[str | None, typer.Option(help="W,H in px.")] = None,
+    image_circle: Annotated[
+        str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.")
+    ] = None,
+    altitude: Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=_SITE)] = 0.0,
+    pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
+    temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
+    projection: Annotated[str, typer.Option(help="The lens's ideal projection.")] = "equisolid",
+    method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
+    mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
+    level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
+    start: Annotated[Path | None, typer.Option(help="Begin at the camera of this calibration document.")] = None,
+    pose_only: Annotated[
+        bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
+    ] = False,
+    plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
+    again: Annotated[
+        str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
+    ] = None,
+    config: Config = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera.
+
+    Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
+    """
+    if again is not None:
+        _solve_again(again, config, as_json=as_json)
+        return
+    points, latitude, longitude = (
+        _given(points, "POINTS"),
+        _given(latitude, "--latitude"),
+        _given(longitude, "--longitude"),
+    )
+    if pose_only and start is None:
+        raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
+    document = offline.calibrate_file(
+        points,
+        site=Site(
+            latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
+        ),
+        image_size=_image_size(_given(image_size, "--image-size")),
+        options=CalibrationOptions(
+            method=method,  # type: ignore[arg-type]
+            projection=projection,  # type: ignore[arg-type]
+            mirrored=mirrored,  # type: ignore[arg-type]
+            level_within_deg=level_within,
+            free="pose" if pose_only else "all",
+        ),
+        clock=SystemClock(),
+        circle=None if image_circle is None else offline.image_circle_of(image_circle),
+        start=start,
+        plots=plots,
+    )
+    if as_json:
+        print_json(document)
+    else:
+        _print_calibration(document)
+        if plots is not None:
+            print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
+    if not document["verdict"]["accepted"]:
+        raise typer.Exit(1)
+
+
+def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
+    told = solve_again(load_settings(config), calibration_id)
+    if as_json:
+        print_json(told)
+    else:
+        _print_calibration(told["calibration"])
+        outcome = "the same camera" if told["same"] else "another camera"
+        print(f"{outcome}: {told['apart_px']:.1e} px from {calibration_id} at most, {told['sightings']} sightings")
+    if not told["same"]:
+        raise typer.Exit(1)
+
+
+def _given(value: Value | None, name: str) -> Value:
+    if value is None:
+        raise InputError(field=name, problem="missing", remedy="give it, see `sunarc calibrate --help`")
+    return value
+
+
+def _image_size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
+        ) from None
+    return width, height
+
+
+def _print_calibration(document: dict[str, Any]) -> None:
+    model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
+    rows: list[list[Any]] = [
+        ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
+        ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
+        ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
+        *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
+        ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
+        ["RMSE", f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"],
+        [
+            "1-sigma over the sky",
+            "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
+        ],
+        ["verdict", "accepted" if verdict["accepted"] else "refused"],
+        *(["", reason] for reason in verdict["reasons"]),
+    ]
+    Console(soft_wrap=True).print(table(("", ""), rows))

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sunarc.archive import SunPoint
+from sunarc.errors import InputError, NotFoundError
+
+from .test_calibrations import MAY, document
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from sunarc.archive import Archive
+
+
+def point(time: datetime, x_px: float, *, accepted: bool = True, sigma_px: float | None = None) -> SunPoint:
+    return SunPoint(
+        camera="roof",
+        pose_epoch="roof-1",
+        time=time,
+        method="disc",
+        accepted=accepted,
+        verdict="clear",
+        x_px=x_px,
+        y_px=900.0,
+        sigma_px=sigma_px,
+    )
+
+
+@pytest.fixture
+def rested(archive: Archive) -> Archive:
+    """Return an archive with a calibration that rests on every third accepted one of 300 sightings."""
+    archive.add_sun_points(
+        point(MAY + timedelta(minutes=n), 800.0 + n, accepted=n % 7 != 0, sigma_px=None if n % 2 else 0.02)
+        for n in range(300)
+    )
+    columns = archive.sun_point_columns("roof")
+    archive.add_calibration(document("a"), used=columns.select(np.arange(0, columns.ids.size, 3)))
+    return archive
+
+
+def test_the_sightings_of_a_calibration_come_back_as_they_were(rested: Archive) -> None:
+    given = rested.sun_point_columns("roof").select(np.arange(0, 257, 3))
+    rested.add_sun_points([point(MAY + timedelta(seconds=1), 1.0)])
+    rested.open_epoch("roof", at=MAY + timedelta(minutes=30), reason="found out later")
+    found = rested.sightings_of("a")
+    for name in ("unix_s", "pixels", "sigma_px", "clock_error_s", "epoch", "ids"):
+        assert np.array_equal(getattr(found, name), getattr(given, name), equal_nan=True)
+    assert found.epoch_ids == ("roof-1",)
+
+
+def test_two_epochs_come_back_as_two(rested: Archive) -> None:
+    rested.open_epoch("roof", at=MAY + timedelta(minutes=100), reason="moved")
+    columns = rested.sun_point_columns("roof")
+    rested.add_calibration(document("b", pose_epoch="roof-2"), used=columns)
+    found = rested.sightings_of("b")
+    assert found.epoch_ids == ("roof-1", "roof-2")
+    assert np.array_equal(found.epoch, columns.epoch)
+
+
+def test_a_copy_rests_on_the_same_sightings(rested: Archive) -> None:
+    rested.activate("a")
+    rested.add_calibration(document("b", day=1))
+    rested.activate("b")
+    copy = rested.reinstate("a", at=MAY + timedelta(days=2), reason="")
+    assert np.array_equal(rested.sightings_of(copy.id).ids, rested.sightings_of("a").ids)
+
+
+@pytest.mark.parametrize(
+    ("edit", "told"),
+    [
+        ("UPDATE sun_point SET x_px = x_px + 0.001 WHERE id = 5", "were changed since"),
+        ("UPDATE sun_point SET sigma_px = 1 WHERE id = 5", "were changed since"),
+        ("DELETE FROM sun_point WHERE id BETWEEN 5 AND 12", "of its 86 sightings are gone"),
+    ],
+)
+def test_sightings_edited_by_hand_are_noticed(rested: Archive, path: Path, edit: str, told: str) -> None:
+    with closing(sqlite3.connect(path)) as by_hand, by_hand:
+        by_hand.execute(edit)
+    with pytest.raises(InputError, match=told):
+        rested.sightings_of("a")
+    assert rested.calibration("a").id == "a"
+
+
+def test_a_calibration_without_its_sightings_says_so(rested: Archive) -> None:
+    rested.add_calibration(document("b"))
+    with pytest.raises(NotFoundError, match="no sightings were kept with calibration b"):
+        rested.sightings_of("b")
+
+
+def test_the_keys_of_ten_thousand_sightings_take_a_few_kilobytes(rested: Archive, path: Path) -> None:
+    moment = datetime(2014, 1, 1, tzinfo=UTC)
+    rested.add_sun_points(point(moment + timedelta(seconds=n), 1.0) for n in range(20_000))
+    columns = rested.sun_point_columns("roof", since=moment)
+    kept = np.sort(np.random.default_rng(1).choice(20_000, 10_000, replace=False))
+    rested.add_calibration(document("b"), used=columns.select(kept))
+    with closing(sqlite3.connect(path)) as by_hand:
+        (size,) = by_hand.execute("SELECT length(ids) FROM used_sightings WHERE calibration = 'b'").fetchone()
+    assert size < 6000
