@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from datetime import date, timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from sunarc.calibration import SunPoints, decide_day, find_image_circle, measure_day
+from sunarc.calibration import SunPoints, days_left_out, decide_day, find_image_circle, measure_day
 from sunarc.errors import InputError
 from sunarc.sky import Site
 
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator
+
+    from sunarc.calibration.days import DayKind
 
 
 def test_a_clear_day_is_clear(clear_day: Simulated) -> None:
@@ -48,6 +51,50 @@ def test_midnight_sun_is_one_day(simulator: Simulator) -> None:
     measure = measure_day(seen.points, site=site, cadence_s=120.0)
     assert measure.n_possible == 720
     assert decide_day(measure).kind == "clear"
+
+
+def test_a_bracket_counts_as_one_cycle(clear_day: Simulated) -> None:
+    some = clear_day.points.select(slice(0, None, 2))
+    again = SunPoints(unix_s=some.unix_s + 0.5, pixels=some.pixels)
+    both = SunPoints(
+        unix_s=np.concatenate([some.unix_s, again.unix_s]), pixels=np.concatenate([some.pixels, again.pixels])
+    )
+    measure = measure_day(both, site=clear_day.site, cadence_s=120.0)
+    assert measure.n == 2 * len(some)
+    assert measure.n_cycles == pytest.approx(len(some), abs=3)
+    assert decide_day(measure).kind == "partly"  # every second cycle, however many frames each has
+
+
+def test_a_day_on_which_the_camera_was_moved_has_two_arcs(clear_day: Simulated) -> None:
+    half = np.arange(len(clear_day.points)) >= len(clear_day.points) // 2
+    pixels = clear_day.points.pixels + np.where(half[:, None], [3.0, 2.0], 0.0)
+    moved = SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels, epoch=half.astype(np.int64))
+    measure = measure_day(moved, site=clear_day.site, cadence_s=120.0)
+    assert decide_day(measure).kind == "clear"
+    assert measure.sd_px < 0.2
+
+
+def test_a_doubtful_clock_makes_a_day_unusable_and_says_so(clear_day: Simulated) -> None:
+    doubt = np.where(np.arange(len(clear_day.points)) % 3 > 0, 60.0, 0.01)
+    points = SunPoints(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=doubt)
+    verdict = decide_day(measure_day(points, site=clear_day.site, cadence_s=120.0))
+    assert verdict.kind == "unusable"
+    assert verdict.reasons == ("the clock is doubtful in 67 % of the sightings",)
+
+
+def test_the_solid_angle_is_that_of_the_band_that_was_seen(clear_day: Simulated) -> None:
+    whole = measure_day(clear_day.points, site=clear_day.site, cadence_s=120.0)
+    half = measure_day(clear_day.points.select(slice(0, None, 1)).select(slice(0, 200)), site=clear_day.site)
+    assert whole.solid_angle_sr == pytest.approx(np.radians(whole.arc_deg) * np.radians(2.0), rel=0.4)
+    assert half.solid_angle_sr < 0.7 * whole.solid_angle_sr
+
+
+def test_a_fit_leaves_cloudy_days_out_unless_there_is_nothing_better() -> None:
+    first = date(1970, 1, 2)
+    kinds: tuple[DayKind, ...] = ("clear", "cloudy", "unusable", "partly")
+    assert days_left_out({first + timedelta(days=i): kind for i, kind in enumerate(kinds)}) == (2, 3)
+    assert days_left_out({first: "cloudy", date(1970, 1, 5): "unusable"}) == (4,)
+    assert days_left_out({}) == ()
 
 
 def test_no_sightings_are_unusable(clear_day: Simulated) -> None:

@@ -69,6 +69,7 @@ def worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWo
         site=SGP,
         options=RefitOptions(),
         calibration=CalibrationOptions(),
+        cadence_s=30.0,
         clock=clock,
         now=lambda: NOW,
         board=board,

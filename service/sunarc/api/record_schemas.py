@@ -15,10 +15,17 @@ class DayOut(BaseModel):
     verdict: DayVerdict
     reasons: list[str]
     n: int = Field(description="Accepted sightings.")
-    n_possible: int = Field(description="Sightings that the day had room for.")
+    n_cycles: int | None = Field(description="Cycles with a sighting on the day's smooth arc; a bracket is one.")
+    n_possible: int = Field(description="Cycles that the day had room for.")
     arc_deg: float | None = Field(description="Arc of the sky that was covered, degrees.")
+    solid_angle_sr: float | None = Field(description="Solid angle of the sky that was covered, steradians.")
     sd_px: float | None = Field(description="Scatter about the day's smooth arc, px per axis (Eq. 20).")
     rmsd_px: float | None = Field(description="Scatter about the day's smooth arc, px in distance (Eq. 27c).")
+    doubtful_clock: float | None = Field(description="Share of the sightings whose clock was doubtful.")
+    pose_offset_deg: list[float] | None = Field(
+        description="How the camera stood turned against its calibration: about east, north and up, degrees."
+    )
+    pose_offset_sigma_deg: list[float] | None = Field(description="1-sigma of each, degrees.")
     decided_at: Time
 
 

@@ -173,6 +173,7 @@ class Service:
             site=self.settings.site,
             options=self.settings.refit,
             calibration=self.settings.calibration,
+            cadence_s=self.settings.capture.cadence_s,
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,

@@ -30,7 +30,7 @@ class Calibrations(Store):
     def add_calibration(
         self, document: Mapping[str, Any], *, parent: str | None = None, used: SunPointColumns | None = None
     ) -> CalibrationRecord:
-        """Keep a calibration document, as a candidate or as refused, by its verdict.
+        """Keep a calibration document, as a candidate (accepted or marginal) or as refused, by its verdict.
 
         Parameters
         ----------
@@ -106,6 +106,13 @@ class Calibrations(Store):
             found = self._records(connection, *wanted)
         return told(found[0]) if found else None
 
+    def was_served(self, camera: str, *, pose_epoch: str) -> bool:
+        """Return whether any calibration of a pose epoch ever answered."""
+        c = calibration.c
+        with self._reading() as connection:
+            served = select(c.id).where(c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED)).limit(1)
+            return connection.scalar(served) is not None
+
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none."""
         with self._reading() as connection:
@@ -149,7 +156,7 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
         verdict = document["verdict"]
         return CalibrationRecord(
             **{name: document[name] for name in _FIELDS},
-            state="candidate" if verdict["accepted"] else "refused",
+            state="candidate" if verdict["accepted"] or verdict.get("marginal", False) else "refused",
             created_at=datetime.fromisoformat(document["created_at"]),
             valid_from=datetime.fromisoformat(document["valid_from"]),
             valid_until=None,

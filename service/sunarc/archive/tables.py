@@ -65,6 +65,21 @@ class TextTuple(TypeDecorator[tuple[str, ...]]):
         return tuple(value or ())
 
 
+class NumberTuple(TypeDecorator[tuple[float, ...]]):
+    """A few numbers, as a JSON list; None where there are none."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: tuple[float, ...] | None, dialect: Dialect) -> list[float] | None:  # noqa: ARG002 - SQLAlchemy's
+        """Return the list to store."""
+        return None if value is None else list(value)
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[float, ...] | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored numbers."""
+        return None if value is None else tuple(value)
+
+
 metadata = MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -148,6 +163,11 @@ day = Table(
     Column("arc_deg", Float),
     Column("sd_px", Float),
     Column("rmsd_px", Float),
+    Column("n_cycles", Integer),
+    Column("solid_angle_sr", Float),
+    Column("doubtful_clock", Float),
+    Column("pose_offset_deg", NumberTuple),
+    Column("pose_offset_sigma_deg", NumberTuple),
 )
 
 calibration = Table(

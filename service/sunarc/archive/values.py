@@ -16,7 +16,7 @@ from sunarc.errors import InputError
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
 EventSeverity = Literal["info", "warning", "alarm"]
-RefitState = Literal["requested", "running", "accepted", "refused", "failed", "interrupted"]
+RefitState = Literal["requested", "running", "accepted", "marginal", "refused", "failed", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +131,18 @@ class SunPointColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Day:
-    """A solar day's verdict: `n` accepted sightings of `n_possible`, the arc, and the scatter about it (Eq. 20, 27)."""
+    """A solar day's verdict, the arc, and the scatter about it (Eq. 20, 27).
+
+    Attributes
+    ----------
+    n : accepted sightings.
+    n_cycles, n_possible : cycles with a sighting on the smooth arc, and cycles that the day had; None: not counted.
+    arc_deg, solid_angle_sr : how much of the sky was seen.
+    sd_px, rmsd_px : scatter of all sightings about the arc.
+    doubtful_clock : share of the sightings whose clock was doubtful.
+    pose_offset_deg, pose_offset_sigma_deg : how the camera stood turned against its calibration on average, about the
+        axes to the east, to the north and up, and the 1-sigma of each; None where it is not known.
+    """
 
     camera: str
     date: date
@@ -143,6 +154,11 @@ class Day:
     arc_deg: float | None = None
     sd_px: float | None = None
     rmsd_px: float | None = None
+    n_cycles: int | None = None
+    solid_angle_sr: float | None = None
+    doubtful_clock: float | None = None
+    pose_offset_deg: tuple[float, ...] | None = None
+    pose_offset_sigma_deg: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

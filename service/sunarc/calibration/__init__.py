@@ -8,7 +8,7 @@ what it is worth · `again` the same fit once more · `days` what a day is worth
 `document` its JSON.
 """
 
-from sunarc.calibration.acceptance import accept, disagreement, distance_px
+from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
 from sunarc.calibration.again import calibrate_again
 from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
@@ -20,7 +20,15 @@ from sunarc.calibration.covariance import (
     sigma_px,
     unproject_with_sigma,
 )
-from sunarc.calibration.days import DayMeasure, DayOptions, DayVerdict, decide_day, measure_day, smooth_arc
+from sunarc.calibration.days import (
+    DayMeasure,
+    DayOptions,
+    DayVerdict,
+    days_left_out,
+    decide_day,
+    measure_day,
+    smooth_arc,
+)
 from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
@@ -61,6 +69,7 @@ __all__ = [
     "calibrate",
     "calibrate_again",
     "camera_sees",
+    "days_left_out",
     "decide_day",
     "disagreement",
     "distance_px",
@@ -78,4 +87,5 @@ __all__ = [
     "smooth_arc",
     "to_document",
     "unproject_with_sigma",
+    "unseen_points",
 ]

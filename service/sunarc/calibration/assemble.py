@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.backward import NO_BACKWARD, fit_backward
 from sunarc.calibration.covariance import last_angle, pose_error, sky_sigma_deg
 from sunarc.calibration.field import Field, wave_basis
+from sunarc.calibration.heldout import HeldOut
 from sunarc.calibration.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.points import SunPoints, Usable
@@ -56,7 +57,7 @@ class Fitted(NamedTuple):
     sigma_px: float
     inflation: float
     radial_px: float
-    held_out_rmse_px: float | None
+    held_out: HeldOut | None
 
 
 def finished(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
@@ -113,7 +114,13 @@ def _metrics(fitted: Fitted, usable: Usable, cameras: list[Camera]) -> Metrics:
         mine = usable.epoch == epoch
         angle[mine] = residual_angles(camera, usable.pixels[mine], usable.directions[mine])
     metrics = fit_metrics(fitted.residual, fitted.used, angle)
-    return replace(metrics, held_out_rmse_px=fitted.held_out_rmse_px)
+    if fitted.held_out is None:
+        return metrics
+    return replace(
+        metrics,
+        held_out_rmse_px=fitted.held_out.rmse_px,
+        held_out_expected_px=fitted.held_out.expected_px,
+    )
 
 
 def _used(fitted: Fitted, job: Job) -> NDArray[np.bool_]:

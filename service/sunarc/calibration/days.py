@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from typing import Literal
 
 import numpy as np
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.loss import core_sigma, tukey_weights
 from sunarc.calibration.metrics import measures
-from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.patches import solid_angle_sr
+from sunarc.calibration.points import SunPoints, Usable, usable_points
 from sunarc.errors import InputError
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
 
 FloatArray = NDArray[np.float64]
 DayKind = Literal["clear", "partly", "cloudy", "unusable"]
 
+_SHOW_THE_SUN = frozenset[DayKind]({"clear", "partly"})
 _ORDER = 9
 _ROUNDS = 12
 _POLYNOMIAL_PX = 0.2
@@ -37,6 +40,8 @@ class DayOptions:
     clear_sd_px : largest scatter of all sightings about the arc on a clear day, px.
     smallest_count : fewer sightings on the arc make a day unusable.
     smallest_arc_deg : a shorter arc makes a day unusable.
+    largest_clock_error_s : a sighting whose clock may be wrong by more is doubtful.
+    doubtful_share : a day with a larger share of doubtful sightings is unusable.
     """
 
     clear_share: float = 0.8
@@ -44,11 +49,17 @@ class DayOptions:
     clear_sd_px: float = 1.5
     smallest_count: int = 20
     smallest_arc_deg: float = 15.0
+    largest_clock_error_s: float = 2.0
+    doubtful_share: float = 0.5
 
     def __post_init__(self) -> None:
         """Refuse shares that are none."""
         if not 0.0 <= self.partly_share <= self.clear_share <= 1.0:
             raise InputError(field="partly_share, clear_share", problem="not rising from 0 to 1", remedy="mend them")
+        if not self.largest_clock_error_s > 0.0 or not 0.0 < self.doubtful_share <= 1.0:
+            raise InputError(
+                field="largest_clock_error_s, doubtful_share", problem="out of bounds", remedy="give s, and 0 to 1"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,23 +69,29 @@ class DayMeasure:
     Attributes
     ----------
     date : local mean solar date, ISO 8601; "" without sightings.
-    n : sightings usable; n_on_arc: those on the smooth arc; n_possible: frames with the sun above the horizon.
+    n : sightings usable; n_on_arc: those on the smooth arc.
+    n_cycles : cycles with at least one on the arc (a bracket is one); n_possible: cycles with the sun up.
     sd_px : standard deviation of the distances from the arc (Eq. 27c as the paper's Table 1 has it), all sightings.
     rmsd_px : root of the mean square distance from the arc, all sightings.
     core_sd_px : 1-sigma per axis of the sightings on the arc.
     arc_deg : length of the sun's way between the first and the last sighting on the arc, gaps above 5 degrees left out.
+    solid_angle_sr : solid angle of the patches of sky, 2 degrees wide, with a sighting on the arc.
     largest_gap_s : longest time between sightings on the arc.
+    doubtful_clock : share of the sightings whose clock may be wrong by more than allowed.
     """
 
     date: str
     n: int
     n_on_arc: int
+    n_cycles: int
     n_possible: int
     sd_px: float
     rmsd_px: float
     core_sd_px: float
     arc_deg: float
+    solid_angle_sr: float
     largest_gap_s: float
+    doubtful_clock: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,21 +102,30 @@ class DayVerdict:
     reasons: tuple[str, ...]
 
 
-def measure_day(points: SunPoints, *, site: Site, n_possible: int | None = None, cadence_s: float = 30.0) -> DayMeasure:
-    """Return what one day's sightings show.
+def measure_day(
+    points: SunPoints,
+    *,
+    site: Site,
+    n_possible: int | None = None,
+    cadence_s: float = 30.0,
+    options: DayOptions | None = None,
+) -> DayMeasure:
+    """Return what one day's sightings show; each pose epoch of the day has an arc of its own.
 
     Parameters
     ----------
     points : sightings of one solar day.
     site : where the camera stands.
-    n_possible : how many frames could have shown the sun; None counts one every `cadence_s` while it is up.
-    cadence_s : seconds between frames.
+    n_possible : how many cycles could have shown the sun; None counts one every `cadence_s` while it is up.
+    cadence_s : seconds between cycles.
+    options : say which clock is doubtful.
     """
+    wanted = DayOptions() if options is None else options
     usable = usable_points(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
     if len(usable) < 2:
         return _nothing(len(usable), possible)
-    _, residual, weight = smooth_arc(usable.pixels, hour_angle(usable.unix_s, site))
+    residual, weight = _about_arcs(usable, site)
     on_arc = weight > 0.0
     rmsd, _, _, sd = measures(residual)
     core = measures(residual[on_arc])[0] / math.sqrt(2.0)
@@ -108,13 +134,27 @@ def measure_day(points: SunPoints, *, site: Site, n_possible: int | None = None,
         date=(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=int(usable.day[0]))).date().isoformat(),
         n=len(usable),
         n_on_arc=int(on_arc.sum()),
+        n_cycles=int(np.unique(np.floor(times / cadence_s)).size),
         n_possible=possible,
         sd_px=sd,
         rmsd_px=rmsd,
         core_sd_px=core,
         arc_deg=arc_length_deg(usable.directions[on_arc]),
-        largest_gap_s=float(np.max(np.diff(times), initial=0.0)),
+        solid_angle_sr=solid_angle_sr(usable.directions[on_arc]),
+        largest_gap_s=float(np.max(np.diff(np.sort(times)), initial=0.0)),
+        doubtful_clock=float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)),
     )
+
+
+def _about_arcs(usable: Usable, site: Site) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (n, 2) and weights (n,) about the smooth arc of each pose epoch."""
+    angle = hour_angle(usable.unix_s, site)
+    residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
+    for epoch in np.unique(usable.epoch):
+        mine = usable.epoch == epoch
+        if np.sum(mine) > 1:
+            _, residual[mine], weight[mine] = smooth_arc(usable.pixels[mine], angle[mine])
+    return residual, weight
 
 
 def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -150,14 +190,27 @@ def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVer
         return DayVerdict(kind="unusable", reasons=(f"{measure.n_on_arc} sightings on a smooth arc",))
     if measure.arc_deg < wanted.smallest_arc_deg:
         return DayVerdict(kind="unusable", reasons=(f"only {measure.arc_deg:.0f} degrees of arc seen",))
-    share = measure.n_on_arc / max(measure.n_possible, measure.n, 1)
-    seen = f"{100.0 * share:.0f} % of the possible sightings lie on the arc"
+    if measure.doubtful_clock > wanted.doubtful_share:
+        doubtful = f"the clock is doubtful in {100.0 * measure.doubtful_clock:.0f} % of the sightings"
+        return DayVerdict(kind="unusable", reasons=(doubtful,))
+    share = measure.n_cycles / max(measure.n_possible, measure.n_cycles, 1)
+    seen = f"{100.0 * share:.0f} % of the {measure.n_possible} possible sightings lie on the arc"
     scatter = f"they scatter by {measure.sd_px:.2f} px about it"
     if share < wanted.partly_share:
         return DayVerdict(kind="cloudy", reasons=(seen,))
     if share < wanted.clear_share or measure.sd_px > wanted.clear_sd_px:
         return DayVerdict(kind="partly", reasons=(seen, scatter))
     return DayVerdict(kind="clear", reasons=(seen, scatter))
+
+
+def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
+    """Return the days, counted from 1970, that a fit does not use: where some show the sun, only those that do.
+
+    Days without a verdict (today's) are used.
+    """
+    shown = any(kind in _SHOW_THE_SUN for kind in verdicts.values())
+    wanted = _SHOW_THE_SUN if shown else _SHOW_THE_SUN | {"cloudy"}
+    return tuple(sorted((day - date(1970, 1, 1)).days for day, kind in verdicts.items() if kind not in wanted))
 
 
 def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
@@ -176,12 +229,15 @@ def _nothing(n: int, possible: int) -> DayMeasure:
         date="",
         n=n,
         n_on_arc=0,
+        n_cycles=0,
         n_possible=possible,
         sd_px=math.nan,
         rmsd_px=math.nan,
         core_sd_px=math.nan,
         arc_deg=0.0,
+        solid_angle_sr=0.0,
         largest_gap_s=0.0,
+        doubtful_clock=0.0,
     )
 
 

@@ -76,7 +76,11 @@ def to_document(
         "uncertainty": _uncertainty(calibration),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
         "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Evidence)},
-        "verdict": {"accepted": calibration.verdict.accepted, "reasons": list(calibration.verdict.reasons)},
+        "verdict": {
+            "accepted": calibration.verdict.accepted,
+            "marginal": calibration.verdict.marginal,
+            "reasons": list(calibration.verdict.reasons),
+        },
         "software": {"name": "sunarc", "version": software_version},
     }
 
@@ -172,6 +176,7 @@ def from_document(document: object) -> Calibration:
         verdict=Verdict(
             accepted=bool(read.value("verdict.accepted")),
             reasons=tuple(str(r) for r in read.items("verdict.reasons")),
+            marginal=bool(read.value("verdict.marginal", needed=False)),
         ),
         method=method,
         site=_read_site(read),
@@ -217,7 +222,6 @@ def _read_field(read: _Reader, size: int) -> Field:
 
 
 def _read_metrics(read: _Reader) -> Metrics:
-    held_out = read.number("metrics.held_out_rmse_px")
     n = read.number("metrics.n")
     return Metrics(
         n=int(n) if math.isfinite(n) else 0,
@@ -227,8 +231,13 @@ def _read_metrics(read: _Reader) -> Metrics:
         sd_px=read.number("metrics.sd_px"),
         sd_of_distance_px=read.number("metrics.sd_of_distance_px"),
         rmse_deg=read.number("metrics.rmse_deg"),
-        held_out_rmse_px=held_out if math.isfinite(held_out) else None,
+        held_out_rmse_px=_or_none(read.number("metrics.held_out_rmse_px")),
+        held_out_expected_px=_or_none(read.number("metrics.held_out_expected_px", needed=False)),
     )
+
+
+def _or_none(number: float) -> float | None:
+    return number if math.isfinite(number) else None
 
 
 def _read_evidence(read: _Reader) -> Evidence:

@@ -1,11 +1,14 @@
-"""How well a fit foretells days that it did not see."""
+"""How well a fit foretells days that it did not see, and how well it says it does."""
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.evidence import marginal_fit
+from sunarc.calibration.evidence import Marginal, marginal_fit
 from sunarc.calibration.points import Usable
 from sunarc.calibration.robust import RobustFit
 
@@ -14,8 +17,15 @@ FloatArray = NDArray[np.float64]
 _FOLDS = 5
 
 
-def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
-    """Return the root mean square distance on days left out in turn, px; None with fewer than two days a pose.
+class HeldOut(NamedTuple):
+    """Root mean square distance on days left out in turn, px: as found, and as the fits without them expect it."""
+
+    rmse_px: float
+    expected_px: float
+
+
+def held_out(fit: RobustFit, usable: Usable) -> HeldOut | None:
+    """Return how well whole days are foretold by the others; None with fewer than two days a pose.
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
     """
@@ -25,15 +35,26 @@ def held_out_rmse(fit: RobustFit, usable: Usable) -> float | None:
     fold_of_day = np.arange(days.size) * min(_FOLDS, days.size) // days.size
     fold = fold_of_day[np.searchsorted(days, usable.day)]
     system = fit.system
-    total, count = 0.0, 0
+    found, expected, count = 0.0, 0.0, 0
     for left_out in np.unique(fold):
         mine = fold == left_out
         if np.setdiff1d(usable.epoch[mine], usable.epoch[~mine]).size:
             continue  # a pose that no other day shows cannot be foretold
         inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
-        change = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales).unknowns - system.at
+        without = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales)
         counted = mine & (fit.weight > 0.0)
-        foretold = fit.residual[counted] - (system.rows @ change)[system.member[counted]]
-        total += float(np.sum(foretold**2))
+        place = system.member[counted]
+        foretold = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[place]
+        found += float(np.sum(foretold**2))
+        noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
+        expected += float(np.sum(_variance(fit, without)[place] + noise))
         count += int(counted.sum())
-    return float(np.sqrt(total / count)) if count else None
+    return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
+
+
+def _variance(fit: RobustFit, without: Marginal) -> FloatArray:
+    """Return (bins,): trace of the covariance of what a fit without some days foretells, px²."""
+    rows, waves = fit.system.rows, fit.system.waves
+    own = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
+    mixed = np.einsum("nap,apm,nm->n", rows, without.cross, waves, optimize=True)
+    return np.asarray(np.maximum(own + 2.0 * mixed + 2.0 * fit.scales.amplitude_px**2, 0.0))

@@ -28,6 +28,7 @@ class Metrics:
         (RMSE² = MAE² + SD²).
     rmse_deg : root of the mean square angle between sighted and true direction.
     held_out_rmse_px : the same as rmse_px on days that were left out in turn; None with fewer than two days.
+    held_out_expected_px : what the fits without those days expected it to be.
     """
 
     n: int
@@ -38,6 +39,7 @@ class Metrics:
     sd_of_distance_px: float
     rmse_deg: float
     held_out_rmse_px: float | None = None
+    held_out_expected_px: float | None = None
 
 
 NO_METRICS = Metrics(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.assemble import Fitted, tidied
 from sunarc.calibration.field import Field
-from sunarc.calibration.heldout import held_out_rmse
+from sunarc.calibration.heldout import held_out
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.priors import FREE, FREE_NAMES, LENS, N_LENS, POSE
@@ -45,7 +45,7 @@ def robust_outcome(fit: RobustFit, usable: Usable, options: CalibrationOptions) 
         sigma_px=fit.sigma_px,
         inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
         radial_px=fit.scales.radial_px,
-        held_out_rmse_px=held_out_rmse(fit, usable),
+        held_out=held_out(fit, usable),
     )
 
 

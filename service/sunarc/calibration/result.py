@@ -20,10 +20,14 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Whether a calibration may be used, and why (not): at least one reason, in words."""
+    """Whether a calibration may be used, and why (not): at least one reason, in words.
+
+    A marginal one is not used, but nothing is wrong with it: it is kept as a candidate that a person may serve.
+    """
 
     accepted: bool
     reasons: tuple[str, ...]
+    marginal: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -75,7 +75,13 @@ class DayJudge:
         )
         frames = np.arange(start, end, self._cadence_s)
         up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
-        measure = measure_day(points_of(columns), site=self._site, n_possible=int(np.count_nonzero(up)))
+        measure = measure_day(
+            points_of(columns),
+            site=self._site,
+            n_possible=int(np.count_nonzero(up)),
+            cadence_s=self._cadence_s,
+            options=self._options,
+        )
         decided = decide_day(measure, self._options)
         return Day(
             camera=self._camera,
@@ -83,9 +89,12 @@ class DayJudge:
             verdict=decided.kind,
             reasons=decided.reasons,
             n=measure.n,
+            n_cycles=measure.n_cycles,
             n_possible=measure.n_possible,
             decided_at=self._now(),
             arc_deg=measure.arc_deg,
+            solid_angle_sr=measure.solid_angle_sr,
+            doubtful_clock=_finite(measure.doubtful_clock),
             sd_px=_finite(measure.sd_px),
             rmsd_px=_finite(measure.rmsd_px),
         )

@@ -5,18 +5,28 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, Refit, RefitState
 from sunarc.board import Reason, StatusBoard
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, accept, from_document, to_document
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    ImageCircle,
+    SelectionOptions,
+    Verdict,
+    accept,
+    from_document,
+    to_document,
+    unseen_points,
+)
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.sky import Site
-from sunarc.workers.points import points_of
-from sunarc.workers.solve import Problem, SolveFailedError, solve_in_child
+from sunarc.workers.problem import Task, next_task
+from sunarc.workers.solve import SolveFailedError, solve_in_child
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
@@ -31,11 +41,13 @@ class RefitOptions:
     check_every_s : how often ended days are looked for, real seconds.
     time_limit_s : a solve that takes longer is given up, real seconds.
     image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
+    selection : how many sightings of the record a fit uses, and which never.
     """
 
     check_every_s: float = 60.0
     time_limit_s: float = 900.0
     image_circle_px: tuple[float, float, float] | None = None
+    selection: SelectionOptions = field(default_factory=SelectionOptions)
 
     def __post_init__(self) -> None:
         """Refuse durations that are none."""
@@ -50,6 +62,7 @@ class RefitWorker:
     ----------
     archive, camera, site : whose sightings, and where.
     options, calibration : the limits, and how to fit.
+    cadence_s : how often the sun is looked at.
     clock : real time.
     now : frame time, which dates calibrations.
     board : where the lack of a calibration is shown.
@@ -64,6 +77,7 @@ class RefitWorker:
         site: Site,
         options: RefitOptions,
         calibration: CalibrationOptions,
+        cadence_s: float,
         clock: Clock,
         now: Callable[[], datetime],
         board: StatusBoard,
@@ -74,6 +88,7 @@ class RefitWorker:
         self._site = site
         self._options = options
         self._calibration = calibration
+        self._cadence_s = cadence_s
         self._clock = clock
         self._now = now
         self._board = board
@@ -93,65 +108,77 @@ class RefitWorker:
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
         self._archive.start_refit(refit.id, started_at=self._now())
-        problem = self._problem()
-        if problem is None:
-            self._finish(refit, "failed", "there are no accepted sightings yet")
+        task = next_task(
+            self._archive,
+            camera=self._camera,
+            site=self._site,
+            cadence_s=self._cadence_s,
+            limits=self._options.selection,
+            options=self._calibration,
+            circle=None if self._options.image_circle_px is None else _circle(self._options.image_circle_px),
+        )
+        if isinstance(task, str):
+            self._finish(refit, "failed", task)
             return
         try:
             solved = solve_in_child(
-                problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
+                task.problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
             )
         except SolveFailedError as error:
             self._finish(refit, "failed", str(error))
             return
         if solved is not None:
-            self._judge(refit, solved)
+            self._judge(refit, task, task.with_selection(solved))
 
-    def _problem(self) -> Problem | None:
-        known = {camera.name: camera for camera in self._archive.cameras()}
-        columns = self._archive.sun_point_columns(self._camera)
-        if self._camera not in known or columns.unix_s.size == 0:
-            return None
-        record = known[self._camera]
-        return Problem(
-            points=points_of(columns),
-            site=self._site,
-            image_size=(record.width, record.height),
-            options=self._calibration,
-            circle=None if self._options.image_circle_px is None else _circle(self._options.image_circle_px),
-        )
-
-    def _judge(self, refit: Refit, solved: Calibration) -> None:
+    def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
-        if solved.verdict.accepted:
-            before = None if current is None else from_document(current.document)
-            solved = replace(solved, verdict=accept(solved, before))
-        record = self._keep(refit, solved, current)
-        if record.accepted:
-            served = self._archive.activate(record.id).state == "current"
-            held = () if served else ("kept as a candidate: the current one is pinned",)
-            self._finish(refit, "accepted", "; ".join((*record.reasons, *held)), calibration=record.id)
+        epoch = self._archive.current_epoch(self._camera)
+        if epoch is not None and task.pose_epoch != epoch.id:
+            since = f"the camera was moved at {epoch.started_at.isoformat()}, and no usable sighting is younger"
+            solved = replace(solved, verdict=Verdict(accepted=False, reasons=(since,)))
         else:
-            self._finish(refit, "refused", "; ".join(record.reasons), calibration=record.id)
+            solved = replace(solved, verdict=self._verdict(task, solved, current))
+        record = self._keep(refit, task, solved, current)
+        state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
+        served = record.accepted and self._archive.activate(record.id).state == "current"
+        held = ("kept as a candidate: the current one is pinned",) if record.accepted and not served else ()
+        self._finish(refit, state, "; ".join((*record.reasons, *held)), calibration=record.id)
         self._show_calibration()
 
-    def _keep(self, refit: Refit, solved: Calibration, current: CalibrationRecord | None) -> CalibrationRecord:
+    def _verdict(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
+        if current is None:
+            return accept(solved)
+        try:
+            before = from_document(current.document)
+        except InputError as error:
+            unread = f"the current calibration {current.id} cannot be read by this version, nor compared ({error})"
+            return Verdict(accepted=False, marginal=True, reasons=(unread,))
+        same = current.pose_epoch == task.pose_epoch
+        return accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
+
+    def _keep(
+        self, refit: Refit, task: Task, solved: Calibration, current: CalibrationRecord | None
+    ) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
         now = self._now()
-        epoch = self._archive.current_epoch(self._camera)
-        first = epoch is not None and (current is None or current.pose_epoch != epoch.id)
         document = to_document(
             solved,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{refit.id[:6]}",
             camera=self._camera,
-            state="candidate" if solved.verdict.accepted else "refused",
+            state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
-            valid_from=epoch.started_at if epoch is not None and first else now,
+            valid_from=self._answers_from(task.pose_epoch, now),
             valid_until=None,
-            pose_epoch="" if epoch is None else epoch.id,
+            pose_epoch=task.pose_epoch,
             software_version=sunarc.__version__,
         )
-        return self._archive.add_calibration(document, parent=None if current is None else current.id)
+        return self._archive.add_calibration(document, parent=None if current is None else current.id, used=task.used)
+
+    def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
+        if self._archive.was_served(self._camera, pose_epoch=pose_epoch):
+            return now
+        started = {epoch.id: epoch.started_at for epoch in self._archive.epochs(self._camera)}
+        return started.get(pose_epoch, now)
 
     def _finish(self, refit: Refit, state: RefitState, message: str, *, calibration: str | None = None) -> None:
         now = self._now()

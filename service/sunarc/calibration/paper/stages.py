@@ -65,7 +65,7 @@ def fit_as_paper(seen: Observations, usable: Usable, cameras: list[Camera], *, o
         sigma_px=math.sqrt(variance),
         inflation=1.0,
         radial_px=math.nan,
-        held_out_rmse_px=None,
+        held_out=None,
     )
 
 

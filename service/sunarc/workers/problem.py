@@ -1,0 +1,77 @@
+"""From the archive's record to what a refit is given."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from sunarc.archive import Archive, SunPointColumns
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    ImageCircle,
+    Selection,
+    SelectionOptions,
+    days_left_out,
+    select_sightings,
+)
+from sunarc.sky import Site
+from sunarc.workers.points import points_of
+from sunarc.workers.solve import Problem
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Task:
+    """A solve, and the sightings of the archive that it is given.
+
+    Attributes
+    ----------
+    problem : for the child process.
+    used : the sightings, as columns of the archive.
+    selection, limits : how they were picked, and by which options.
+    """
+
+    problem: Problem
+    used: SunPointColumns
+    selection: Selection
+    limits: SelectionOptions
+
+    @property
+    def pose_epoch(self) -> str:
+        """The pose epoch that the answer speaks of."""
+        return self.used.epoch_ids[-1]
+
+    def with_selection(self, solved: Calibration) -> Calibration:
+        """Return a calibration whose evidence tells how its sightings were picked."""
+        told = {**asdict(self.limits), **self.selection.told()}
+        return replace(solved, evidence=replace(solved.evidence, selection=told))
+
+
+def next_task(
+    archive: Archive,
+    *,
+    camera: str,
+    site: Site,
+    cadence_s: float,
+    limits: SelectionOptions,
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+) -> Task | str:
+    """Return what the whole record of a camera asks for; or why there is nothing to solve, in words."""
+    sizes = {known.name: (known.width, known.height) for known in archive.cameras()}
+    columns = archive.sun_point_columns(camera)
+    if camera not in sizes or columns.ids.size == 0:
+        return "there are no accepted sightings yet"
+    left_out = days_left_out({day.date: day.verdict for day in archive.days(camera)})
+    selection = select_sightings(
+        points_of(columns), site=site, slot_s=cadence_s, options=limits, left_out_days=np.array(left_out)
+    )
+    if selection.index.size == 0:
+        return (
+            f"none of {selection.n_supplied} sightings can be used: {selection.n_doubtful_clock} with a doubtful "
+            f"clock, {selection.n_other_days} of cloudy or unusable days"
+        )
+    used = columns.select(selection.index)
+    problem = Problem(points=points_of(used), site=site, image_size=sizes[camera], options=options, circle=circle)
+    return Task(problem=problem, used=used, selection=selection, limits=limits)
