@@ -29,35 +29,33 @@ def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:
     [
         pytest.param({}, id="clear"),
         pytest.param({"streaks": 4}, id="streaks"),
-        pytest.param({"contrails": 3}, id="contrails"),
+        pytest.param({"haze": 1.2}, id="haze, drawn out by the lens"),
+        pytest.param({"exposure": 0.4}, id="a short exposure"),
+        pytest.param({"contrails": 1}, id="a contrail"),
+        pytest.param({"dirt": 3}, id="dirt beside the sun"),
+        pytest.param({"snow": True, "wider": 100, "smear": 0.5}, id="snow, smear, not square"),
         pytest.param({"bright_cloud": True}, id="saturated cloud beside the sun"),
         pytest.param({"ghost": True}, id="reflection opposite the sun"),
         pytest.param({"quality": 60}, id="poor JPEG"),
     ],
 )
 def test_the_sun_is_found_to_two_pixels(scene: dict[str, Any]) -> None:
-    found = errors(3, **scene)
-    assert len(found) == 3
+    found = errors(2, **scene)
+    assert len(found) == 2
     assert np.median([distance for distance, _ in found]) < 2.0
     assert all(distance < 5.0 for distance, accepted in found if accepted)
 
 
-@pytest.mark.parametrize("scene", [{}, {"streaks": 4}, {"ghost": True}])
-def test_most_clear_suns_are_accepted(scene: dict[str, Any]) -> None:
-    assert sum(accepted for _, accepted in errors(4, **scene)) >= 3
-
-
 @pytest.mark.parametrize(
-    "scene",
-    [
-        {"thin_cloud": 0.5},
-        {"thin_cloud": 1.0, "aureole": 4.0},
-        {"thin_cloud": 1.5, "aureole": 4.0, "sun": 5.0},
-        {"aureole": 4.0},
-    ],
+    ("scene", "least"), [({}, 2), ({"streaks": 4}, 2), ({"haze": 1.2}, 2), ({"dirt": 2}, 1), ({"contrails": 1}, 1)]
 )
+def test_most_clear_suns_are_accepted(scene: dict[str, Any], least: int) -> None:
+    assert sum(accepted for _, accepted in errors(2, **scene)) >= least
+
+
+@pytest.mark.parametrize("scene", [{"thin_cloud": 0.1}, {"thin_cloud": 0.5}, {"thin_cloud": 2.0}, {"contrails": 4}])
 def test_a_blob_pulled_off_the_sun_is_not_accepted(scene: dict[str, Any]) -> None:
-    assert not [distance for distance, accepted in errors(4, **scene) if accepted and distance > 5.0]
+    assert not [distance for distance, accepted in errors(2, **scene) if accepted and distance > 5.0]
 
 
 @pytest.mark.parametrize("level", [0, 100, 255])

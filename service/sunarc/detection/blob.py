@@ -63,18 +63,18 @@ def _blob(
     )
 
 
-def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float, float]]:
-    """Return the centres of the largest circles within a mask, largest first, no two in one another."""
+def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float, float, float]]:
+    """Return centre and radius of the largest circles within a mask, largest first, no two in one another."""
     padded = np.pad(mask, 1)
     distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5), dtype=np.float32)
-    centers: list[tuple[float, float]] = []
-    while len(centers) < most:
+    found: list[tuple[float, float, float]] = []
+    while len(found) < most:
         _, radius, _, (column, row) = cv2.minMaxLoc(distance)
         if radius < least_radius:
             break
-        centers.append((float(column - 1), float(row - 1)))
+        found.append((float(column - 1), float(row - 1), float(radius)))
         cv2.circle(distance, (column, row), math.ceil(2.0 * radius), 0.0, thickness=-1)
-    return centers
+    return found
 
 
 def opened(mask: Mask, diameter: int) -> Mask:

@@ -41,10 +41,16 @@ def level_circle(plane: Plane, *, level: float, near: tuple[float, float]) -> Ci
     start = _inscribed(mask, distance, near)
     if start is None or start.radius < 2.0:
         return None
-    size = max(3, round(_OPENING * start.radius))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    points = _outline(np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8), start)
+    points = _outline(_opened(mask, radius=0.5 * _OPENING * start.radius), start)
     return None if len(points) < 8 else _fitted(points, start)
+
+
+def _opened(mask: NDArray[np.uint8], *, radius: float) -> NDArray[np.uint8]:
+    """Return the mask without what is thinner than a disc of this radius; two distances, however large it is."""
+    inner = np.asarray(cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 5))[1:-1, 1:-1]
+    outside = (inner <= radius).astype(np.uint8)
+    reach = np.asarray(cv2.distanceTransform(outside, cv2.DIST_L2, 5))
+    return (reach < radius).astype(np.uint8)
 
 
 def _inscribed(mask: NDArray[np.uint8], distance: FloatArray, near: tuple[float, float]) -> Circle | None:
