@@ -31,7 +31,6 @@ def errors(count: int, seed: int = 3, **scene: Any) -> list[tuple[float, bool]]:
         pytest.param({"streaks": 4}, id="streaks"),
         pytest.param({"haze": 1.2}, id="haze, drawn out by the lens"),
         pytest.param({"exposure": 0.4}, id="a short exposure"),
-        pytest.param({"contrails": 1}, id="a contrail"),
         pytest.param({"dirt": 3}, id="dirt beside the sun"),
         pytest.param({"snow": True, "wider": 100, "smear": 0.5}, id="snow, smear, not square"),
         pytest.param({"bright_cloud": True}, id="saturated cloud beside the sun"),

@@ -6,12 +6,17 @@ from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column, select
 
 from sunarc.archive import tables
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPointColumns
 
+FloatArray = NDArray[np.float64]
+
+_LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
+_EXTRAPOLATED_AT_MOST = 100.0
 _COLUMNS = np.dtype(
     [("time", "i8"), ("x", "f8"), ("y", "f8"), ("sigma", "f8"), ("clock", "f8"), ("epoch", "i8"), ("id", "i8")]
 )
@@ -48,3 +53,12 @@ def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.nd
 
 def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.where(column < 0.0, np.nan, column)
+
+
+def read_levels(connection: Connection, wanted: list[ColumnElement[bool]]) -> tuple[FloatArray, FloatArray]:
+    """Return times (unix seconds) and the discs' levels over full scale in 1 µs."""
+    c = sun_point.c
+    peak = func.min(c.peak_fraction, _EXTRAPOLATED_AT_MOST) - func.coalesce(c.background_fraction, 0.0)
+    result = connection.execute(select(c.time, peak / c.exposure_us).where(*wanted, c.exposure_us > 0.0, peak > 0.0))
+    rows = np.fromiter(cast("Iterable[tuple[float, ...]]", result.cursor), dtype=_LEVELS)
+    return rows["time"] / 1e6, rows["level"].copy()

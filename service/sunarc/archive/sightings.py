@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, func, select, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
-from sunarc.archive.columns import read_columns
+from sunarc.archive.columns import FloatArray, read_columns, read_levels
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
@@ -129,6 +129,16 @@ class Sightings(Store):
         wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
         with self._reading() as connection:
             return read_columns(connection, camera, wanted)
+
+    def sun_levels(self, camera: str, *, since: datetime, until: datetime) -> tuple[FloatArray, FloatArray]:
+        """Return the accepted discs' times (unix seconds) and levels over full scale in 1 µs, background subtracted.
+
+        A saturated disc's level is what the fit made of its edges; above 100 times full scale it counts as that.
+        """
+        c = sun_point.c
+        wanted = [*_wanted(camera, since=since, until=until, accepted=True), c.method == "disc", c.body == "sun"]
+        with self._reading() as connection:
+            return read_levels(connection, wanted)
 
     def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
         """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""

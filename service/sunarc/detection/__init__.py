@@ -1,13 +1,15 @@
 """Where the sun is seen: in microsecond frames (`detect_sun`) and in ordinary images (the paper's estimators).
 
 Map: `values` in and out, `options`; `search` finds bright spots, `window` cuts them out, `template` renders the disc,
-`model` and `fit` fit it, `judge` says what it was and `obstruction` what is before it, `detect` joins
-them and `bracket` a bracket's frames. For ordinary images: `estimators` and `paper`
-are Appendix A, `blob` and `circles` the bright region's shape, `bias` what its centre is off, `photo` the verdict.
+`model` and `fit` fit it, `judge` says what it was and `obstruction` what is before it, `detect` joins them, `bracket` a
+bracket's frames, and `brightness` learns how bright the clear sun is. For ordinary images: `estimators` and `paper` are
+Appendix A, `blob` and `circles` the bright region's shape, `halo` the light around it, `bias` what its centre is off,
+`photo` the verdict.
 """
 
 from sunarc.detection.bias import Lens, radial_bias_px
 from sunarc.detection.bracket import combine
+from sunarc.detection.brightness import ClearSun, clear_sun
 from sunarc.detection.detect import detect_sun
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.paper import Estimates, Planes, locate, planes_of
@@ -17,6 +19,7 @@ from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Image
 __all__ = [
     "BAYERS",
     "Bayer",
+    "ClearSun",
     "Detection",
     "DiscOptions",
     "Estimates",
@@ -29,6 +32,7 @@ __all__ = [
     "Sensor",
     "Verdict",
     "bayer_of",
+    "clear_sun",
     "combine",
     "detect_sun",
     "detect_sun_in_photo",

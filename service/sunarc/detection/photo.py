@@ -55,7 +55,7 @@ class PaperOptions:
     min_share: float = 0.5
     min_edge: float = 0.35
     max_spread_px: float = 1.5
-    max_scatter: float = 0.035
+    max_scatter: float = 0.04
     max_ellipticity: float = 0.32
     gamma: float = 2.2
     sigma_px: float = 0.43

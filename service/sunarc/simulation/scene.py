@@ -14,7 +14,7 @@ from sunarc.simulation.disc import Stamp, disc_points, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import SceneOptions, SensorModel, Weather
-from sunarc.sky import Site, solar_date, sun_angles
+from sunarc.sky import Site, relative_air_mass, solar_date, sun_angles
 from sunarc.sky.directions import direction_from_angles
 
 FloatArray = NDArray[np.float64]
@@ -152,7 +152,8 @@ class Scene:
 
     def _disc_rate(self, sun_up: float) -> float:
         """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""
-        return self.options.sun_rate * self.options.nd_transmission * math.exp(-0.2 * air_mass(sun_up))
+        air = float(relative_air_mass(90.0 - math.degrees(math.asin(sun_up))))
+        return self.options.sun_rate * self.options.nd_transmission * math.exp(-0.2 * air)
 
     def _levels(self, sun_up: float, share: float) -> NDArray[np.float32]:
         """Return the levels of `sky_light` in full scales per microsecond."""
@@ -180,12 +181,6 @@ class Scene:
         inside = (x >= 0) & (y >= 0) & (x < region[2]) & (y < region[3])
         electrons = self._hot_e + self._hot_e_per_us * exposure_us
         light[y[inside], x[inside]] += electrons[inside] / (self.sensor.full_well_e * exposure_us)
-
-
-def air_mass(sun_up: float) -> float:
-    """Return the relative air mass for the sine of the sun's elevation (Kasten and Young 1989); 38 at the horizon."""
-    elevation_deg = max(math.degrees(math.asin(min(max(sun_up, 0.0), 1.0))), 0.0)
-    return 1.0 / (math.sin(math.radians(elevation_deg)) + 0.50572 * math.pow(elevation_deg + 6.07995, -1.6364))
 
 
 def _add(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:

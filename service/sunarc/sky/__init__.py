@@ -1,5 +1,6 @@
 """Where the sun is: positions, refraction, directions and solar days."""
 
+from sunarc.sky.air import relative_air_mass
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.site import Site
@@ -14,6 +15,7 @@ __all__ = [
     "day_bounds_unix_s",
     "direction_from_angles",
     "hour_angle",
+    "relative_air_mass",
     "solar_date",
     "sun_angles",
     "sun_directions",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 
 from sunarc.archive import Archive, sun_point_of
@@ -70,7 +71,7 @@ class DetectWorker:
             frame.image,
             sensor=sensor_of(frame, self._options),
             expectation=self._predictor.expectation(frame.time),
-            options=self._disc,
+            options=self._with_brightness(frame.time),
             exposure_us=frame.exposure_us,
         )
         epoch = self._archive.epoch_at(self._camera, frame.time, reason="first frame")
@@ -87,3 +88,9 @@ class DetectWorker:
         if detection.accepted:
             self._board.note(last_sighting_at=frame.time)
         return detection
+
+    def _with_brightness(self, moment: datetime) -> DiscOptions:
+        """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""
+        if self._disc.clear_level_per_us:
+            return self._disc
+        return replace(self._disc, clear_level_per_us=self._predictor.clear_level_per_us(moment))

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import threading
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from sunarc.archive import Archive
 from sunarc.calibration import Calibration, from_document, project_with_covariance
-from sunarc.detection import Expectation
+from sunarc.detection import ClearSun, Expectation, clear_sun
 from sunarc.optics import local_stretch
 from sunarc.sky import Site, sun_angles, sun_directions
 
 _LEAST_UNCERTAINTY_PX = 2.0
+_BRIGHTNESS_OF = timedelta(days=5)
+_BRIGHTNESS_EVERY = timedelta(hours=1)
+_DAY_S = 86_400.0
 
 
 class SunPredictor:
@@ -33,10 +36,29 @@ class SunPredictor:
         self._site = site
         self._lock = threading.Lock()
         self._known: tuple[str, Calibration] | None = None
+        self._clear: tuple[datetime, ClearSun | None] | None = None
 
     def apparent_zenith(self, moment: datetime) -> float:
         """Return the sun's apparent zenith angle in degrees."""
         return float(sun_angles(moment.timestamp(), self._site).apparent_zenith)
+
+    def clear_level_per_us(self, moment: datetime) -> float:
+        """Return the clear sun's level over full scale in 1 µs, learned from the last 5 days; 0 while unknown.
+
+        What is older is forgotten, so that a filter, dirt or another gain change the answer within 5 days, even where
+        they had every sighting refused. The archive is asked once an hour of the frames' time.
+        """
+        with self._lock:
+            if self._clear is None or not timedelta(0) <= moment - self._clear[0] < _BRIGHTNESS_EVERY:
+                self._clear = (moment, self._learned(moment))
+            clear = self._clear[1]
+        return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(moment))
+
+    def _learned(self, moment: datetime) -> ClearSun | None:
+        unix_s, levels = self._archive.sun_levels(self._camera, since=moment - _BRIGHTNESS_OF, until=moment)
+        zenith = sun_angles(unix_s, self._site).apparent_zenith
+        day = np.floor((unix_s + self._site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
+        return clear_sun(apparent_zenith=zenith, level_per_us=levels, day=day)
 
     def expectation(self, moment: datetime) -> Expectation | None:
         """Return where the sun should be; None before there is a calibration, or outside its field."""

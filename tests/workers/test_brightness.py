@@ -1,0 +1,71 @@
+"""The service learns from its own sightings how bright the clear sun is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.sky import Site
+from sunarc.workers import SunPredictor
+
+SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Iterator[Archive]:
+    upgrade(tmp_path / "sunarc.sqlite")
+    opened = open_archive(tmp_path / "sunarc.sqlite")
+    opened.save_camera(CameraRecord(name="sky", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=8))
+    opened.epoch_at("sky", NOON - timedelta(days=30), reason="first")
+    yield opened
+    opened.close()
+
+
+def add_day(archive: Archive, noon: datetime, *, level_per_us: float, accepted: bool = True) -> None:
+    moments = [noon + timedelta(minutes=2 * k) for k in range(-60, 61)]
+    seen = {"camera": "sky", "pose_epoch": "sky-1", "method": "disc", "verdict": "clear", "accepted": accepted}
+    archive.add_sun_points(
+        SunPoint(**seen, time=at, exposure_us=20.0, x_px=1.0, y_px=1.0, peak_fraction=20.0 * level_per_us)  # type: ignore[arg-type]
+        for at in moments
+    )
+
+
+def level(archive: Archive, moment: datetime) -> float:
+    return SunPredictor(archive, camera="sky", site=SITE).clear_level_per_us(moment)
+
+
+def test_it_starts_with_none_and_survives_a_restart(archive: Archive) -> None:
+    assert level(archive, NOON) == 0.0
+    add_day(archive, NOON - timedelta(days=1), level_per_us=0.03)
+    assert level(archive, NOON) == pytest.approx(0.03, rel=0.05)
+
+
+def test_a_filter_is_learned_within_five_days_and_one_that_has_all_refused_is_not_for_ever(archive: Archive) -> None:
+    for day in range(10, 5, -1):
+        add_day(archive, NOON - timedelta(days=day), level_per_us=3.0)
+    for day in range(5, 0, -1):
+        add_day(archive, NOON - timedelta(days=day), level_per_us=3e-5, accepted=False)
+    assert level(archive, NOON - timedelta(days=5)) == pytest.approx(3.0, rel=0.05)
+    assert level(archive, NOON) == 0.0
+    add_day(archive, NOON, level_per_us=3e-5)
+    assert level(archive, NOON + timedelta(hours=2)) == pytest.approx(3e-5, rel=0.1)
+
+
+def test_the_archive_is_asked_once_an_hour(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+    learned = archive.sun_levels
+
+    def counted(_: Archive, camera: str, *, since: datetime, until: datetime) -> object:
+        asked.append(until)
+        return learned(camera, since=since, until=until)
+
+    monkeypatch.setattr(Archive, "sun_levels", counted)
+    predictor = SunPredictor(archive, camera="sky", site=SITE)
+    for minute in range(0, 121, 5):
+        predictor.clear_level_per_us(NOON + timedelta(minutes=minute))
+    assert len(asked) == 3
