@@ -125,14 +125,6 @@ def test_poses_of_two_epochs_share_a_lens(simulator: Simulator, tilted: Camera) 
     assert first.sky_error_px(replace(found.camera, rotation_cam_enu=found.poses[0])) < 0.2
 
 
-def test_a_known_lens_needs_only_its_pose(simulator: Simulator, tilted: Camera) -> None:
-    seen = simulator(tilted, days=(1.0,), sigma_px=0.1)
-    options = CalibrationOptions(free="pose", level_within_deg=60.0)
-    found = calibrate(seen.points, site=seen.site, image_size=SIZE, options=options, start=simulator().camera)
-    assert found.camera.radial == pytest.approx(tilted.radial, abs=1e-6)
-    assert seen.sky_error_px(replace(found.camera, max_angle=2.0)) < 0.05
-
-
 def test_a_consumer_fisheye_with_tens_of_px_needs_no_tuning(simulator: Simulator) -> None:
     truth = replace(
         simulator().camera, projection="equidistant", focal_length_px=(545.0, 545.0), radial=(0.0, -0.1, *([0.0] * 6))

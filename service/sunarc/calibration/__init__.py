@@ -4,8 +4,8 @@ Map: `points` what is given · `selection`, `patches` what of a long record is u
 `calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
 `loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `robust` the service's method ·
 `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`, `acceptance`
-what it is worth · `again` the same fit once more · `days` what a day is worth · `circle` the image circle ·
-`document` its JSON.
+what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose · `days` what a day is worth ·
+`circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
@@ -36,6 +36,7 @@ from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
+from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
@@ -58,6 +59,7 @@ __all__ = [
     "Method",
     "Metrics",
     "PaperOptions",
+    "PoseOffset",
     "Selection",
     "SelectionOptions",
     "SunPoints",
@@ -69,6 +71,7 @@ __all__ = [
     "calibrate",
     "calibrate_again",
     "camera_sees",
+    "daily_pose_offset",
     "days_left_out",
     "decide_day",
     "disagreement",
@@ -81,6 +84,7 @@ __all__ = [
     "measure_day",
     "measures",
     "project_with_covariance",
+    "repose",
     "select_sightings",
     "sigma_deg",
     "sigma_px",

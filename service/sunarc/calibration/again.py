@@ -46,6 +46,12 @@ def _options(told: Mapping[str, object]) -> CalibrationOptions:
     if not told:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
     named = _named(told)
+    if named.get("free") == "pose":
+        raise InputError(
+            field="evidence.options.free",
+            problem="only the pose was fitted, with another calibration's lens",
+            remedy="solve the calibration that it names as its parent, or pose that lens with --start and --pose-only",
+        )
     lens, paper = LensTolerances(**named.pop("tolerances")), PaperOptions(**named.pop("paper"))
     return CalibrationOptions(**named, tolerances=lens, paper=paper)
 

@@ -12,11 +12,9 @@ from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.outcome import robust_outcome
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.points import SunPoints, usable_points
-from sunarc.calibration.priors import known_lens
 from sunarc.calibration.problem import Observations, observations
 from sunarc.calibration.result import Calibration
 from sunarc.calibration.robust import fit_robustly
-from sunarc.calibration.start import wahba
 from sunarc.calibration.verdict import Handedness, before_fit
 from sunarc.errors import InputError
 from sunarc.optics import Camera
@@ -71,14 +69,10 @@ def calibrate(
     if problems:
         return refused(job, problems)
     seen = observations(usable)
-    if chosen.free == "pose" and start is not None:
-        cameras, handedness = _turned_only(seen, start), Handedness(mirrored=start.mirrored, ambiguous=False)
-    else:
-        picked = _choose_hand(seen, job, start)
-        if picked is None:
-            return refused(job, ("no camera of this projection fits",))
-        cameras, handedness = picked
-    return finished(_fitted(job, seen, cameras), job, handedness)
+    picked = _choose_hand(seen, job, start)
+    if picked is None:
+        return refused(job, ("no camera of this projection fits",))
+    return finished(_fitted(job, seen, picked.cameras), job, picked.handedness)
 
 
 def _fitted(job: Job, seen: Observations, cameras: list[Camera]) -> Fitted:
@@ -87,15 +81,8 @@ def _fitted(job: Job, seen: Observations, cameras: list[Camera]) -> Fitted:
     if options.method == "paper":
         return fit_as_paper(seen, job.usable, cameras, options=options)
     problem = single_problem(seen, cameras[0], options, job.circle, n_epochs=len(cameras))
-    if options.free == "pose":
-        problem = replace(problem, prior=known_lens(cameras[0], problem.prior))
     fit = fit_robustly(problem, seen, job.usable, problem.unknowns(cameras), options=options)
     return robust_outcome(fit, job.usable, options)
-
-
-def _turned_only(seen: Observations, lens: Camera) -> list[Camera]:
-    """Return a known lens, turned to meet the sightings of every epoch."""
-    return [wahba(lens, seen.select(seen.epoch == e))[0] for e in range(int(seen.epoch.max()) + 1)]
 
 
 def _choose_hand(

@@ -49,6 +49,11 @@ class WaveBasis:
         square = np.sum(frequency**2, axis=-1)
         return np.asarray(2.0 * math.pi * length_px**2 * np.exp(-0.5 * length_px**2 * square))
 
+    def completed(self, *, length_px: float) -> WaveBasis:
+        """Return this basis with all the waves on its box that a field of this length needs."""
+        reach = _REACH / length_px
+        return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_orders(self.half_px, reach))
+
     def _waves(self, coordinate: FloatArray, axis: int) -> FloatArray:
         half = self.half_px[axis]
         number = np.arange(1, int(self.orders[:, axis].max(initial=0)) + 1)
@@ -65,12 +70,17 @@ def wave_basis(*, width: int, height: int, shortest_px: float, longest_px: float
     shortest_px, longest_px : the lengths that the field may have.
     """
     half = tuple(0.5 * size + _MARGIN_LENGTHS * longest_px for size in (width, height))
-    reach = _REACH / shortest_px
-    number = [math.ceil(2.0 * h * reach / math.pi) for h in half]
+    box = (half[0], half[1])
+    orders = _orders(box, _REACH / shortest_px)
+    return WaveBasis(center_px=((width - 1) / 2.0, (height - 1) / 2.0), half_px=box, orders=orders)
+
+
+def _orders(half_px: tuple[float, float], reach: float) -> IntArray:
+    """Return the orders of all waves on a box whose frequency is at most `reach`."""
+    number = [math.ceil(2.0 * h * reach / math.pi) for h in half_px]
     nx, ny = np.meshgrid(np.arange(1, number[0] + 1), np.arange(1, number[1] + 1), indexing="ij")
-    frequency = np.hypot(0.5 * math.pi * nx / half[0], 0.5 * math.pi * ny / half[1])
-    orders = np.stack([nx[frequency <= reach], ny[frequency <= reach]], axis=-1)
-    return WaveBasis(center_px=((width - 1) / 2.0, (height - 1) / 2.0), half_px=(half[0], half[1]), orders=orders)
+    frequency = np.hypot(0.5 * math.pi * nx / half_px[0], 0.5 * math.pi * ny / half_px[1])
+    return np.stack([nx[frequency <= reach], ny[frequency <= reach]], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

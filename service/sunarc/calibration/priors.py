@@ -35,7 +35,6 @@ DECENTERING = slice(13, 15)
 """Where z holds p1 and p2."""
 
 _GRID = 181
-_HELD = 1e-7
 _GAUGE = 0.3
 """How much of the residual radial distortion (root mean square) may still be a change of focal length."""
 _ROUGHNESS = 0.25
@@ -100,11 +99,6 @@ def lens_prior(
     basis[13, 13] = basis[14, 14] = 1.0 / (3.0 * focal * edge**2)
     basis[15, 15] = basis[16, 16] = tolerances.decentering_higher
     return LensPrior(mean=mean, basis=basis)
-
-
-def known_lens(camera: Camera, prior: LensPrior) -> LensPrior:
-    """Return a prior that holds the lens where it is."""
-    return LensPrior(mean=camera.to_vector()[LENS], basis=_HELD * prior.basis)
 
 
 def _center_and_focal(

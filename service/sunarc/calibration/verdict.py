@@ -56,7 +56,7 @@ def own_verdict(
     if usable.dropped:
         said.append(f"left out before the fit: {', '.join(usable.dropped)}")
     if options.free == "pose":
-        said.append("only the pose was fitted: the uncertainty takes the lens as known, its own comes on top")
+        said.append("provisional: the lens is that of an earlier pose, kept within what was known of it")
     if options.mirrored == "auto":
         said.append("the image is mirrored" if handedness.mirrored else "the image is not mirrored")
     return Verdict(accepted=True, reasons=tuple(said))

@@ -9,7 +9,16 @@ from typing import Any
 
 import sunarc
 from sunarc.archive import read_sightings
-from sunarc.calibration import CalibrationOptions, ImageCircle, SunPoints, calibrate, find_image_circle, to_document
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    ImageCircle,
+    SunPoints,
+    calibrate,
+    find_image_circle,
+    repose,
+    to_document,
+)
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.offline.files import read_image, read_lines, require_inside
@@ -32,8 +41,12 @@ def calibrate_file(
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
-    known = None if start is None else read_calibration(start).camera
-    solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle, start=known)
+    known = None if start is None else read_calibration(start)
+    if known is not None and options.free == "pose":
+        solved = repose(points, start=_of_size(known, image_size), site=site, options=options)
+    else:
+        begin = None if known is None else known.camera
+        solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle, start=begin)
     if plots is not None:
         from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
@@ -51,6 +64,18 @@ def calibrate_file(
         pose_epoch="",
         software_version=sunarc.__version__,
     )
+
+
+def _of_size(known: Calibration, image_size: tuple[int, int]) -> Calibration:
+    """Return the calibration whose lens is kept; one of other images would be no answer."""
+    size = (known.camera.width, known.camera.height)
+    if size != image_size:
+        raise InputError(
+            field="--start",
+            problem=f"is of {size[0]}x{size[1]} images, not {image_size[0]}x{image_size[1]}",
+            remedy="name a calibration of this camera",
+        )
+    return known
 
 
 def image_circle_of(text: str) -> ImageCircle:

@@ -1,0 +1,11 @@
+"""A known lens in a new pose.
+
+Map: `stated` what a calibration says of its errors, jointly · `condition` that held to sightings, false ones among them
+· `turn` the turn that most of them agree on · `seen` their noise · `repose` the calibration of the new pose · `offset`
+how it stood on a day.
+"""
+
+from sunarc.calibration.posing.offset import PoseOffset, daily_pose_offset
+from sunarc.calibration.posing.repose import repose
+
+__all__ = ["PoseOffset", "daily_pose_offset", "repose"]

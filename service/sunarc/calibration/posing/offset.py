@@ -1,0 +1,81 @@
+"""By how much a camera stood turned on a day, against its calibration: the slow drift of masts and mounts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky
+
+from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.posing.repose import fit_pose
+from sunarc.calibration.posing.seen import Seen, finite, gathered, inflation, noise_px
+from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.result import Calibration
+from sunarc.optics import Camera, rotation_matrix
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+
+_FEWEST = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseOffset:
+    """A small turn of the camera against its calibration.
+
+    Attributes
+    ----------
+    turn_deg : about the axes to the east, to the north and up, degrees, right-handed: positive about "up" turns the
+        camera counter-clockwise as seen from above.
+    sigma_deg : 1-sigma of each.
+    n : sightings that it rests on.
+    """
+
+    turn_deg: tuple[float, float, float]
+    sigma_deg: tuple[float, float, float]
+    n: int
+
+
+def daily_pose_offset(points: SunPoints, *, calibration: Calibration, site: Site) -> PoseOffset | None:
+    """Return how a camera stood turned on a day, on average; None with fewer than 20 believable sightings.
+
+    The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
+
+    Parameters
+    ----------
+    points : sightings of one day and one pose epoch.
+    calibration : what they are compared with.
+    site : where the camera stands.
+    """
+    usable = usable_points(points, site=site)
+    if len(usable) < _FEWEST:
+        return None
+    sigma_px = noise_px(calibration, points.sigma_px[usable.index])
+    believed = fit_pose(calibration, usable.directions, usable.pixels, sigma_px).believed
+    if believed.sum() < _FEWEST:
+        return None
+    seen = Seen(
+        directions=usable.directions,
+        pixels=usable.pixels,
+        variance=sigma_px**2,
+        false_density=np.zeros(len(usable)),
+    )
+    camera = at_every_angle(calibration.camera)
+    together = gathered(camera, seen, believed, inflation=inflation(calibration))
+    turn, covariance = _turn(stated(calibration), camera, together)
+    to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
+    sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))
+    (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ turn).tolist(), np.degrees(sigma).tolist()
+    return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(believed.sum()))
+
+
+def _turn(belief: Stated, camera: Camera, seen: Seen) -> tuple[FloatArray, FloatArray]:
+    """Return the turn (3,) about the camera's axes by generalised least squares, and its covariance (3, 3)."""
+    at = predicted(belief, camera, seen.directions)
+    rows = at.rows[..., belief.turn].reshape(-1, 3)
+    total = joint_covariance(belief, at) + np.diag(np.repeat(seen.variance, 2))
+    weighed = cho_solve((cholesky(total, lower=True), True), rows)
+    covariance = np.asarray(np.linalg.inv(rows.T @ weighed), dtype=np.float64)
+    return covariance @ (weighed.T @ finite(seen.pixels - at.pixels).ravel()), covariance

@@ -1,0 +1,224 @@
+"""A known lens in a new pose, from as few as three sightings.
+
+What the calibration says of its lens, its field and its pose is the prior; the camera may since have turned by any
+angle, whose scale is sought in the sightings too. What they cannot tell (after a few minutes the turn about the sun's
+own direction) thus stays as uncertain as turns of that size are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.assemble import Fitted, Job, finished, refused
+from sunarc.calibration.field import Field
+from sunarc.calibration.loss import core_sigma
+from sunarc.calibration.options import CalibrationOptions, Mirrored
+from sunarc.calibration.points import SunPoints, Usable, usable_points
+from sunarc.calibration.posing.condition import Held, Sightings, conditioned, false_density, held_to, log_normal
+from sunarc.calibration.posing.seen import MOST, Seen, finite, gathered, inflation, noise_px
+from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, moved, predicted, stated, turned
+from sunarc.calibration.posing.turn import likely_turn
+from sunarc.calibration.result import Calibration
+from sunarc.calibration.verdict import Handedness
+from sunarc.optics import Camera, project_fast
+from sunarc.optics.pose import right_jacobian
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+FEWEST = 3
+_ROUNDS = 3
+_SCALES_RAD = np.radians([0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 60.0])
+"""How far a camera may have turned, 1-sigma. All scales are as likely before the sightings, not all their powers of
+ten: a turn that is taken for smaller than it is breaks its promise."""
+_ENOUGH_FOR_SCALE = 12
+_CLOSE = 6.0
+_WEIGHT_KEPT = 1e-4
+
+
+def repose(
+    points: SunPoints,
+    *,
+    start: Calibration,
+    site: Site,
+    options: CalibrationOptions | None = None,
+    wander_deg: float = 0.0,
+) -> Calibration:
+    """Return a calibration of the same camera in a new pose; its covariance holds the lens's own uncertainty.
+
+    Poor data give a calibration whose verdict is refused and says why; they never raise.
+
+    Parameters
+    ----------
+    points : sightings of one pose epoch.
+    start : the calibration of an earlier pose; its lens is kept, within what it says of itself.
+    site : where the camera stands.
+    options : what makes the answer acceptable.
+    wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
+    """
+    hand: Mirrored = "yes" if start.camera.mirrored else "no"
+    chosen = CalibrationOptions() if options is None else options
+    chosen = replace(chosen, free="pose", method="robust", projection=start.camera.projection, mirrored=hand)
+    usable = usable_points(points, site=site)
+    size = (start.camera.width, start.camera.height)
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None)
+    if len(usable) < FEWEST:
+        return refused(job, (f"only {len(usable)} usable sightings; at least {FEWEST} are needed for a pose",))
+    fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
+    fitted = _fitted(fit, start, usable, wander_rad=math.radians(wander_deg))
+    return finished(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseFit:
+    """A known lens, posed.
+
+    Attributes
+    ----------
+    camera : the most probable one.
+    belief : about it; its mean is 0.
+    believed : (n,) which sightings were taken for true.
+    sigma_px : noise of a sighting, px per axis (median).
+    """
+
+    camera: Camera
+    belief: Stated
+    believed: BoolArray
+    sigma_px: float
+
+
+def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray) -> PoseFit:
+    """Return a lens in the pose that sightings ask for.
+
+    Parameters
+    ----------
+    start : lens, former pose and what is known of both.
+    directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
+    sigma_px : (n,) 1-sigma per axis of a sighting.
+    """
+    belief, camera = stated(start), at_every_angle(start.camera)
+    density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
+    seen = Seen(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
+    thin = seen.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
+    tolerance = _tolerance(belief, camera, thin)
+    turn = likely_turn(camera, thin.directions, thin.pixels, tolerance)
+    base = turned(camera, turn)
+    close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
+    scales = _scales_for(float(np.linalg.norm(turn)))
+    usual = float(scales[min(1, scales.size - 1)])
+    rough, held = _settled(belief.turned_freely(-turn, sigma_rad=usual), base, thin, close)
+    worse = _excess_noise(held)
+    seen = replace(seen, variance=seen.variance * worse**2)
+    believed = _believed(rough, moved(base, rough, rough.mean), seen) if worse else held.believed
+    together = gathered(moved(base, rough, rough.mean), seen, believed, inflation=inflation(start))
+    fits = [_known(belief.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
+    final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + np.log(scales))
+    sigma = float(np.median(sigma_px) * worse)
+    told = replace(final, mean=0.0 * final.mean)
+    return PoseFit(camera=moved(base, final, final.mean), belief=told, believed=believed, sigma_px=sigma)
+
+
+def _scales_for(turn_rad: float) -> FloatArray:
+    """Return the scales that a turn may have been drawn from: none of which it would be more than four sigmas."""
+    return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * turn_rad)), _SCALES_RAD.size - 1) :]
+
+
+def _tolerance(belief: Stated, camera: Camera, seen: Seen) -> FloatArray:
+    """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
+    at = predicted(belief, camera, seen.directions)
+    stated_variance = np.nan_to_num(np.diag(joint_covariance(belief, at)).reshape(-1, 2).mean(axis=1))
+    return np.asarray(np.sqrt(seen.variance + stated_variance))
+
+
+def _settled(belief: Stated, base: Camera, seen: Seen, believed: BoolArray) -> tuple[Stated, Held]:
+    """Return the belief after sightings some of which may be false; the camera made linear anew in every round."""
+    after = replace(belief, mean=0.0 * belief.mean)
+    for _ in range(_ROUNDS):
+        at = predicted(belief, moved(base, belief, after.mean), seen.directions)
+        about = Sightings(
+            residual=finite(seen.pixels - at.pixels) + at.rows @ (after.mean - belief.mean),
+            variance=seen.variance,
+            false_density=seen.false_density,
+        )
+        held = held_to(joint_covariance(belief, at), about, believed)
+        believed = held.believed
+        unchanged = replace(about, residual=about.residual + at.rows @ belief.mean).select(believed)
+        after = conditioned(belief, at.select(believed), unchanged)
+    return after, held
+
+
+def _excess_noise(held: Held) -> float:
+    """Return by how much the sightings scatter more than they say, at least 1."""
+    if held.believed.sum() < _ENOUGH_FOR_SCALE:
+        return 1.0
+    return max(1.0, core_sigma(np.sqrt(np.maximum(held.surprise, 0.0))))
+
+
+def _believed(after: Stated, camera: Camera, seen: Seen) -> BoolArray:
+    """Return which sightings agree with a fit of some of them."""
+    at = predicted(after, camera, seen.directions)
+    square = np.empty(seen.variance.size)
+    for part in np.array_split(np.arange(square.size), max(square.size // MOST, 1)):
+        blocks = joint_covariance(after, at.select(part)).reshape(part.size, 2, part.size, 2)
+        spread = blocks[np.arange(part.size), :, np.arange(part.size)] + seen.variance[part, None, None] * np.eye(2)
+        gap = finite(seen.pixels[part] - at.pixels[part])
+        square[part] = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
+    return np.asarray(square < 25.0)
+
+
+def _known(belief: Stated, base: Camera, seen: Seen) -> tuple[Stated, float]:
+    """Return the belief after sightings that are all true, and their evidence."""
+    after = replace(belief, mean=0.0 * belief.mean)
+    everyone = np.ones(seen.variance.size, dtype=bool)
+    for _ in range(_ROUNDS):
+        at = predicted(belief, moved(base, belief, after.mean), seen.directions)
+        residual = finite(seen.pixels - at.pixels) + at.rows @ after.mean
+        about = Sightings(residual=residual, variance=seen.variance, false_density=seen.false_density)
+        after = conditioned(belief, at, about)
+    shifted = replace(about, residual=residual - at.rows @ belief.mean)
+    return after, log_normal(joint_covariance(belief, at), shifted, everyone)
+
+
+def _mixed(fits: list[Stated], log_weight: FloatArray) -> Stated:
+    """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
+    weight = np.exp(log_weight - log_weight.max())
+    weight[weight < _WEIGHT_KEPT] = 0.0
+    weight /= weight.sum()
+    mean = np.einsum("k,kp->p", weight, np.array([fit.mean for fit in fits]))
+    apart = np.array([fit.mean - mean for fit in fits])
+    covariance = np.einsum("k,kpq->pq", weight, np.array([fit.covariance for fit in fits]))
+    covariance += np.einsum("k,kp,kq->pq", weight, apart, apart)
+    cross = np.einsum("k,kapm->apm", weight, np.array([fit.cross for fit in fits]))
+    return replace(fits[0], mean=mean, covariance=covariance, cross=cross)
+
+
+def _fitted(fit: PoseFit, start: Calibration, usable: Usable, *, wander_rad: float) -> Fitted:
+    """Return what every method hands over; the turn's axes become those of the rotation vector."""
+    belief, size = fit.belief, fit.belief.mean.size
+    covariance = belief.covariance.copy()
+    covariance[np.ix_(belief.turn, belief.turn)] += wander_rad**2 * np.eye(3)
+    to_vector = np.eye(size)
+    to_vector[np.ix_(belief.turn, belief.turn)] = np.linalg.inv(right_jacobian(-np.array(fit.camera.rotation_cam_enu)))
+    residual = finite(usable.pixels - project_fast(fit.camera, usable.directions))
+    return Fitted(
+        cameras=[fit.camera],
+        parameter_names=start.parameter_names,
+        covariance=to_vector @ covariance @ to_vector.T,
+        field=Field(
+            amplitude_px=belief.amplitude_px,
+            length_px=start.field.length_px,
+            basis=belief.basis,
+            cross=to_vector @ belief.cross,
+        ),
+        residual=residual,
+        used=fit.believed,
+        sigma_px=fit.sigma_px,
+        inflation=inflation(start),
+        radial_px=start.evidence.radial_px,
+        held_out=None,
+    )
