@@ -3,21 +3,39 @@ from __future__ import annotations
 import re
 import shutil
 import socket
-import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import cv2
+import numpy as np
 import pytest
 import uvicorn
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, sync_playwright
+from tests.api.conftest import LENS, NOON, SITE
+
+from sunarc.optics import project
+from sunarc.sky import sun_directions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
 
-FILES = {"/": "text/html", "/static/dashboard.js": "text/javascript", "/static/dashboard.css": "text/css"}
+STATIC = Path(__file__).parents[2] / "service" / "sunarc" / "api" / "static"
+SCRIPTS = sorted(path.name for path in STATIC.glob("*.js"))
+FILES = {"/": "text/html", "/static/dashboard.css": "text/css"} | {
+    f"/static/{name}": "text/javascript" for name in SCRIPTS
+}
 CHROMIUM = shutil.which("chromium")
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+
+
+def code() -> str:
+    return "\n".join((STATIC / name).read_text() for name in SCRIPTS)
 
 
 @pytest.mark.parametrize(("path", "kind"), FILES.items())
@@ -31,22 +49,20 @@ def test_the_page_asks_nobody_else(made: Made, path: str, kind: str) -> None:
 def test_the_page_keeps_to_its_own_policy(made: Made) -> None:
     page = made.client.get("/").text
     assert not re.search(r"<script(?![^>]*src=)|<style|\sstyle=|\son\w+=", page)
-    code = made.client.get("/static/dashboard.js").text
-    assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", code)
+    assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", code())
 
 
-def test_every_place_that_the_script_fills_is_on_the_page(made: Made) -> None:
-    page, code = made.client.get("/").text, made.client.get("/static/dashboard.js").text
-    wanted = set(re.findall(r'\$\("([\w-]+)"\)', code)) | set(re.findall(r'fill(?:Rows|Facts)\("([\w-]+)"', code))
+def test_every_place_that_the_scripts_fill_is_on_the_page(made: Made) -> None:
+    page = made.client.get("/").text
+    wanted = set(re.findall(r'\$\("([\w-]+)"\)', code())) | set(re.findall(r'fill(?:Rows|Facts)\("([\w-]+)"', code()))
     assert len(wanted) > 15
     assert wanted <= set(re.findall(r'id="([\w-]+)"', page))
 
 
-def test_every_route_that_the_script_asks_is_served(made: Made) -> None:
-    code = made.client.get("/static/dashboard.js").text
-    asked = set(re.findall(r'ask\("(/[^"?]+)', code))
+def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
+    asked = set(re.findall(r'ask(?:Image)?\("(/[^"?]+)', code()))
     assert asked <= set(made.client.get("/openapi.json").json()["paths"])
-    assert "/v1/sun/track" in asked
+    assert asked >= {"/v1/overlay", "/v1/uncertainty", "/v1/image/latest"}
 
 
 @contextmanager
@@ -62,26 +78,140 @@ def serving(made: Made) -> Iterator[str]:
             thread.join()
 
 
-def page_in_browser(address: str, profile: Path) -> tuple[str, list[str]]:
-    """Return the page as a browser has made it, and what its console says."""
-    assert CHROMIUM is not None
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
-    command += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
-    command += [f"--user-data-dir={profile}", "--enable-logging=stderr", "--virtual-time-budget=5000", "--dump-dom"]
-    done = subprocess.run([*command, address], capture_output=True, text=True, timeout=60, check=True)
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+@dataclass
+class Opened:
+    """A page, what its console said, and whom it asked."""
+
+    page: Page
+    complaints: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
 
 
-@pytest.mark.system
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-def test_a_browser_shows_the_sun_where_it_is_expected(made: Made, tmp_path: Path) -> None:
-    with serving(made) as address:
-        page, complaints = page_in_browser(address, tmp_path / "profile")
-    assert complaints == []
-    assert 'data-health="ready"' in page
-    x, y = made.client.get("/v1/sun").json()["pixel"]
-    drawn = re.search(r'class="expected"[^>]*transform="translate\(([\d.]+) ([\d.]+)\)', page)
-    assert drawn is not None
-    assert [float(value) for value in drawn.groups()] == pytest.approx([x, y], abs=1e-6)
-    assert page.count('class="x-mark"') > 50
-    assert "held-out days disagree by 0.4 px" in page
+@contextmanager
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        try:
+            yield chromium
+        finally:
+            chromium.close()
+
+
+def opened(chromium: Browser, address: str, *, width: int = 1400, height: int = 1000, dark: bool = False) -> Opened:
+    context = chromium.new_context(
+        viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light"
+    )
+    page = Opened(context.new_page())
+    page.page.on("console", lambda message: page.complaints.append(message.text))
+    page.page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.page.on("request", lambda request: page.asked.append(request.url))
+    page.page.goto(address)
+    return page
+
+
+def shown(page: Page) -> None:
+    for selector in ("#overlay .expected", ".calendar button", "#sigma path", "#by-time .x-mark", "#image[src]"):
+        page.wait_for_selector(selector, timeout=30_000, state="attached")
+
+
+MARKER = """() => {
+  const box = document.querySelector("#overlay path.expected").getBoundingClientRect();
+  const image = document.querySelector("#image");
+  const frame = image.getBoundingClientRect();
+  const x = (box.left + box.width / 2 - frame.left) / frame.width;
+  const y = (box.top + box.height / 2 - frame.top) / frame.height;
+  return [x * image.naturalWidth - 0.5, y * image.naturalHeight - 0.5];
+}"""
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """Draw the sky at noon, as large as the camera's image."""
+    y, x = np.mgrid[0 : LENS.height, 0 : LENS.width]
+    at = project(LENS, sun_directions(NOON.timestamp(), SITE))
+    sky = 60.0 + 190.0 * np.exp(-np.hypot(x - at[0], y - at[1]) / 40.0)
+    cv2.imwrite(str(tmp_path / "sky_hdr.jpg"), sky.astype(np.uint8))
+    return tmp_path / "sky_hdr.jpg"
+
+
+@pytest.fixture
+def pictured(make: Any, made: Made, picture: Path) -> Made:  # noqa: ANN401 - a fixture that is a function
+    """Make the application of `made` with a whole picture."""
+    whole: Made = make(image=picture, history="filled")
+    for worker in made.board.snapshot().workers:
+        whole.board.set_worker(worker)
+    whole.board.note(last_frame_at=NOON, last_sighting_at=NOON)
+    return whole
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_the_dashboard_in_a_browser(pictured: Made) -> None:
+    sun = project(LENS, sun_directions(NOON.timestamp(), SITE))
+    with serving(pictured) as address, browser() as chromium:
+        desktop = opened(chromium, address)
+        shown(desktop.page)
+        assert desktop.page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
+        assert desktop.page.get_attribute("#health", "data-health") == "ready"
+        assert "held-out days disagree by 0.4 px" in desktop.page.inner_text("#calibrations")
+        updates_live(desktop.page, pictured)
+        can_be_used_by_keyboard(desktop.page)
+        is_accessible(desktop.page)
+        phone = opened(chromium, address, width=360, height=740, dark=True)
+        shown(phone.page)
+        assert phone.page.evaluate("document.documentElement.scrollWidth") <= 360
+        is_accessible(phone.page)
+        for one in (desktop, phone):
+            assert one.complaints == []
+            assert {url.split("/")[2] for url in one.asked if not url.startswith("blob:")} == {address.split("/")[2]}
+
+
+def updates_live(page: Page, made: Made) -> None:
+    """Check that what changes on the board is on the page within seconds, without a reload."""
+    made.board.set_worker(replace(made.board.snapshot().workers[0], state="failed", last_error="the cable is cut"))
+    made.board.note(last_frame_at=NOON + timedelta(seconds=30))
+    page.wait_for_selector("#workers >> text=the cable is cut", timeout=10_000)
+    page.wait_for_selector("#facts >> text=18:30:30", timeout=10_000)
+
+
+def can_be_used_by_keyboard(page: Page) -> None:
+    """Check that the tab key reaches what can be done, that focus is seen, and that the keys do it."""
+    page.evaluate("document.activeElement.blur()")
+    reached = []
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.className + '#' + document.activeElement.id"))
+        assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none"
+        if "cell" in reached[-1]:
+            break
+    assert reached[0].startswith("skip")
+    assert "cell" in reached[-1]
+    before = page.inner_text("#day")
+    page.keyboard.press("Enter")
+    assert page.inner_text("#day") != before
+    page.focus("input[name=unit]:checked")
+    page.keyboard.press("ArrowRight")
+    assert "distance, degrees" in page.inner_text("#by-time-legend")
+
+
+def is_accessible(page: Page) -> None:
+    found = Axe().run(page).response["violations"]
+    assert [(one["impact"], one["id"], one["nodes"][0]["html"]) for one in found] == []
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_where_reading_needs_a_token_the_page_asks_for_it(make: Any, picture: Path, tmp_path: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    (tmp_path / "reading").write_text("a reading token of this test")
+    locked: Made = make(image=picture, history="filled", read_token_file=tmp_path / "reading")
+    locked.board.note(last_frame_at=NOON)
+    with serving(locked) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        page.wait_for_selector("#token-form:not([hidden])")
+        assert page.get_attribute("#health", "data-health") == "locked"
+        page.fill("#token", "a reading token of this test")
+        page.keyboard.press("Enter")
+        shown(page)
+        assert page.is_hidden("#token-form")
+        assert "token" not in page.url

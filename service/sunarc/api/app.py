@@ -25,6 +25,7 @@ from sunarc.api.health import health_routes
 from sunarc.api.limits import Limits
 from sunarc.api.metrics import StatusCollector
 from sunarc.api.options import ApiOptions
+from sunarc.api.overlay import overlay_routes
 from sunarc.api.problems import add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
@@ -43,8 +44,6 @@ _COMPRESSED_ALREADY = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     *("application/octet-stream", "application/x-npy", "application/x-npz", "application/x-netcdf"),
 )
-
-
 def create_app(
     *,
     archive: Archive,
@@ -131,6 +130,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
         decision_routes(served),
         direction_routes(served, gate),
         sun_routes(served),
+        overlay_routes(served),
         record_routes(served),
         refit_routes(served),
     ):

@@ -80,7 +80,11 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
 
 
 def _document(record: CalibrationRecord, if_none_match: str | None) -> Response:
-    content = json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
+    return tagged(json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode(), if_none_match)
+
+
+def tagged(content: bytes, if_none_match: str | None) -> Response:
+    """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
     tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):

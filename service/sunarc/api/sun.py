@@ -46,7 +46,7 @@ def sun_routes(served: Served) -> APIRouter:
         """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
         chosen = served.of(request)
         day = date or solar_date(served.frame_clock().timestamp(), longitude=chosen.site.longitude)
-        return _track(chosen, day, step_s)
+        return track_of(chosen, day, step_s=step_s)
 
     @routes.get("/sun-points", responses=answers(422))
     def sun_points(
@@ -98,13 +98,14 @@ def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
     )
 
 
-def _track(served: Served, day: date, step_s: int) -> SunTrack:
+def track_of(served: Served, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
+    """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
     start, end = day_bounds_unix_s(day, longitude=served.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
     angles = sun_angles(unix_s, served.site)
     up = angles.apparent_zenith <= _HORIZON_DEG
     zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
-    answering = served.calibration_or_none(None)
+    answering = served.calibration_or_none(past)
     if answering is None:
         pixels = np.full((len(zenith), 2), np.nan)
     else:

@@ -1,0 +1,124 @@
+"""Routes: what a page draws over an image, computed here so that it need not know any lens."""
+
+from __future__ import annotations
+
+import math
+from datetime import date, datetime
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Header, Query, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from sunarc.api.calibrations import tagged
+from sunarc.api.fields import Time
+from sunarc.api.overlay_schemas import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
+from sunarc.api.problems import answers
+from sunarc.api.served import Served
+from sunarc.api.sun import track_of
+from sunarc.calibration import Calibration, unproject_with_sigma
+from sunarc.optics import Camera, project
+from sunarc.sky import direction_from_angles, solar_date
+
+FloatArray = NDArray[np.float64]
+
+_CIRCLES_DEG = (30.0, 60.0, 90.0)
+_NAMES = {0: "N", 90: "E", 180: "S", 270: "W"}
+_AROUND_DEG = np.arange(0.0, 361.0, 3.0)
+_OUTWARDS_DEG = np.arange(6.0, 90.1, 3.0)
+_PATH_STEP_S = 300
+_SOLSTICES = (("june solstice", 6, 21), ("december solstice", 12, 21))
+
+
+def _described(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+    return {
+        200: {"model": model, "headers": {"ETag": {"description": "Changes with it.", "schema": {"type": "string"}}}},
+        304: {"description": "It is the one that If-None-Match names."},
+    }
+
+
+def overlay_routes(served: Served) -> APIRouter:
+    """Return the routes that help pages draw."""
+    routes = APIRouter(tags=["drawing"])
+
+    @routes.get("/overlay", responses=_described(Overlay) | answers(422), response_model=Overlay)
+    def overlay(
+        request: Request, at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None
+    ) -> Response:
+        """Tell lines to draw over an image: zenith, azimuth, and the sun's paths of today and of the solstices."""
+        chosen = served.of(request)
+        return _sent(_overlay(chosen, at or chosen.frame_clock(), past=at), if_none_match)
+
+    @routes.get("/uncertainty", responses=_described(Uncertainty) | answers(404, 422), response_model=Uncertainty)
+    def uncertainty(
+        request: Request,
+        at: Time | None = None,
+        cells: Annotated[int, Query(ge=4, le=96, description="Cells along the image's longer side.")] = 48,
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Response:
+        """Tell how sure the calibration is over the image, on a coarse grid."""
+        chosen = served.of(request)
+        record = chosen.record(at)
+        return _sent(_uncertainty(chosen.parsed.get(record), cells, record.id), if_none_match)
+
+    return routes
+
+
+def _sent(told: BaseModel, if_none_match: str | None) -> Response:
+    return tagged(told.model_dump_json().encode(), if_none_match)
+
+
+def _overlay(served: Served, moment: datetime, *, past: datetime | None) -> Overlay:
+    answering = served.calibration_or_none(past)
+    camera = None if answering is None else answering[1].camera
+    today = solar_date(moment.timestamp(), longitude=served.site.longitude)
+    days = [("today", today), *((name, date(today.year, month, day)) for name, month, day in _SOLSTICES)]
+    paths = [(name, track_of(served, day, step_s=_PATH_STEP_S, past=past)) for name, day in days]
+    return Overlay(
+        calibration=None if answering is None else answering[0].id,
+        image_size=None if camera is None else [camera.width, camera.height],
+        zenith_circles=[] if camera is None else _circles(camera),
+        azimuth_lines=[] if camera is None else _lines(camera),
+        sun_paths=[SunPath(name=name, **path.model_dump()) for name, path in paths],
+    )
+
+
+def _circles(camera: Camera) -> list[ZenithCircle]:
+    return [
+        ZenithCircle(zenith_deg=zenith, pixels=_drawn(camera, np.full_like(_AROUND_DEG, zenith), _AROUND_DEG))
+        for zenith in _CIRCLES_DEG
+    ]
+
+
+def _lines(camera: Camera) -> list[AzimuthLine]:
+    return [
+        AzimuthLine(
+            azimuth_deg=azimuth,
+            name=_NAMES.get(azimuth),
+            pixels=_drawn(camera, _OUTWARDS_DEG, np.full_like(_OUTWARDS_DEG, azimuth)),
+        )
+        for azimuth in range(0, 360, 30)
+    ]
+
+
+def _drawn(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) -> list[list[float] | None]:
+    pixels = project(camera, direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=azimuth_deg))
+    return [[round(x, 2), round(y, 2)] if math.isfinite(x + y) else None for x, y in pixels.tolist()]
+
+
+def _uncertainty(calibration: Calibration, cells: int, calibration_id: str) -> Uncertainty:
+    width, height = calibration.camera.width, calibration.camera.height
+    step = max(width, height) / cells
+    x = (np.arange(math.ceil(width / step)) + 0.5) * step - 0.5
+    y = (np.arange(math.ceil(height / step)) + 0.5) * step - 0.5
+    with np.errstate(all="ignore"):  # what lies outside the field is answered with null
+        _, sigma, inside = unproject_with_sigma(calibration, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    rows = np.where(inside, sigma, np.nan).reshape(len(y), len(x))
+    return Uncertainty(
+        calibration=calibration_id,
+        x_px=x.tolist(),
+        y_px=y.tolist(),
+        sigma_deg=[[value if math.isfinite(value) else None for value in row] for row in rows.tolist()],
+    )

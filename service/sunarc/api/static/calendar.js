@@ -1,0 +1,73 @@
+// The days as a calendar of verdicts: weeks as rows, a sign in every day, its reasons on demand.
+import { $, node, telling } from "./draw.js";
+
+const SIGNS = { clear: "☀", partly: "◐", cloudy: "☁", unusable: "✕" };
+const WEEK = ["Mo", "Tu", "We", "Th", "Fr", "Sa", "Su"];
+const DAY_MS = 86400000;
+const MOST_WEEKS = 26;
+const known = { days: new Map(), drawn: "", chosen: null };
+
+export function drawCalendar(days, today) {
+  known.days = new Map(days.map((day) => [day.date, day]));
+  const now = today?.slice(0, 10);
+  const drawn = JSON.stringify([now, days.map((day) => [day.date, day.verdict, day.n])]);
+  if (drawn === known.drawn || !now) return;
+  known.drawn = drawn;
+  $("days-legend").replaceChildren(...Object.entries(SIGNS).map(([verdict, sign]) => {
+    const item = node("li", ` ${verdict}`);
+    const key = node("span", sign, `cell ${verdict}`);
+    key.setAttribute("aria-hidden", "true");
+    item.prepend(key);
+    return item;
+  }));
+  $("calendar").replaceChildren(table(days, now));
+  tell(known.chosen ?? days[0]?.date);
+}
+
+function table(days, now) {
+  const first = days.length ? days.at(-1).date : now;
+  const monday = (at) => at - ((new Date(at).getUTCDay() + 6) % 7) * DAY_MS;
+  const last = monday(Math.max(Date.parse(now), Date.parse(days[0]?.date ?? now)));
+  const start = Math.max(monday(Date.parse(first)), last - (MOST_WEEKS - 1) * 7 * DAY_MS);
+  const made = document.createElement("table");
+  made.className = "calendar";
+  const head = made.createTHead().insertRow();
+  for (const name of ["Week of", ...WEEK]) {
+    const th = node("th", name);
+    th.scope = "col";
+    head.append(th);
+  }
+  const body = made.createTBody();
+  for (let week = last; week >= start; week -= 7 * DAY_MS) {
+    const row = body.insertRow();
+    const th = node("th", new Date(week).toISOString().slice(0, 10));
+    th.scope = "row";
+    row.append(th, ...WEEK.map((_, k) => cell(new Date(week + k * DAY_MS).toISOString().slice(0, 10), now)));
+  }
+  return made;
+}
+
+function cell(date, now) {
+  const td = document.createElement("td");
+  const day = known.days.get(date);
+  if (!day) {
+    td.append(node("span", String(Number(date.slice(8))), date === now ? "cell now" : "cell empty"));
+    return td;
+  }
+  const button = node("button", SIGNS[day.verdict], `cell ${day.verdict}`);
+  button.type = "button";
+  button.dataset.date = date;
+  button.setAttribute("aria-label", `${date}: ${day.verdict}`);
+  button.addEventListener("click", () => tell(date));
+  td.append(button);
+  return td;
+}
+
+function tell(date) {
+  known.chosen = date ?? null;
+  const day = known.days.get(date);
+  for (const button of $("calendar").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.date === date));
+  $("day").textContent = day
+    ? `${day.date}: ${day.verdict}; seen ${day.n} of ${day.n_possible}${day.sd_px === null ? "" : `, scatter ${telling(day.sd_px)} px`}. ${day.reasons.join("; ")}.`
+    : "No day has ended yet.";
+}

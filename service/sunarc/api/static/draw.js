@@ -1,0 +1,104 @@
+// Elements, words and axes that all parts of the page share. Text only ever goes in as text.
+const SVG = "http://www.w3.org/2000/svg";
+const GOOD = ["running", "current", "clear", "info", "accepted", "finished"];
+const BAD = ["failed", "stopped", "refused", "unusable", "alarm"];
+const NEUTRAL = ["retired", "cloudy"];
+const STEPS_MS = [60, 300, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 172800, 432000, 864000, 2592000].map((s) => s * 1000);
+
+export const $ = (id) => document.getElementById(id);
+
+export function element(name, attributes = {}, text = null) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== null) made.textContent = text;
+  return made;
+}
+
+export function node(name, text = "", className = "") {
+  const made = document.createElement(name);
+  made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+export const fixed = (value, digits, unit = "") => (value === null || value === undefined ? "–" : `${value.toFixed(digits)}${unit}`);
+// as many digits as tell something: 0.00312, 0.27, 12.4
+export const telling = (value, unit = "") => (value === null || value === undefined ? "–" : `${value === 0 ? 0 : Number(value.toPrecision(3))}${unit}`);
+export const moment = (time) => (time ? time.replace("T", " ").replace(/(\.\d+)?Z$/, "") : "–");
+
+export function ago(time, now) {
+  if (!time) return "never";
+  const seconds = Math.max(0, (Date.parse(now) - Date.parse(time)) / 1000);
+  if (seconds < 120) return `${seconds.toFixed(0)} s ago`;
+  if (seconds < 7200) return `${(seconds / 60).toFixed(0)} min ago`;
+  return seconds < 172800 ? `${(seconds / 3600).toFixed(0)} h ago` : `${(seconds / 86400).toFixed(0)} days ago`;
+}
+
+// A word with a sign and a colour, so that no meaning hangs on the colour alone.
+export function judged(word) {
+  const kind = GOOD.includes(word) ? "good" : BAD.includes(word) ? "bad" : NEUTRAL.includes(word) ? "none" : "warn";
+  const made = node("span", "", kind);
+  const sign = node("span", { good: "✓", bad: "✕", warn: "!", none: "·" }[kind]);
+  sign.setAttribute("aria-hidden", "true");
+  made.append(sign, ` ${word}`);
+  return made;
+}
+
+export function fillRows(id, rows, empty) {
+  const body = $(id).tBodies[0];
+  body.replaceChildren(...rows.map((cells) => {
+    const row = document.createElement("tr");
+    for (const cell of cells) {
+      const td = document.createElement("td");
+      td.append(cell);
+      row.append(td);
+    }
+    return row;
+  }));
+  if (rows.length) return;
+  const td = node("td", empty, "none");
+  td.colSpan = $(id).tHead.rows[0].cells.length;
+  body.append(document.createElement("tr"));
+  body.firstChild.append(td);
+}
+
+export function fillFacts(id, facts) {
+  $(id).replaceChildren(...Object.entries(facts).flatMap(([name, value]) => {
+    const dd = document.createElement("dd");
+    dd.append(value);
+    return [node("dt", name), dd];
+  }));
+}
+
+// A path through pixels; it is broken where there is none.
+export function path(pixels) {
+  let pen = "M";
+  return pixels.map((p) => { const step = p ? `${pen}${p[0]} ${p[1]}` : ""; pen = p ? "L" : "M"; return step; }).join("");
+}
+
+export const mark = (d, style, at, scale) => element("path", { class: style, d, transform: `translate(${at[0]} ${at[1]}) scale(${scale})` });
+export function label(at, text, size, style) {
+  const made = element("text", { class: style, x: at[0], y: at[1], "text-anchor": "middle", "dominant-baseline": "middle" }, text);
+  made.style.fontSize = `${size}px`; // of the drawing, whatever a style sheet says
+  return made;
+}
+
+export const symbol = (style, x, y, r) => (style === "x-mark"
+  ? element("circle", { class: style, cx: x, cy: y, r })
+  : element("rect", { class: style, x: x - r, y: y - r, width: 2 * r, height: 2 * r }));
+
+export function ticksOf(low, high, count) {
+  const raw = (high - low) / count;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].find((k) => k * power >= raw * (1 - 1e-9)) * power;
+  const ticks = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high * (1 + 1e-9); k += 1) ticks.push(k * step);
+  return { ticks, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+}
+
+export function timeTicks(from, to, most) {
+  const step = STEPS_MS.find((one) => (to - from) / one <= most) ?? STEPS_MS.at(-1);
+  const ticks = [];
+  for (let at = Math.ceil(from / step) * step; at <= to; at += step) ticks.push(at);
+  return ticks.map((at) => [at, step >= 86400000 ? new Date(at).toISOString().slice(5, 10) : new Date(at).toISOString().slice(11, 16)]);
+}

@@ -1,0 +1,58 @@
+// The latest image, and over it what the calibration says of the sky. All geometry comes from /v1/overlay.
+import { askImage } from "./ask.js";
+import { $, element, label, mark, path } from "./draw.js";
+
+const EXPECTED = "M0-4.4V-2M0 4.4V2M-4.4 0H-2M4.4 0H2M2.7 0A2.7 2.7 0 1 1-2.7 0A2.7 2.7 0 1 1 2.7 0";
+const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
+
+export async function showImage(status) {
+  const stamp = status.last_frame_at ?? "";
+  const image = $("image");
+  if (!stamp || image.dataset.stamp === stamp) return;
+  const address = await askImage("/v1/image/latest");
+  if (!address) return;
+  const next = new Image();
+  next.src = address;
+  await next.decode();
+  const before = image.src;
+  image.src = address;
+  image.dataset.stamp = stamp;
+  image.hidden = false;
+  $("no-image").hidden = true;
+  if (before) URL.revokeObjectURL(before);
+}
+
+// N, E, S, W just inside the horizon, where it is in the image.
+export function compass(overlay) {
+  return (overlay?.azimuth_lines ?? []).filter((line) => line.name).map((line) => {
+    const seen = line.pixels.filter(Boolean);
+    return [line.name, seen.at(-2) ?? seen.at(-1)];
+  }).filter(([, at]) => at);
+}
+
+export function drawSky(size, overlay, sun, last) {
+  const [width, height] = size ?? [1, 1];
+  const u = width / 100;
+  $("overlay").setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
+  $("picture").style.setProperty("aspect-ratio", `${width} / ${height}`);
+  const parts = [];
+  for (const line of overlay?.azimuth_lines ?? []) parts.push(element("path", { class: line.name ? "azimuth named" : "azimuth", d: path(line.pixels) }));
+  for (const circle of overlay?.zenith_circles ?? []) parts.push(element("path", { class: circle.zenith_deg === 90 ? "horizon" : "azimuth", d: path(circle.pixels) }));
+  for (const way of overlay?.sun_paths ?? []) parts.push(...drawPath(way, u));
+  for (const [name, at] of compass(overlay)) parts.push(label(at, name, u * 4, "corner"));
+  if (last) parts.push(mark(SEEN, "seen", [last.x_px, last.y_px], u));
+  if (sun?.pixel) for (const style of ["expected-under", "expected"]) parts.push(mark(EXPECTED, style, sun.pixel, u));
+  $("overlay").replaceChildren(...parts);
+}
+
+function drawPath(way, u) {
+  const parts = [element("path", { class: way.name === "today" ? "track" : "solstice", d: path(way.pixels) })];
+  if (way.name !== "today") return parts;
+  way.time.forEach((time, k) => {
+    const at = way.pixels[k];
+    if (!at || !/T\d\d:00:00/.test(time)) return;
+    parts.push(element("circle", { class: "hour", cx: at[0], cy: at[1], r: u * 0.7 }));
+    if (Number(time.slice(11, 13)) % 2 === 0) parts.push(label([at[0], at[1] - u * 2], `${time.slice(11, 13)}h`, u * 2.8, "hour-name"));
+  });
+  return parts;
+}
