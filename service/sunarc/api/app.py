@@ -44,6 +44,8 @@ _COMPRESSED_ALREADY = (
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
     *("application/octet-stream", "application/x-npy", "application/x-npz", "application/x-netcdf"),
 )
+
+
 def create_app(
     *,
     archive: Archive,
