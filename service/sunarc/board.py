@@ -51,6 +51,42 @@ class CameraStatus:
     address: str = ""
     model: str = ""
     serial: str = ""
+    pixel_format: str = ""
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureStatus:
+    """What capture has counted since the service started.
+
+    Attributes
+    ----------
+    cycles, complete : slots served by day, and those whose normal exposures all succeeded.
+    missed : slots that passed without a cycle, the camera being lost or the cycle before too long.
+    frames : exposures that succeeded.
+    retries : exposures tried again.
+    losses : exposures without a frame, or with one that lacks packets.
+    refusals : frames of a wrong size, count or exposure.
+    doubts : rounds of exposures whose brightness contradicted what they said.
+    failures : exposures given up.
+    openings : how often the camera was opened.
+    jitter_s, jitter_max_s : from a slot to its first exposure's beginning, real seconds: the last, and the largest.
+    hdr_s : from the beginning of the last cycle to the end of its normal exposures, real seconds.
+    """
+
+    cycles: int = 0
+    complete: int = 0
+    missed: int = 0
+    frames: int = 0
+    retries: int = 0
+    losses: int = 0
+    refusals: int = 0
+    doubts: int = 0
+    failures: int = 0
+    openings: int = 0
+    jitter_s: float | None = None
+    jitter_max_s: float | None = None
+    hdr_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +103,7 @@ class Notes(TypedDict, total=False):
     """What `StatusBoard.note` takes."""
 
     camera: CameraStatus
+    capture: CaptureStatus
     clock: ClockStatus
     disk_free_bytes: int
     last_frame_at: datetime
@@ -82,6 +119,7 @@ class StatusSnapshot:
     workers: tuple[WorkerStatus, ...] = ()
     reasons: tuple[Reason, ...] = ()
     camera: CameraStatus | None = None
+    capture: CaptureStatus | None = None
     clock: ClockStatus | None = None
     disk_free_bytes: int | None = None
     last_frame_at: datetime | None = None

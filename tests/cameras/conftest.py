@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -114,44 +115,69 @@ class Device:
 class Camera:
     """A camera with a few features; every call is recorded."""
 
-    def __init__(self) -> None:
+    def __init__(self, **features: object) -> None:
         self.device = Device()
         self.stream = Stream()
         self.calls: list[tuple[object, ...]] = []
-        self.exposure_us = 0.0
-        self.features = {"ExposureAuto", "GainAuto", "Gain", "GammaEnable", "DeviceSerialNumber"}
+        self.features: dict[str, Any] = {
+            "ExposureTime": 3000.0,
+            "ExposureAuto": "Continuous",
+            "GainAuto": "Continuous",
+            "Gain": 3.0,
+            "GammaEnable": True,
+            "DeviceSerialNumber": "77",
+            "DeviceTemperature": 41.5,
+            "TriggerMode": "On",
+            "TriggerSource": "Software",
+        } | features
+        self.bounds = {"ExposureTime": (10.0, 1e6), "Gain": (0.0, 24.0)}
+        self.steps = {"ExposureTime": 1.0}
+        self.chunks = False
+        self.noted_us: float | None = None
         self.fails: dict[str, GLibError] = {}
 
     def library(self) -> tuple[Any, Any]:
         return library(self)
 
+    def feature(self, name: str, kind: str) -> Any:  # noqa: ANN401 - a stub of an untyped library
+        value = self.features[name]
+        if type(value).__name__ != {"string": "str", "boolean": "bool", "integer": "int"}.get(kind, kind):
+            raise GLibError(f"{name} is no {kind}", 3)
+        return value
+
+    def set_feature(self, name: str, value: object) -> None:
+        self.features[name] = float(np.floor(value)) if name == "ExposureTime" else value  # type: ignore[call-overload]
+
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        answers: dict[str, Any] = {
-            "get_device": self.device,
-            "is_gv_device": True,
-            "create_stream": self.stream,
-            "dup_available_pixel_formats_as_strings": ["Mono8", "Mono12"],
-            "get_pixel_format_as_string": "Mono12",
-            "get_sensor_size": (WIDTH, HEIGHT),
-            "get_region": (0, 0, WIDTH, HEIGHT),
-            "get_exposure_time_bounds": (10.0, 1e6),
-            "get_gain_bounds": (0.0, 24.0),
-            "get_gain": 3.0,
-            "get_vendor_name": "Vendor",
-            "get_model_name": None,
-            "get_string": "77",
-            "get_payload": 2 * WIDTH * HEIGHT,
+        answers: dict[str, Callable[..., Any]] = {
+            "get_device": lambda: self.device,
+            "is_gv_device": lambda: True,
+            "create_stream": lambda *_: self.stream,
+            "dup_available_pixel_formats_as_strings": lambda: ["Mono8", "Mono12", "Mono12Packed", "BayerRG8"],
+            "get_pixel_format_as_string": lambda: "Mono12",
+            "get_sensor_size": lambda: (WIDTH, HEIGHT),
+            "get_region": lambda: (0, 0, WIDTH, HEIGHT),
+            "get_vendor_name": lambda: "Vendor",
+            "get_model_name": lambda: None,
+            "get_payload": lambda: 2 * WIDTH * HEIGHT,
+            "gv_get_packet_size": lambda: 1400,
+            "is_feature_available": self.features.__contains__,
+            "is_enumeration_entry_available": lambda *_: True,
+            "are_chunks_available": lambda: self.chunks,
+            "create_chunk_parser": lambda: SimpleNamespace(get_float_value=lambda *_: self.noted_us),
         }
+        for kind in ("string", "boolean", "float", "integer"):
+            answers[f"get_{kind}"] = partial(self.feature, kind=kind)
+            answers[f"set_{kind}"] = self.set_feature
+            answers[f"get_{kind}_bounds"] = self.bounds.__getitem__
+            answers[f"get_{kind}_increment"] = self.steps.__getitem__
 
         def call(*arguments: Any) -> Any:  # noqa: ANN401 - a stub of an untyped library
             self.calls.append((name, *arguments))
             if name in self.fails:
                 raise self.fails[name]
-            if name == "is_feature_available":
-                return arguments[0] in self.features
-            if name == "set_exposure_time":
-                self.exposure_us = float(np.floor(arguments[0]))
-            return self.exposure_us if name == "get_exposure_time" else answers.get(name)
+            answer = answers.get(name)
+            return None if answer is None else answer(*arguments)
 
         return call
 
@@ -173,6 +199,7 @@ def library(camera: Camera) -> tuple[Any, Any]:
         DeviceError=DeviceError,
         GvStreamOption=SimpleNamespace(PACKET_SOCKET_DISABLED="udp"),
         GvStreamSocketBuffer=SimpleNamespace(FIXED="fixed"),
+        disable_interface=lambda _name: None,
         device_error_quark=lambda: "device",
     )
     return aravis, SimpleNamespace(Error=GLibError)

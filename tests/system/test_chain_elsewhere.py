@@ -53,7 +53,7 @@ class Imager:
         while self.clock.now() < end:
             self.clock.advance(CADENCE_S - self.clock.now().timestamp() % CADENCE_S)
             if self.service.predictor.apparent_zenith(self.clock.now()) < 89.6:
-                capture.cycle(camera)
+                capture.cycle(camera, self.clock.now(), within_s=CADENCE_S / 2)
                 while (frame := self.service.sun_frames.get(timeout_s=0.0)) is not None:
                     detect.look_at(frame)
             else:

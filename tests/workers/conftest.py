@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sunarc.board import StatusBoard
-from sunarc.cameras import CameraInfo, Frame
+from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError
 
@@ -35,6 +35,8 @@ class FakeCamera:
     clock: VirtualClock
     faults: list[CameraError | None] = field(default_factory=list)
     exposures: list[tuple[float, float]] = field(default_factory=list)
+    changed: list[CameraError | None] = field(default_factory=list)
+    distrusted: int = 0
     closed: int = 0
     info: CameraInfo = INFO
 
@@ -53,6 +55,15 @@ class FakeCamera:
             full_scale=4095,
             frame_id=len(self.exposures),
         )
+
+    def distrust(self) -> None:
+        self.distrusted += 1
+
+    def check(self) -> CameraCondition:
+        change = self.changed.pop(0) if self.changed else None
+        if change is not None:
+            raise change
+        return CameraCondition(temperature_c=30.0)
 
     def close(self) -> None:
         self.closed += 1

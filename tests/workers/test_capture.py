@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging import SunExposureOptions
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
+
+from .conftest import INFO
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera
@@ -114,10 +116,10 @@ def test_a_cycle_that_lacks_an_exposure_makes_no_composite_but_still_looks_at_th
 ) -> None:
     camera.faults = [None, CameraTimeoutError("late"), CameraError("torn"), None]
     made = bench()
-    made.run_until(lambda: len(camera.exposures) >= 6)
+    made.run_until(lambda: len(made.sun_frames) == 2)
+    assert [exposure for _, exposure in camera.exposures] == [3_000.0, 12_000.0, 12_000.0, 48_000.0, *SUN]
     assert len(made.cycles) == 0
-    assert len(made.sun_frames) == 2
-    assert "exposures_failing" not in reasons(board)  # later exposures succeeded
+    assert "exposures_failing" in reasons(board)
 
 
 def test_a_lost_camera_is_closed_shown_and_opened_again_ever_less_often(
@@ -192,3 +194,95 @@ def test_a_clock_set_while_a_slot_is_waited_for_costs_one_slot_at_most(
     assert sum(gap != pytest.approx(30.0) for gap in gaps) <= 2
     assert max(gaps) < 60.0
     assert gaps[-2:] == pytest.approx([30.0, 30.0])
+
+
+def test_a_camera_that_changed_its_settings_is_opened_anew_and_its_cycle_is_not_kept(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    camera.changed = [None, CameraLostError("GainAuto is Continuous, not Off")]  # before the slot, after the cycle
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    assert camera.closed == 2
+    assert len(camera.exposures) == 2 * len(HDR + SUN)
+    assert len(made.sun_frames) == 2
+    status = board.snapshot().capture
+    assert status is not None
+    assert (status.cycles, status.complete, status.openings) == (1, 1, 2)
+
+
+def test_a_change_before_the_slot_is_mended_before_the_slot(bench: MakeBench, camera: FakeCamera) -> None:
+    camera.changed = [CameraLostError("TriggerMode is Off, not On")]
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    assert camera.closed == 2
+    assert camera.exposures[0][0] == pytest.approx(20.0)  # the first slot
+
+
+def test_what_went_wrong_is_counted(bench: MakeBench, camera: FakeCamera, board: StatusBoard) -> None:
+    camera.faults = [None, CameraTimeoutError("late"), CameraError("torn"), None, CameraTimeoutError("late")]
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    status = board.snapshot().capture
+    assert status is not None
+    assert (status.losses, status.refusals, status.retries, status.failures) == (2, 1, 2, 1)
+    assert (status.cycles, status.complete, status.missed) == (2, 1, 0)
+    assert status.jitter_s == pytest.approx(0.0, abs=1e-6)
+    assert status.hdr_s == pytest.approx(0.063)
+
+
+def test_slots_that_pass_while_the_camera_is_away_are_counted(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard, clock: VirtualClock
+) -> None:
+    camera.faults = [None] * 5 + [CameraLostError("gone")]
+    opened: list[None] = []
+
+    def open_camera() -> SkyCamera:
+        opened.append(None)
+        if len(opened) == 2:
+            clock.advance(70.0)  # two slots go by
+        return camera
+
+    made = bench(open_camera=open_camera)
+    made.run_until(lambda: len(made.cycles) >= 2)
+    status = board.snapshot().capture
+    assert status is not None
+    assert status.missed == 2
+
+
+def test_exposures_that_the_camera_cannot_take_are_refused_and_nothing_is_taken(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    camera.info = replace(INFO, exposure_max_us=20_000.0)
+    made = bench()
+    made.run_until(lambda: "camera_refused" in reasons(board))
+    (reason,) = board.snapshot().reasons
+    assert reason.severity == "not_ready"
+    assert "48000 µs is beyond the camera's 5 to 20000 µs" in reason.text
+    assert camera.exposures == []
+    camera.info = INFO
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    assert reasons(board) == set()
+
+
+def test_no_attempt_begins_that_would_run_into_the_next_slot(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock
+) -> None:
+    class SlowError(CameraTimeoutError):
+        def __init__(self) -> None:
+            super().__init__("late")
+            clock.advance(15.0)
+
+    made = bench()
+    expose = camera.expose
+    slow = iter([False, True, True])
+
+    def exposing(exposure_us: float) -> Frame:
+        if next(slow, False):
+            raise SlowError
+        return expose(exposure_us)
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 1)
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    assert starts == pytest.approx([20.0, 80.0])  # 30 s were lost; the slot at 50 s was not begun late

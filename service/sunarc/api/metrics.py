@@ -6,12 +6,25 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import get_args
 
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from sunarc.api.calibrations import summary
 from sunarc.api.served import Served
-from sunarc.board import Health, StatusSnapshot, WorkerState
+from sunarc.board import CaptureStatus, Health, StatusSnapshot, WorkerState
+
+_CAPTURE_COUNTS = {
+    "cycles": "Slots served by day.",
+    "complete": "Those whose normal exposures all succeeded.",
+    "missed": "Slots that passed without a cycle.",
+    "frames": "Exposures that succeeded.",
+    "retries": "Exposures tried again.",
+    "losses": "Exposures without a frame, or with one that lacked packets.",
+    "refusals": "Frames of a wrong size, count or exposure.",
+    "doubts": "Rounds of exposures whose brightness contradicted what they said.",
+    "failures": "Exposures given up.",
+    "openings": "How often the camera was opened.",
+}
 
 
 class StatusCollector(Collector):
@@ -47,6 +60,7 @@ class StatusCollector(Collector):
         )
         yield from _workers(snapshot)
         yield from _facts(snapshot)
+        yield from _capture(snapshot.capture)
         yield from self._calibration()
 
     def _calibration(self) -> Iterator[Metric]:
@@ -84,6 +98,8 @@ def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
 def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
     connected = None if snapshot.camera is None else float(snapshot.camera.connected)
     error_s = None if snapshot.clock is None else snapshot.clock.max_error_s
+    temperature = None if snapshot.camera is None else snapshot.camera.temperature_c
+    yield _single("sunarc_camera_temperature_celsius", "Where the camera tells it.", temperature)
     yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
     synchronised = None if snapshot.clock is None else snapshot.clock.synchronised
     stepped_at = None if snapshot.clock is None else _unix_s(snapshot.clock.last_step_at)
@@ -93,6 +109,20 @@ def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
     yield _single("sunarc_disk_free_bytes", "Free space where the state is kept.", snapshot.disk_free_bytes)
     yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))
     yield _single("sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s(snapshot.last_sighting_at))
+
+
+def _capture(capture: CaptureStatus | None) -> Iterator[Metric]:
+    for name, text in _CAPTURE_COUNTS.items():
+        family = CounterMetricFamily(f"sunarc_capture_{name}", text)
+        if capture is not None:
+            family.add_metric((), getattr(capture, name))
+        yield family
+    jitter = None if capture is None else capture.jitter_s
+    jitter_max = None if capture is None else capture.jitter_max_s
+    hdr = None if capture is None else capture.hdr_s
+    yield _single("sunarc_capture_jitter_seconds", "From the last slot to its first exposure.", jitter)
+    yield _single("sunarc_capture_jitter_max_seconds", "The largest since the service started.", jitter_max)
+    yield _single("sunarc_capture_hdr_seconds", "From a cycle's beginning to the end of its normal exposures.", hdr)
 
 
 def _unix_s(time: datetime | None) -> float | None:

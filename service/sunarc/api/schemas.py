@@ -199,6 +199,26 @@ class CameraOut(BaseModel):
     address: str
     model: str
     serial: str
+    pixel_format: str
+    temperature_c: float | None = Field(description="The camera's own, degrees Celsius.")
+
+
+class CaptureOut(BaseModel):
+    """What capture has counted since the service started; times in real seconds after a slot."""
+
+    cycles: int
+    complete: int
+    missed: int
+    frames: int
+    retries: int
+    losses: int
+    refusals: int
+    doubts: int
+    failures: int
+    openings: int
+    jitter_s: float | None
+    jitter_max_s: float | None
+    hdr_s: float | None
 
 
 class ClockOut(BaseModel):
@@ -221,6 +241,7 @@ class Status(BaseModel):
     frame_time: Time = Field(description="The time that the frames say it is.")
     workers: list[WorkerOut]
     camera: CameraOut | None
+    capture: CaptureOut | None
     clock: ClockOut | None
     disk_free_bytes: int | None
     last_frame_at: Time | None

@@ -1,13 +1,14 @@
 """Frames from outside: what a camera is to us, the Aravis adapter, and a folder of images played again."""
 
 from sunarc.cameras.aravis import AravisCamera, open_aravis
-from sunarc.cameras.frame import CameraInfo, Counts, Frame, SkyCamera, full_scale_of
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Counts, Frame, SkyCamera, full_scale_of
 from sunarc.cameras.options import AravisOptions, ReplayOptions
 from sunarc.cameras.replay import ReplayCamera, SkippedFile, exposure_of_name, open_replay
 
 __all__ = [
     "AravisCamera",
     "AravisOptions",
+    "CameraCondition",
     "CameraInfo",
     "Counts",
     "Frame",

@@ -1,7 +1,8 @@
-"""GigE Vision cameras, through Aravis: the only file that knows the library.
+"""GigE Vision and USB3 Vision cameras, through Aravis: the only file that knows the library.
 
 A frame is trusted when the camera was idle, was given one software trigger, and answered with one whole frame whose
-count follows the last one's. Whatever else happens raises, and the next exposure starts from a stopped camera.
+count follows the last one's, and whose own note of its exposure (a chunk), where the camera adds one, agrees. Whatever
+else happens raises, and the next exposure starts from a stopped camera.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-import numpy as np
-
-from sunarc.cameras.features import describe, pin_settings, pinned_gain_db
-from sunarc.cameras.frame import CameraInfo, Counts, Frame, middle_of_exposure
+from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
+from sunarc.cameras.exposure import ExposureControl, exposure_control
+from sunarc.cameras.features import Pin, changed_pins, gain_db, pin_settings, serial_of, temperature_c
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
+from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.options import AravisOptions
 from sunarc.clock import Clock
 from sunarc.errors import (
@@ -31,7 +33,9 @@ from sunarc.errors import (
 _log = logging.getLogger(__name__)
 
 _BUFFERS = 6
-_SOCKET_BUFFER_BYTES = 32 << 20  # the kernel grants up to net.core.rmem_max of it
+_CHUNK = "ExposureTime"
+_INTERFACE_OF = {"gige": "GigEVision", "usb3": "USB3Vision"}
+_INTERFACES = {*_INTERFACE_OF.values(), "Fake"}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -42,7 +46,7 @@ def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
     ------
     CameraLostError
         Nothing answers at the address, or another program controls the camera.
-    ConfigurationError
+    ConfigurationError, InputError
         Aravis is not installed, or the camera cannot be set up as asked.
     """
     camera = AravisCamera(options, clock, library=_library())
@@ -60,7 +64,7 @@ def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
 
 
 class AravisCamera:
-    """A GigE Vision camera under our control (a `SkyCamera`); made by `open_aravis`."""
+    """A camera under our control (a `SkyCamera`); made by `open_aravis`."""
 
     def __init__(self, options: AravisOptions, clock: Clock, *, library: tuple[Any, Any]) -> None:
         self._options = options
@@ -70,9 +74,12 @@ class AravisCamera:
         self._camera: Any = None
         self._device: Any = None
         self._stream: Any = None
+        self._chunks: Any = None
         self._handler = 0
         self._info: CameraInfo | None = None
-        self._gain_db = 0.0
+        self._exposure: ExposureControl | None = None
+        self._pins: tuple[Pin, ...] = ()
+        self.link: Link | None = None
         self._previous_id: int | None = None
         self._in_doubt = False
 
@@ -87,35 +94,49 @@ class AravisCamera:
         """Take control, pin the settings and start acquisition; `close` afterwards, also if this fails."""
         address = self._options.address
         with self._translated(f"opening the camera at {address}"):
+            for unused in _INTERFACES - {_INTERFACE_OF[self._options.transport]}:
+                self._aravis.disable_interface(unused)  # a GigE camera that is not found is not looked for elsewhere
             self._camera = self._aravis.Camera.new(address)
             self._device = self._camera.get_device()
             self._handler = self._device.connect("control-lost", _setter(self._lost))
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
-            pin_settings(self._camera, self._options)
+            self._pins = pin_settings(self._camera, self._options)
+            self._exposure = exposure_control(self._camera)
+            self._ask_for_chunks()
             self._open_stream()
-            self._info = describe(self._camera, address=address)
-            self._gain_db = pinned_gain_db(self._camera)
+            self._info = self._describe(self._exposure)
             self._camera.start_acquisition()
         _log.info("opened %s", self._info)
 
     def expose(self, exposure_us: float) -> Frame:
         """Expose once, within the camera's bounds, and return the frame (see `SkyCamera`)."""
         info = self.info
-        if self._lost.is_set():
-            raise CameraLostError(f"the camera at {info.address} no longer answers")
+        self._require_control()
         with self._translated("exposing"):
             if self._in_doubt:
                 self._resynchronise()
             self._in_doubt = True
-            self._camera.set_exposure_time(min(max(exposure_us, info.exposure_min_us), info.exposure_max_us))
-            actual_us = float(self._camera.get_exposure_time())
+            actual_us = self._control.set(self._camera, exposure_us)
             self._flush()
             triggered_at = self._clock.now()
             self._camera.software_trigger()
-            frame = self._pop(actual_us, triggered_at)
+            frame = self._pop(info, actual_us, triggered_at)
             self._in_doubt = False
         return frame
+
+    def distrust(self) -> None:
+        """Begin the next exposure with a stopped and emptied camera."""
+        self._in_doubt = True
+
+    def check(self) -> CameraCondition:
+        """Ask for every pinned setting (see `SkyCamera`)."""
+        self._require_control()
+        with self._translated("asking for the settings"):
+            changed = list(changed_pins(self._camera, self._pins))
+            if changed:
+                raise CameraLostError(f"the camera was restarted or set by another program: {'; '.join(changed)}")
+            return CameraCondition(temperature_c=temperature_c(self._camera))
 
     def close(self) -> None:
         """Let go of the camera, so that it can be opened again; harmless when done twice."""
@@ -128,9 +149,47 @@ class AravisCamera:
             self._device.disconnect(self._handler)
         self._handler = 0
         self._stream = None
+        self._chunks = None
         self._device = None
         self._camera = None
         self._info = None
+
+    @property
+    def _control(self) -> ExposureControl:
+        if self._exposure is None:
+            raise CameraLostError(f"the camera at {self._options.address} is not open")
+        return self._exposure
+
+    def _require_control(self) -> None:
+        if self._lost.is_set():
+            raise CameraLostError(f"the camera at {self.info.address} no longer answers")
+
+    def _describe(self, exposure: ExposureControl) -> CameraInfo:
+        camera = self._camera
+        pixel_format = str(camera.get_pixel_format_as_string())
+        _, _, width, height = camera.get_region()
+        return CameraInfo(
+            address=self._options.address,
+            vendor=str(camera.get_vendor_name() or ""),
+            model=str(camera.get_model_name() or ""),
+            serial=serial_of(camera),
+            width=int(width),
+            height=int(height),
+            pixel_format=pixel_format,
+            full_scale=full_scale_of(pixel_format),
+            exposure_min_us=exposure.minimum_us,
+            exposure_max_us=exposure.maximum_us,
+            exposure_step_us=exposure.step_us,
+        )
+
+    def _ask_for_chunks(self) -> None:
+        """Have the camera note its exposure beside each frame, where it can."""
+        try:
+            if self._camera.are_chunks_available():
+                self._camera.set_chunks(_CHUNK)
+                self._chunks = self._camera.create_chunk_parser()
+        except self._glib.Error as error:  # a camera may have chunks and none of the exposure
+            _log.info("the camera does not note its exposures: %s", error.message)
 
     def _open_stream(self) -> None:
         aravis, options = self._aravis, self._options
@@ -146,10 +205,23 @@ class AravisCamera:
         if self._stream is None:
             raise CameraLostError(f"the camera at {options.address} gives no stream")
         if self._camera.is_gv_device():
-            self._stream.set_property("socket-buffer-size", _SOCKET_BUFFER_BYTES)
+            self._stream.set_property("socket-buffer-size", WANTED_BUFFER_BYTES)  # up to net.core.rmem_max is granted
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
+            self._tell_link(payload)
         for _ in range(_BUFFERS):
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
+
+    def _tell_link(self, payload: int) -> None:
+        """Say in the log how the stream is received, and what will lose packets."""
+        self.link = link_to(
+            self._options.address,
+            packet_bytes=int(self._camera.gv_get_packet_size()),
+            frame_bytes=payload,
+            packet_socket=self._options.packet_socket,
+        )
+        _log.info("stream: %s", self.link.text)
+        for complaint in self.link.complaints:
+            _log.warning("stream: %s", complaint)
 
     def _flush(self) -> int:
         """Give frames that nobody waits for back to the stream, and return their number."""
@@ -169,29 +241,36 @@ class AravisCamera:
         self._previous_id = None
         self._camera.start_acquisition()
 
-    def _pop(self, exposure_us: float, triggered_at: datetime) -> Frame:
+    def _pop(self, info: CameraInfo, exposure_us: float, triggered_at: datetime) -> Frame:
         buffer = self._stream.timeout_pop_buffer(int(exposure_us + self._options.answer_timeout_s * 1e6))
         if buffer is None:
             if self._lost.is_set():
                 raise CameraLostError("the camera no longer answers")
             raise CameraTimeoutError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
         try:
-            return self._checked(buffer, exposure_us, triggered_at)
+            return self._checked(buffer, info, exposure_us, triggered_at)
         finally:
             self._stream.push_buffer(buffer)
 
-    def _checked(self, buffer: Any, exposure_us: float, triggered_at: datetime) -> Frame:  # noqa: ANN401 - a GObject
+    def _checked(
+        self,
+        buffer: Any,  # noqa: ANN401 - a GObject
+        info: CameraInfo,
+        exposure_us: float,
+        triggered_at: datetime,
+    ) -> Frame:
         status = buffer.get_status()
         if status != self._aravis.BufferStatus.SUCCESS:  # nothing else of such a buffer may be touched
-            raise _incomplete(status.value_nick)
-        info = self.info
+            raise incomplete(status.value_nick)
         if (buffer.get_image_width(), buffer.get_image_height()) != (info.width, info.height):
             raise CameraError(f"a frame of {buffer.get_image_width()}×{buffer.get_image_height()} px came")
-        image = _image(buffer.get_image_data(), info)
+        image = image_of(buffer.get_image_data(), info)
         frame_id = int(buffer.get_frame_id())
         if self._previous_id is not None and not follows(self._previous_id, frame_id):
             raise CameraError(f"frame {frame_id} came after frame {self._previous_id}")
         self._previous_id = frame_id
+        if self._chunks is not None:
+            require_exposure(float(self._chunks.get_float_value(buffer, f"Chunk{_CHUNK}")), exposure_us)
         started_at = triggered_at
         if self._options.timestamps == "camera":
             started_at = _EPOCH + timedelta(microseconds=buffer.get_timestamp() // 1000)
@@ -199,7 +278,7 @@ class AravisCamera:
             image=image,
             time=middle_of_exposure(started_at, exposure_us),
             exposure_us=exposure_us,
-            gain_db=self._gain_db,
+            gain_db=gain_db(self._pins),
             pixel_format=info.pixel_format,
             full_scale=info.full_scale,
             frame_id=frame_id,
@@ -217,26 +296,6 @@ class AravisCamera:
             if self._lost.is_set() or any(error.matches(quark, code) for code in codes):
                 raise CameraLostError(f"{doing}: no answer ({error.message}); check power and network") from error
             raise CameraError(f"{doing}: {error.message}") from error
-
-
-def follows(previous_id: int, frame_id: int) -> bool:
-    """Return whether a frame count is the next one; GigE Vision 1 counts 1 … 65535 and never says 0."""
-    return frame_id == previous_id + 1 or (previous_id == 65_535 and frame_id == 1)
-
-
-def _image(data: bytes, info: CameraInfo) -> Counts:
-    """Return the counts of a frame's bytes, which may have been cut short."""
-    count, depth = info.width * info.height, 1 if info.full_scale == 255 else 2
-    if len(data) < count * depth:
-        raise CameraError(f"a frame of {len(data)} bytes came")
-    flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
-    return flat.reshape(info.height, info.width)
-
-
-def _incomplete(status: str) -> CameraError:
-    if status in {"timeout", "missing-packets"}:
-        return CameraTimeoutError(f"packets of the frame were lost ({status}); see the network's buffer settings")
-    return CameraError(f"the frame is not usable ({status})")
 
 
 def _setter(event: threading.Event) -> Callable[..., None]:

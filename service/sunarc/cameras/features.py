@@ -1,88 +1,210 @@
-"""A GenICam camera brought into the one state that its frames are trusted in.
+"""A GenICam camera brought into the one state that its frames are trusted in, and asked whether it is still in it.
 
-Everything here takes the library's camera object as it is (untyped): only `cameras.aravis` knows the library.
+Features go by the names of the SFNC (EMVA, "GenICam Standard Features Naming Convention"), then by those that vendors
+use instead. Everything here takes the library's camera object as it is (untyped): only `cameras.aravis` knows the
+library.
 """
 
 from __future__ import annotations
 
 import contextlib
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
 
-from sunarc.cameras.frame import CameraInfo, full_scale_of
+from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.options import AravisOptions
-from sunarc.errors import ConfigurationError
+from sunarc.errors import ConfigurationError, InputError
 
-_AUTOMATIC = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
+Kind = Literal["string", "boolean", "float", "integer"]
+Value: TypeAlias = str | bool | float | int
+
+GAIN = ("Gain", "GainRaw", "GainAbs")
+BLACK_LEVEL = ("BlackLevel", "BlackLevelRaw")
+TEMPERATURE = ("DeviceTemperature", "DeviceTemperatureRaw")
+_SERIAL = ("DeviceSerialNumber", "DeviceID", "DeviceSerialNumberText")
+_BINNING = ("BinningHorizontal", "BinningVertical")
+_CHOICES: tuple[tuple[tuple[str, ...], str], ...] = (
+    (("GainSelector",), "All"),
+    (("BlackLevelSelector",), "All"),
+    (("ExposureMode",), "Timed"),
+    (("ExposureAuto",), "Off"),
+    (("GainAuto",), "Off"),
+    (("BalanceWhiteAuto",), "Off"),
+    (("BlackLevelAuto",), "Off"),
+    (("AcquisitionFrameRateAuto",), "Off"),
+    (("AcquisitionMode",), "Continuous"),
+)
+_SWITCHED_OFF = (
+    ("GammaEnable", "GammaEnabled"),
+    ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"),
+)
 
 
-def pin_settings(camera: Any, options: AravisOptions) -> None:  # noqa: ANN401 - a GObject has no types
-    """Switch everything automatic off, and set format, region and gain (before a stream is made)."""
-    for feature in _AUTOMATIC:
-        if camera.is_feature_available(feature):
-            camera.set_string(feature, "Off")
-    if camera.is_feature_available("GammaEnable"):
-        camera.set_boolean("GammaEnable", False)
-    camera.set_string("AcquisitionMode", "Continuous")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pin:
+    """A feature and the value that it has to keep."""
+
+    name: str
+    kind: Kind
+    value: Value
+
+
+def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noqa: ANN401 - a GObject has no types
+    """Switch everything automatic off, set format, region and gain (before a stream is made); return what was set.
+
+    Raises
+    ------
+    ConfigurationError
+        The camera lacks the pixel format, or the region does not fit.
+    """
+    pins = [*_choose(camera), *_switch_off(camera), *_set_binning(camera, options.binning)]
     _set_pixel_format(camera, options.pixel_format)
     _set_region(camera, options.region)
-    if camera.is_feature_available("Gain"):
-        low, high = camera.get_gain_bounds()
-        camera.set_gain(min(max(options.gain_db, low), high))
-    camera.set_trigger("Software")
+    pins += _set_levels(camera, options)
+    camera.set_trigger("Software")  # after everything that deals with the frame rate, which would undo it
+    format_and_region = ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY")
+    trigger = ("TriggerMode", "TriggerSource")
+    return (*pins, *(held(camera, name) for name in (*format_and_region, *trigger) if has(camera, name)))
 
 
-def pinned_gain_db(camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
-    """Return the gain in decibels, 0 where the camera has only a raw one."""
-    return float(camera.get_gain()) if camera.is_feature_available("Gain") else 0.0
+def changed_pins(camera: Any, pins: tuple[Pin, ...]) -> Iterator[str]:  # noqa: ANN401 - a GObject has no types
+    """Yield what of a camera is not as it was set, one sentence each."""
+    for pin in pins:
+        value = read(camera, pin.name, pin.kind)
+        close = isinstance(value, float) and abs(value - float(pin.value)) <= 1e-3 * max(1.0, abs(value))
+        if value != pin.value and not close:
+            yield f"{pin.name} is {value}, not {pin.value}"
 
 
-def describe(camera: Any, *, address: str) -> CameraInfo:  # noqa: ANN401 - a GObject has no types
-    """Return what the camera says of itself."""
-    pixel_format = str(camera.get_pixel_format_as_string())
-    _, _, width, height = camera.get_region()
-    low, high = camera.get_exposure_time_bounds()
-    return CameraInfo(
-        address=address,
-        vendor=str(camera.get_vendor_name() or ""),
-        model=str(camera.get_model_name() or ""),
-        serial=_serial(camera),
-        width=int(width),
-        height=int(height),
-        pixel_format=pixel_format,
-        full_scale=full_scale_of(pixel_format),
-        exposure_min_us=float(low),
-        exposure_max_us=float(high),
-        exposure_step_us=_exposure_step_us(camera),
-    )
+def has(camera: Any, name: str) -> bool:  # noqa: ANN401 - a GObject has no types
+    """Return whether a camera offers a feature now."""
+    return bool(camera.is_feature_available(name))
+
+
+def first(camera: Any, names: tuple[str, ...]) -> str | None:  # noqa: ANN401 - a GObject has no types
+    """Return the first of the names that a camera has."""
+    return next((name for name in names if has(camera, name)), None)
+
+
+def held(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no types
+    """Return a feature with the value that it has, of whichever kind it is."""
+    kinds: tuple[Kind, ...] = ("float", "integer", "boolean", "string")
+    for kind in kinds[:-1]:
+        with contextlib.suppress(Exception):  # asked as another kind than it is, a feature is refused
+            return Pin(name=name, kind=kind, value=read(camera, name, kind))
+    return Pin(name=name, kind="string", value=read(camera, name, "string"))
+
+
+def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObject has no types
+    """Return the value of a feature as the camera says it now."""
+    value: Value = getattr(camera, f"get_{kind}")(name)
+    return value
+
+
+def write(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - a GObject has no types
+    """Set a feature and return what the camera made of it."""
+    getattr(camera, f"set_{kind}")(name, value)
+    return Pin(name=name, kind=kind, value=read(camera, name, kind))
+
+
+def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
+    """Return the serial number, empty where the camera does not tell it."""
+    name = first(camera, _SERIAL)
+    return "" if name is None else str(camera.get_string(name))
+
+
+def temperature_c(camera: Any) -> float | None:  # noqa: ANN401 - a GObject has no types
+    """Return the camera's own temperature in degrees Celsius, None where it does not tell."""
+    return float(camera.get_float(TEMPERATURE[0])) if has(camera, TEMPERATURE[0]) else None
+
+
+def gain_db(pins: tuple[Pin, ...]) -> float:
+    """Return the pinned gain in decibels, 0 where the camera has only a raw one."""
+    return next((float(pin.value) for pin in pins if pin.name == "Gain" and pin.kind == "float"), 0.0)
+
+
+def _choose(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+    for names, choice in _CHOICES:
+        name = first(camera, names)
+        if name is not None and camera.is_enumeration_entry_available(name, choice):
+            yield write(camera, name, "string", choice)
+
+
+def _switch_off(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+    for names in _SWITCHED_OFF:
+        name = first(camera, names)
+        if name is not None:
+            yield write(camera, name, "boolean", value=False)
+    if first(camera, _SWITCHED_OFF[0]) is None and has(camera, "Gamma"):
+        yield write(camera, "Gamma", "float", 1.0)
+
+
+def _set_binning(camera: Any, binning: int) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+    for name in _BINNING:
+        if has(camera, name):
+            pin = write(camera, name, "integer", binning)
+            if pin.value != binning:
+                raise ConfigurationError(f"the camera does not bin by {binning}: {name} stays {pin.value}")
+            yield pin
+        elif binning != 1:
+            raise ConfigurationError(f"the camera cannot bin: it has no {name}; set camera.binning = 1")
 
 
 def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 - a GObject has no types
-    offered = camera.dup_available_pixel_formats_as_strings()
+    offered = [str(name) for name in camera.dup_available_pixel_formats_as_strings()]
     if pixel_format not in offered:
-        raise ConfigurationError(f"the camera has no pixel format {pixel_format}; it offers {', '.join(offered)}")
+        usable = [name for name in offered if _is_usable(name)]
+        raise InputError(
+            field="camera.pixel_format",
+            problem=f"the camera has no pixel format {pixel_format}; it offers {', '.join(offered)}",
+            remedy=f"set one of {', '.join(usable)}" if usable else "none of these is unpacked and of one channel",
+        )
     camera.set_pixel_format_from_string(pixel_format)
 
 
+def _is_usable(pixel_format: str) -> bool:
+    try:
+        full_scale_of(pixel_format)
+    except InputError:
+        return False
+    return True
+
+
 def _set_region(camera: Any, region: tuple[int, int, int, int] | None) -> None:  # noqa: ANN401 - a GObject has no types
-    sensor_width, sensor_height = camera.get_sensor_size()
-    x, y, width, height = region or (0, 0, sensor_width, sensor_height)
-    if x + width > sensor_width or y + height > sensor_height:
-        raise ConfigurationError(f"the region {region} does not fit the sensor of {sensor_width}×{sensor_height} px")
+    widest, highest = _largest_region(camera)
+    x, y, width, height = region or (0, 0, widest, highest)
+    if x + width > widest or y + height > highest:
+        raise InputError(
+            field="camera.region",
+            problem=f"{region} does not fit the sensor of {widest}×{highest} px",
+            remedy="give x, y, width, height within it (in px after binning)",
+        )
     camera.set_region(0, 0, width, height)  # a smaller region first: an offset may be refused beside a full width
     camera.set_region(x, y, width, height)
 
 
-def _serial(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
-    for feature in ("DeviceSerialNumber", "DeviceID"):
-        if camera.is_feature_available(feature):
-            return str(camera.get_string(feature))
-    return ""
+def _largest_region(camera: Any) -> tuple[int, int]:  # noqa: ANN401 - a GObject has no types
+    """Return the largest width and height, px after binning."""
+    if has(camera, "WidthMax") and has(camera, "HeightMax"):
+        return int(camera.get_integer("WidthMax")), int(camera.get_integer("HeightMax"))
+    width, height = camera.get_sensor_size()
+    return int(width), int(height)
 
 
-def _exposure_step_us(camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
-    for feature in ("ExposureTime", "ExposureTimeAbs"):
-        if camera.is_feature_available(feature):
-            with contextlib.suppress(Exception):  # vendors' descriptions disagree on whether there is one
-                step = float(camera.get_float_increment(feature))
-                return step if 1e-6 < step < 1e6 else 0.0
-    return 0.0
+def _set_levels(camera: Any, options: AravisOptions) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+    """Pin gain and black level: decibels where the camera knows them, otherwise its lowest gain."""
+    for names, wanted in ((GAIN, options.gain_db), (BLACK_LEVEL, options.black_level)):
+        name = first(camera, names)
+        if name is None:
+            continue
+        present = held(camera, name)
+        is_float = present.kind == "float"
+        low, high = camera.get_float_bounds(name) if is_float else camera.get_integer_bounds(name)
+        if names is GAIN and name != "Gain":
+            wanted = float(low)  # noqa: PLW2901 - raw steps are not decibels
+        if wanted is None:
+            yield present
+        else:
+            value = min(max(wanted, low), high)
+            yield write(camera, name, present.kind, value if is_float else round(value))

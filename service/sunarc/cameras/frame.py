@@ -69,6 +69,13 @@ class CameraInfo:
     exposure_step_us: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraCondition:
+    """How a camera says that it is; `temperature_c` is None where it does not tell."""
+
+    temperature_c: float | None = None
+
+
 class SkyCamera(Protocol):
     """A camera that looks at the sky and is asked for one exposure after the other, from one thread at a time."""
 
@@ -87,6 +94,19 @@ class SkyCamera(Protocol):
             The connection is gone: close, wait, open anew.
         CameraError
             A frame came that cannot be trusted.
+        """
+
+    def distrust(self) -> None:
+        """Take the last frames for wrong: the next exposure begins with a camera that was stopped and emptied."""
+
+    def check(self) -> CameraCondition:
+        """Ask whether every pinned setting is as it was set, and how the camera is.
+
+        Raises
+        ------
+        CameraLostError
+            It does not answer, or a setting was changed: it was restarted, or someone else set it. Frames taken since
+            the last check are in doubt; open it anew.
         """
 
     def close(self) -> None:

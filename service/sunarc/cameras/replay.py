@@ -13,7 +13,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sunarc.cameras.frame import CameraInfo, Counts, Frame, full_scale_of
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Counts, Frame, full_scale_of
 from sunarc.cameras.options import ReplayOptions
 from sunarc.errors import CameraLostError, InputError
 
@@ -67,6 +67,13 @@ class ReplayCamera:
             raise CameraLostError(f"{self._options.folder} has been played to its end")
         self._next = next(self._pending, None)
         return frame
+
+    def distrust(self) -> None:
+        """Change nothing: a file stays what it is."""
+
+    def check(self) -> CameraCondition:
+        """Tell nothing: a folder has no settings."""
+        return CameraCondition()
 
     def close(self) -> None:
         """End the replay."""

@@ -1,8 +1,10 @@
 """What to expose for the sun, and what to keep of a cycle: all pure.
 
-Map: `exposure` the sun exposure controller, `hdr` the merge, `preview` for people.
+Map: `exposure` the sun exposure controller, `brightness` whether frames had their exposures, `hdr` the merge, `preview`
+for people.
 """
 
+from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
 from sunarc.imaging.exposure import (
     ExposureBounds,
     Peak,
@@ -15,12 +17,14 @@ from sunarc.imaging.hdr import HdrImage, merge_hdr
 from sunarc.imaging.preview import preview
 
 __all__ = [
+    "Exposed",
     "ExposureBounds",
     "HdrImage",
     "Peak",
     "SunExposureOptions",
     "SunExposureState",
     "first_sun_exposures",
+    "light_ratio_contradiction",
     "merge_hdr",
     "next_sun_exposures",
     "preview",

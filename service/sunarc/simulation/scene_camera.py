@@ -8,7 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Literal
 
-from sunarc.cameras import CameraInfo, Frame, full_scale_of
+from sunarc.cameras import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.clock import Clock
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.simulation.scene import Region, Scene
@@ -104,6 +104,14 @@ class SceneCamera:
             full_scale=self._info.full_scale,
             frame_id=self._frame_id,
         )
+
+    def distrust(self) -> None:
+        """Change nothing: the next frame is another one."""
+
+    def check(self) -> CameraCondition:
+        """Tell whether it still answers (see `SkyCamera`)."""
+        self._raise(None)
+        return CameraCondition(temperature_c=21.5)
 
     def close(self) -> None:
         """Let go of the camera."""

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import logging
+import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
-from sunarc.board import CameraStatus, Reason, StatusBoard
+from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
-from sunarc.errors import CameraError, CameraLostError, InputError
+from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
+from sunarc.workers.capture_report import CaptureReport
+from sunarc.workers.exposing import Exposer, unreachable_exposures
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
 from sunarc.workers.sun_exposures import SunExposures
 
-_log = logging.getLogger(__name__)
 _HEARTBEAT_S = 1.0
+_LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
+_LEAD_SHARE = 0.2  # of short cadences
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,12 +97,12 @@ class CaptureWorker:
         self._clock = clock
         self._frame_time = frame_time
         self._options = options
-        self._name = name
         self._apparent_zenith = apparent_zenith
         self._sun_exposures = sun_exposures
         self._cycles = cycles
         self._sun_frames = sun_frames
-        self._board = board
+        self._report = CaptureReport(board, name=name)
+        self._last_slot_s: float | None = None
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
@@ -107,65 +111,111 @@ class CaptureWorker:
             heartbeat()
             try:
                 with closing(self._open_camera()) as camera:
-                    self._show_camera(camera)
-                    pause_s = self._options.reopen_after_s
-                    self._capture(camera, stop, heartbeat)
+                    self._require_exposures(camera)
+                    self._report.opened(camera.info)
+                    for _ in self._slots(camera, stop, heartbeat):
+                        pause_s = self._options.reopen_after_s
             except CameraError as error:
-                self._show_lost(error)
-                self._wait(stop, heartbeat, pause_s)
-                pause_s = min(2.0 * pause_s, self._options.reopen_at_most_s)
+                self._report.lost(error)
+            except (ConfigurationError, InputError) as error:
+                self._report.refused(error)
+                pause_s = self._options.reopen_at_most_s
+            self._wait(stop, heartbeat, pause_s)
+            pause_s = min(2.0 * pause_s, self._options.reopen_at_most_s)
 
-    def _capture(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+    def _slots(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[datetime]:
+        """Serve slot after slot, and yield each that succeeded."""
+        exposer = self._exposer(camera, deadline_s=math.inf)
         if not self._frame_time.known:
-            self._expose(camera, camera.info.exposure_min_us)
+            self._sign_of_life(exposer, camera.info.exposure_min_us)
         while not stop.is_set():
             daylight = self._apparent_zenith() < self._options.daylight_zenith_deg
             every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
-            slot = self._frame_time.next_slot(every_s=every_s)
-            if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot)):
+            real_every_s = every_s / self._options.speed
+            slot = self._next_slot(every_s=every_s, daylight=daylight)
+            lead_s = min(_LEAD_S, _LEAD_SHARE * real_every_s)
+            if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot) - lead_s):
+                return
+            camera.check()  # what was changed since is noticed before the slot, and costs it nothing
+            left_s = self._frame_time.real_seconds_until(slot)
+            if not -real_every_s / 2.0 < left_s <= 2.0 * lead_s:
+                continue  # the clock was set meanwhile: another slot is the next one
+            if self._wait(stop, heartbeat, left_s):
                 return
             if daylight:
-                self.cycle(camera)
+                self.cycle(camera, slot, within_s=real_every_s - lead_s)
             else:
-                self._expose(camera, self._options.hdr_exposures_us[0])
+                self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
+            yield slot
 
-    def cycle(self, camera: SkyCamera) -> None:
-        """Take the exposures of one slot and hand them over."""
-        normal = [self._expose(camera, exposure_us) for exposure_us in self._options.hdr_exposures_us]
-        if self._apparent_zenith() < self._options.sun_zenith_deg:
-            for exposure_us in self._sun_exposures.choose(camera.info):
-                frame = self._expose(camera, exposure_us)
-                if frame is not None:
-                    self._sun_frames.put(frame)
-        frames = [frame for frame in normal if frame is not None]
-        if not frames:
-            raise CameraLostError("no exposure of a whole cycle succeeded")
-        if len(frames) == len(normal):
-            self._cycles.put(frames)
+    def _next_slot(self, *, every_s: float, daylight: bool) -> datetime:
+        """Return the next slot, and count those that passed by real time since the last."""
+        slot = self._frame_time.next_slot(every_s=every_s)
+        at_s = self._clock.monotonic() + self._frame_time.real_seconds_until(slot)
+        if self._last_slot_s is not None and daylight:
+            passed = round((at_s - self._last_slot_s) * self._options.speed / every_s)
+            self._report.add(missed=max(passed - 1, 0))
+        self._last_slot_s = at_s if daylight else None
+        return slot
 
-    def _expose(self, camera: SkyCamera, exposure_us: float) -> Frame | None:
-        """Return a frame, or None when every attempt failed; a lost camera is for `run`."""
-        for _ in range(self._options.attempts):
-            try:
-                frame = camera.expose(exposure_us)
-            except CameraLostError:
-                raise
-            except CameraError as error:
-                _log.warning("exposure of %g us failed: %s", exposure_us, error)
-            else:
-                self._frame_time.note(frame.time)
-                self._board.note(last_frame_at=frame.time)
-                self._board.clear_reason("exposures_failing")
-                return frame
-        self._board.set_reason(
-            Reason(
-                code="exposures_failing",
-                severity="degraded",
-                text=f"the last exposure failed {self._options.attempts} times",
-                remedy="check the network between host and camera, and the journal for what was seen",
-            )
+    def cycle(self, camera: SkyCamera, slot: datetime, *, within_s: float) -> None:
+        """Take the exposures of one slot and hand them over, once the camera says that nothing of it has changed."""
+        began_at = self._clock.monotonic()
+        done_at: list[float] = []
+        exposer = self._exposer(camera, deadline_s=began_at + within_s)
+        normal = exposer.take_agreeing(
+            self._options.hdr_exposures_us, taken=lambda: done_at.append(self._clock.monotonic())
         )
-        return None
+        good = [frame for frame in normal if frame is not None]
+        if not good:
+            raise CameraLostError("no exposure of a whole cycle succeeded")
+        sun = self._sun_frames_beside(good, exposer, camera)
+        self._report.condition(camera.check())
+        complete = len(good) == len(normal)
+        if complete:
+            self._cycles.put(good)
+        for frame in sun:
+            self._sun_frames.put(frame)
+        self._report.cycle(
+            complete=complete,
+            jitter_s=None if normal[0] is None else self._late_s(normal[0], slot),
+            hdr_s=done_at[-1] - began_at,
+        )
+
+    def _sun_frames_beside(self, normal: Sequence[Frame], exposer: Exposer, camera: SkyCamera) -> list[Frame]:
+        """Take the sun exposures of a cycle, while there is time."""
+        if self._apparent_zenith() >= self._options.sun_zenith_deg:
+            return []
+        chosen = self._sun_exposures.choose(camera.info)
+        frames = [exposer.take_beside(e, normal[:1]) if exposer.has_time() else None for e in chosen]
+        return [frame for frame in frames if frame is not None]
+
+    def _sign_of_life(self, exposer: Exposer, exposure_us: float) -> None:
+        """Take an exposure that only shows that the camera lives, and what time it has."""
+        if exposer.take(exposure_us) is None:
+            self._report.failing()
+        self._report.show()
+
+    def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> Exposer:
+        return Exposer(
+            camera=camera,
+            attempts=self._options.attempts,
+            has_time=lambda: self._clock.monotonic() < deadline_s,
+            report=self._report,
+            received=self._received,
+        )
+
+    def _late_s(self, first: Frame, slot: datetime) -> float:
+        """Return the real seconds from a slot to the beginning of its first frame's exposure."""
+        began = first.time - timedelta(microseconds=first.exposure_us / 2.0)
+        return (began - slot).total_seconds() / self._options.speed
+
+    def _require_exposures(self, camera: SkyCamera) -> None:
+        beyond = unreachable_exposures(self._options.hdr_exposures_us, camera.info)
+        if beyond is not None:
+            raise InputError(
+                field="capture.hdr_exposures_us", problem=beyond, remedy="set exposures that the camera can take"
+            )
 
     def _wait(self, stop: threading.Event, heartbeat: Callable[[], None], seconds: float) -> bool:
         """Wait with signs of life; return whether to stop."""
@@ -178,28 +228,7 @@ class CaptureWorker:
             self._clock.wait(stop, min(left, _HEARTBEAT_S))
         return True
 
-    def _show_camera(self, camera: SkyCamera) -> None:
-        info = camera.info
-        _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
-        self._board.clear_reason("camera_lost")
-        self._board.note(
-            camera=CameraStatus(
-                name=self._name,
-                connected=True,
-                address=info.address,
-                model=f"{info.vendor} {info.model}".strip(),
-                serial=info.serial,
-            )
-        )
-
-    def _show_lost(self, error: CameraError) -> None:
-        _log.warning("camera lost: %s", error)
-        self._board.note(camera=CameraStatus(name=self._name, connected=False))
-        self._board.set_reason(
-            Reason(
-                code="camera_lost",
-                severity="degraded",
-                text=str(error),
-                remedy="check the camera's power, cable and address; it is tried again by itself",
-            )
-        )
+    def _received(self, frame: Frame) -> None:
+        """Take the time from a frame, whose exposure has just ended."""
+        self._frame_time.note(frame.time + timedelta(microseconds=frame.exposure_us / 2.0))
+        self._report.frame(frame)

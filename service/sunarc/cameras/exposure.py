@@ -1,0 +1,86 @@
+"""The exposure of a GenICam camera: by which feature it is set, in what unit, within what bounds."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from sunarc.cameras.features import has, read, write
+from sunarc.errors import CameraError
+
+_FLOATS = ("ExposureTime", "ExposureTimeAbs")
+_RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExposureControl:
+    """How exposures are asked for.
+
+    Attributes
+    ----------
+    feature, kind : the camera's feature, and whether it holds a float or whole steps.
+    unit_us : microseconds in a step of the feature.
+    minimum_us, maximum_us : bounds.
+    step_us : increment; 0 where the camera does not tell.
+    """
+
+    feature: str
+    kind: Literal["float", "integer"]
+    unit_us: float
+    minimum_us: float
+    maximum_us: float
+    step_us: float
+
+    def within(self, exposure_us: float) -> float:
+        """Return the nearest exposure that the camera can take."""
+        kept = min(max(exposure_us, self.minimum_us), self.maximum_us)
+        if self.step_us <= 0.0:
+            return kept
+        stepped = self.minimum_us + round((kept - self.minimum_us) / self.step_us) * self.step_us
+        return stepped if stepped <= self.maximum_us else stepped - self.step_us
+
+    def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types
+        """Set the exposure nearest to the one asked for, and return the one that the camera says it has, µs."""
+        steps = self.within(exposure_us) / self.unit_us
+        pin = write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
+        return float(pin.value) * self.unit_us
+
+    def get(self, camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
+        """Return the exposure that the camera says it has, µs."""
+        return float(read(camera, self.feature, self.kind)) * self.unit_us
+
+
+def exposure_control(camera: Any) -> ExposureControl:  # noqa: ANN401 - a GObject has no types
+    """Find out how a camera's exposure is set; CameraError when it cannot be."""
+    for feature in (*_FLOATS, _RAW):
+        if not has(camera, feature):
+            continue
+        unit_us = float(camera.get_float(_RAW_UNIT)) if feature == _RAW and has(camera, _RAW_UNIT) else 1.0
+        with contextlib.suppress(Exception):  # a few cameras hold whole microseconds: refused as a float
+            bounds = camera.get_float_bounds(feature)
+            return _control(feature, "float", unit_us, bounds, _step(camera.get_float_increment, feature))
+        bounds = camera.get_integer_bounds(feature)
+        return _control(feature, "integer", unit_us, bounds, _step(camera.get_integer_increment, feature))
+    raise CameraError(f"the camera's exposure cannot be set: it has none of {', '.join((*_FLOATS, _RAW))}")
+
+
+def _control(
+    feature: str, kind: Literal["float", "integer"], unit_us: float, bounds: tuple[float, float], step: float
+) -> ExposureControl:
+    return ExposureControl(
+        feature=feature,
+        kind=kind,
+        unit_us=unit_us,
+        minimum_us=float(bounds[0]) * unit_us,
+        maximum_us=float(bounds[1]) * unit_us,
+        step_us=step * unit_us,
+    )
+
+
+def _step(ask: Any, feature: str) -> float:  # noqa: ANN401 - a GObject's method has no types
+    with contextlib.suppress(Exception):  # vendors' descriptions disagree on whether there is one
+        step = float(ask(feature))
+        return step if math.isfinite(step) and 1e-6 < step < 1e6 else 0.0
+    return 0.0

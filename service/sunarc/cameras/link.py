@@ -1,0 +1,102 @@
+"""The way from camera to host: whether packets fit the network, and a frame the socket's buffer."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+WANTED_BUFFER_BYTES = 32 << 20
+
+_IP_MTU = 14  # linux/in.h
+_CAP_NET_RAW = 13  # linux/capability.h
+_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+_SELF = Path("/proc/self/status")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Link:
+    """How a stream is received.
+
+    Attributes
+    ----------
+    packet_bytes : of a stream packet, IP and UDP headers included.
+    frame_bytes : of one frame.
+    mtu : of the route to the camera, bytes; None where the kernel does not tell.
+    packet_socket : a ring that the kernel fills without a socket's buffer (needs CAP_NET_RAW).
+    buffer_limit_bytes : `net.core.rmem_max`, up to which the kernel grants a UDP socket's buffer; None: not told.
+    """
+
+    packet_bytes: int
+    frame_bytes: int
+    mtu: int | None
+    packet_socket: bool
+    buffer_limit_bytes: int | None
+
+    @property
+    def text(self) -> str:
+        """What was chosen and why, for one line of the log."""
+        way = (
+            "a packet socket (CAP_NET_RAW)"
+            if self.packet_socket
+            else f"UDP with a socket buffer of up to {_mb(self.buffer_limit_bytes)}"
+        )
+        route = "" if self.mtu is None else f" (the route takes {self.mtu})"
+        return f"packets of {self.packet_bytes} bytes{route}, frames of {_mb(self.frame_bytes)} through {way}"
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What will lose packets, each with its remedy."""
+        said = []
+        if self.mtu is not None and self.packet_bytes > self.mtu:
+            said.append(
+                f"packets of {self.packet_bytes} bytes do not fit the network's MTU of {self.mtu}; set "
+                f"camera.packet_size = {self.mtu - self.mtu % 4}, or a larger MTU all the way from the camera"
+            )
+        limit = self.buffer_limit_bytes
+        if not self.packet_socket and limit is not None and limit < 2 * self.frame_bytes:
+            wanted = max(WANTED_BUFFER_BYTES, 1 << (2 * self.frame_bytes - 1).bit_length())
+            said.append(
+                f"a socket may buffer {_mb(limit)} and a frame has {_mb(self.frame_bytes)}: packets are lost when the "
+                f"host is busy; run: sysctl -w net.core.rmem_max={wanted}, or give the service CAP_NET_RAW"
+            )
+        return tuple(said)
+
+
+def link_to(address: str, *, packet_bytes: int, frame_bytes: int, packet_socket: bool) -> Link:
+    """Return how a stream from an address will be received; `packet_socket` says whether one is wanted."""
+    return Link(
+        packet_bytes=packet_bytes,
+        frame_bytes=frame_bytes,
+        mtu=route_mtu(address),
+        packet_socket=packet_socket and may_open_packet_sockets(),
+        buffer_limit_bytes=_number_in(_RMEM_MAX),
+    )
+
+
+def route_mtu(address: str) -> int | None:
+    """Return the MTU of the route to an address, as the kernel knows it; nothing is sent."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect((address, 9))
+        return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
+    return None
+
+
+def may_open_packet_sockets() -> bool:
+    """Return whether this process has CAP_NET_RAW."""
+    with contextlib.suppress(OSError):
+        for line in _SELF.read_text(encoding="ascii").splitlines():
+            if line.startswith("CapEff:"):
+                return bool(int(line.split()[1], 16) >> _CAP_NET_RAW & 1)
+    return False
+
+
+def _number_in(path: Path) -> int | None:
+    with contextlib.suppress(OSError, ValueError):
+        return int(path.read_text(encoding="ascii"))
+    return None
+
+
+def _mb(size_bytes: int | None) -> str:
+    return "unknown size" if size_bytes is None else f"{size_bytes / 1e6:.3g} MB"

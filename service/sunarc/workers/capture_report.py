@@ -1,0 +1,106 @@
+"""What capture tells the board: the camera, what went wrong with it, and counts since the service started."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+from sunarc.board import CameraStatus, CaptureStatus, Reason, StatusBoard
+from sunarc.cameras import CameraCondition, CameraInfo, Frame
+from sunarc.errors import CameraError, ConfigurationError, InputError
+
+_log = logging.getLogger(__name__)
+
+
+class CaptureReport:
+    """Counts for one thread, and writes on the board.
+
+    Parameters
+    ----------
+    board : where it is shown.
+    name : the camera's.
+    """
+
+    def __init__(self, board: StatusBoard, *, name: str) -> None:
+        self._board = board
+        self._name = name
+        self._camera = CameraStatus(name=name, connected=False)
+        self._counts = CaptureStatus()
+
+    def add(self, **counts: int) -> None:
+        """Add to counts, by the names of `CaptureStatus`; `show` writes them on the board."""
+        self._counts = replace(self._counts, **{name: getattr(self._counts, name) + n for name, n in counts.items()})
+
+    def show(self) -> None:
+        """Write the counts on the board."""
+        self._board.note(capture=self._counts)
+
+    def cycle(self, *, complete: bool, jitter_s: float | None, hdr_s: float) -> None:
+        """Take note of a slot's cycle: how late it was triggered, and when its normal exposures were through."""
+        worst_s = max(self._counts.jitter_max_s or 0.0, jitter_s or 0.0)
+        self._counts = replace(self._counts, jitter_s=jitter_s, jitter_max_s=worst_s, hdr_s=hdr_s)
+        self.add(cycles=1, complete=int(complete))
+        self.show()
+        if not complete:
+            self.failing()
+
+    def frame(self, frame: Frame) -> None:
+        """Say that a frame came."""
+        self.add(frames=1)
+        self._board.note(last_frame_at=frame.time)
+        self._board.clear_reason("exposures_failing")
+
+    def failing(self) -> None:
+        """Say that an exposure was given up."""
+        self.show()
+        self._board.set_reason(
+            Reason(
+                code="exposures_failing",
+                severity="degraded",
+                text="an exposure of the last cycle failed in every attempt",
+                remedy="check the network between host and camera, and the journal for what was seen",
+            )
+        )
+
+    def opened(self, info: CameraInfo) -> None:
+        """Say that the camera answers."""
+        _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
+        self._board.clear_reason("camera_lost")
+        self._board.clear_reason("camera_refused")
+        self._camera = CameraStatus(
+            name=self._name,
+            connected=True,
+            address=info.address,
+            model=f"{info.vendor} {info.model}".strip(),
+            serial=info.serial,
+            pixel_format=info.pixel_format,
+        )
+        self._board.note(camera=self._camera)
+        self.add(openings=1)
+        self.show()
+
+    def condition(self, condition: CameraCondition) -> None:
+        """Show what the camera said of itself."""
+        self._board.note(camera=replace(self._camera, temperature_c=condition.temperature_c))
+
+    def lost(self, error: CameraError) -> None:
+        """Say that the camera is gone."""
+        _log.warning("camera lost: %s", error)
+        self.show()
+        self._board.note(camera=CameraStatus(name=self._name, connected=False))
+        self._board.set_reason(
+            Reason(
+                code="camera_lost",
+                severity="degraded",
+                text=str(error),
+                remedy="check the camera's power, cable and address; it is tried again by itself",
+            )
+        )
+
+    def refused(self, error: ConfigurationError | InputError) -> None:
+        """Say that the camera and the settings do not fit; nothing is stored until they do."""
+        _log.error("camera refused: %s", error)
+        remedy = error.remedy if isinstance(error, InputError) else "run: sunarc check --camera"
+        self._board.note(camera=CameraStatus(name=self._name, connected=False))
+        self._board.clear_reason("camera_lost")
+        self._board.set_reason(Reason(code="camera_refused", severity="not_ready", text=str(error), remedy=remedy))

@@ -1,0 +1,125 @@
+"""One slot's exposures, each of which can be believed: taken, held to one another, and taken again where in doubt."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from sunarc.cameras import CameraInfo, Frame, SkyCamera
+from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.imaging import Exposed, light_ratio_contradiction
+from sunarc.workers.capture_report import CaptureReport
+
+_log = logging.getLogger(__name__)
+_COMPARABLE_S = 5.0  # frames further apart may show another sky
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposer:
+    """Takes exposures until a moment, so that the next slot finds the camera free.
+
+    Parameters
+    ----------
+    camera : open.
+    attempts : how often one exposure is tried.
+    has_time : whether another attempt may begin.
+    report : where retries and losses are counted.
+    received : told of every frame as soon as it is there.
+    """
+
+    camera: SkyCamera
+    attempts: int
+    has_time: Callable[[], bool]
+    report: CaptureReport
+    received: Callable[[Frame], None]
+
+    def take(self, exposure_us: float) -> Frame | None:
+        """Return a frame, or None when every attempt failed; CameraLostError passes."""
+        for attempt in range(self.attempts):
+            if attempt and not self.has_time():
+                break
+            self.report.add(retries=int(attempt > 0))
+            try:
+                frame = self.camera.expose(exposure_us)
+            except CameraLostError:
+                raise
+            except CameraError as error:
+                lost = isinstance(error, CameraTimeoutError)
+                self.report.add(losses=int(lost), refusals=int(not lost))
+                _log.warning("exposure of %g us failed: %s", exposure_us, error)
+            else:
+                self.received(frame)
+                return frame
+        self.report.add(failures=1)
+        return None
+
+    def take_agreeing(
+        self, exposures_us: Sequence[float], *, taken: Callable[[], None] = lambda: None
+    ) -> list[Frame | None]:
+        """Return frames whose brightness agrees from neighbour to neighbour; those that failed are None.
+
+        Parameters
+        ----------
+        exposures_us : in the order of taking.
+        taken : called after each round, before anything is judged.
+
+        Raises
+        ------
+        CameraLostError
+            They never agreed: the camera is to be opened anew.
+        """
+        for attempt in range(self.attempts):
+            if attempt and not self.has_time():
+                break
+            self.report.add(retries=len(exposures_us) if attempt else 0)
+            frames = [self.take(exposure_us) for exposure_us in exposures_us]
+            taken()
+            good = [frame for frame in frames if frame is not None]
+            doubts = [doubt for pair in pairwise(good) if (doubt := contradiction(*pair)) is not None]
+            if not doubts:
+                return frames
+            self._distrust(doubts[0])
+        raise CameraLostError(f"frames contradict their exposures: {doubts[0]}")
+
+    def take_beside(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
+        """Return a frame whose brightness agrees with those of other exposures, or None."""
+        for attempt in range(self.attempts):
+            if attempt and not self.has_time():
+                break
+            self.report.add(retries=int(attempt > 0))
+            frame = self.take(exposure_us)
+            if frame is None:
+                return None
+            doubt = next((d for reference in references if (d := contradiction(reference, frame)) is not None), None)
+            if doubt is None:
+                return frame
+            self._distrust(doubt)
+        self.report.add(failures=1)
+        return None
+
+    def _distrust(self, doubt: str) -> None:
+        _log.warning("a frame is in doubt: %s", doubt)
+        self.report.add(doubts=1)
+        self.camera.distrust()
+
+
+def contradiction(first: Frame, second: Frame) -> str | None:
+    """Return how two frames contradict their stated exposures; None too where they are too far apart to tell."""
+    if abs((second.time - first.time).total_seconds()) > _COMPARABLE_S or first.image.shape != second.image.shape:
+        return None
+    return light_ratio_contradiction(_exposed(first), _exposed(second))
+
+
+def unreachable_exposures(exposures_us: Sequence[float], info: CameraInfo) -> str | None:
+    """Return which exposures a camera can not take, one sentence; None when it can take all."""
+    beyond = [e for e in exposures_us if not info.exposure_min_us <= e <= info.exposure_max_us]
+    if not beyond:
+        return None
+    listed = ", ".join(f"{e:g}" for e in beyond)
+    return f"{listed} µs is beyond the camera's {info.exposure_min_us:g} to {info.exposure_max_us:g} µs"
+
+
+def _exposed(frame: Frame) -> Exposed:
+    return Exposed(image=frame.image, exposure_us=frame.exposure_us, full_scale=frame.full_scale)
