@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import shutil
-from collections.abc import Callable, Iterator
+import sys
+import urllib.request
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Literal
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
+from typing import Any, Literal
 
+import sunarc
 from sunarc.app import camera_opener
 from sunarc.archive import check
 from sunarc.clock import Clock, host_clock_state
@@ -18,6 +24,8 @@ from sunarc.settings import Settings
 Outcome = Literal["ok", "warn", "fail"]
 _LEAST_FREE_BYTES = 2_000_000_000
 _LARGEST_CLOCK_ERROR_S = 1.0
+_OLDEST_BACKUP = timedelta(days=3)
+_ANSWER_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,12 +46,15 @@ class Finding:
 
 def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
     """Look at one thing after the other; what is told is what `sunarc check` prints."""
+    running = _running(settings)
     yield Finding(what="settings", outcome="ok", text=f"camera {settings.name!r}, state in {settings.state}")
+    yield _looked("versions", _versions)
     yield _looked("state folder", lambda: _state(settings))
     yield _looked("database", lambda: _database(settings))
-    yield _looked("port", lambda: _port(settings))
+    yield _looked("backups", lambda: _backups(settings, clock))
+    yield _looked("port", lambda: _port(settings, running))
     yield _looked("clock", _clock)
-    yield _looked("camera", lambda: _camera(settings, clock))
+    yield _looked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
 
 def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:
@@ -72,9 +83,45 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
     return "fail", f"damaged: {'; '.join(found.integrity)}; restore a backup"
 
 
-def _port(settings: Settings) -> tuple[Outcome, str]:
+def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
+    copies = sorted((settings.state / "backups").glob("sunarc-*.sqlite"))
+    if not copies:
+        return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"
+    made = datetime.fromtimestamp(copies[-1].stat().st_mtime, UTC)
+    told = f"{len(copies)}, the newest of {made:%Y-%m-%d %H:%M} UTC"
+    recent = clock.now() - made < _OLDEST_BACKUP
+    return ("ok", told) if recent else ("warn", f"{told}; see systemctl status sunarc-backup.timer")
+
+
+def _versions() -> tuple[Outcome, str]:
+    python = ".".join(str(part) for part in sys.version_info[:3])
+    return "ok", f"sunarc {sunarc.__version__}, Python {python}, numpy {version('numpy')}, numba {version('numba')}"
+
+
+def _running(settings: Settings) -> dict[str, Any] | None:
+    """Return the status of the service that runs with these settings; None when none answers."""
+    host = f"[{settings.api.host}]" if ":" in settings.api.host else settings.api.host
+    try:
+        with urllib.request.urlopen(f"http://{host}:{settings.api.port}/v1/status", timeout=_ANSWER_S) as answer:
+            status = json.load(answer)
+    except (OSError, ValueError):
+        return None
+    return status if isinstance(status, dict) and status.get("camera_name") == settings.name else None
+
+
+def _port(settings: Settings, running: Mapping[str, Any] | None) -> tuple[Outcome, str]:
+    if running is not None:
+        return "ok", f"{settings.api.port} at {settings.api.host}: the service answers, {running['health']}"
     listen(settings.api.host, settings.api.port).close()
     return "ok", f"{settings.api.port} at {settings.api.host} is free"
+
+
+def _camera_in_use(running: Mapping[str, Any]) -> tuple[Outcome, str]:
+    camera = running.get("camera") or {}
+    if camera.get("connected"):
+        return "ok", f"the running service holds {camera['model']} at {camera['address']}"
+    told = [reason["text"] for reason in running["reasons"] if reason["code"] == "camera_lost"]
+    return "fail", f"the running service has lost it: {'; '.join(told) or 'no reason told'}; power, cable, address"
 
 
 def _clock() -> tuple[Outcome, str]:

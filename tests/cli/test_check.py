@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +34,8 @@ def test_each_thing_is_looked_at_and_what_fails_names_its_remedy(sunarc: Sunarc,
     assert code == 1
     assert {what: outcome for what, (outcome, _) in found.items() if what not in {"clock", "camera"}} == {
         "settings": "ok",
+        "versions": "ok",
+        "backups": "ok",
         "state folder": "ok",
         "database": "ok",
         "port": "ok",
@@ -49,6 +54,39 @@ def test_a_port_in_use_and_a_state_folder_that_is_a_file_are_failures(sunarc: Su
     assert found["port"][0] == "fail"
     assert found["state folder"][0] == "fail"
     assert "make it writable" in found["state folder"][1]
+
+
+def test_a_running_service_is_asked_for_its_camera_which_nobody_else_can_have(sunarc: Sunarc, config: Path) -> None:
+    lost = {"code": "camera_lost", "text": "no answer within 2.5 s"}
+    status = {"camera_name": "imager", "health": "degraded", "camera": {"connected": False}, "reasons": [lost]}
+
+    class Service(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(json.dumps(status).encode())
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Service) as server:
+        threading.Thread(target=server.handle_request, daemon=True).start()
+        config.write_text(config.read_text().replace("port = 0", f"port = {server.server_port}"))
+        _, found = findings(sunarc, config)
+    assert found["port"] == ("ok", f"{server.server_port} at 127.0.0.1: the service answers, degraded")
+    assert found["camera"][0] == "fail"
+    assert "no answer within 2.5 s" in found["camera"][1]
+
+
+def test_old_backups_are_a_warning(sunarc: Sunarc, config: Path) -> None:
+    copy = config.parent / "state" / "backups" / "sunarc-20200101T020000Z.sqlite"
+    copy.parent.mkdir(parents=True)
+    copy.touch()
+    assert findings(sunarc, config)[1]["backups"][0] == "ok"
+    os.utime(copy, (1577844000.0, 1577844000.0))
+    outcome, text = findings(sunarc, config)[1]["backups"]
+    assert outcome == "warn"
+    assert text.startswith("1, the newest of 2020-01-01 02:00 UTC; see systemctl status sunarc-backup.timer")
 
 
 @pytest.mark.gige

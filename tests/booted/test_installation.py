@@ -1,0 +1,92 @@
+"""From the package to a service that is ready, on a Debian that has never seen it."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from .conftest import Field, Fields
+
+pytestmark = [pytest.mark.booted, pytest.mark.timeout(1200)]
+
+OWN = ("/var/lib/sunarc", "/var/cache/sunarc", "/tmp", "/var/tmp", "/dev/", "/proc/")
+WRITABLE = """
+import os
+for folder, folders, files in os.walk("/"):
+    if folder.startswith(("/proc", "/sys")):
+        folders[:] = []
+        continue
+    for path in (folder, *(os.path.join(folder, name) for name in files)):
+        if os.access(path, os.W_OK) and not os.path.islink(path):
+            print(path)
+"""
+
+
+def test_a_configured_package_is_ready_within_half_a_minute_and_after_a_reboot(
+    new_field: Fields, installed: Path
+) -> None:
+    field = new_field(installed)
+    field.image()
+    field.machine.boot()
+    assert not field.active()
+    assert "setting site.latitude is missing" in field.journal()
+    field.configure()  # nothing is restarted by hand: the path unit sees the settings written
+    assert field.wait_until_ready(within_s=30.0) < 30.0
+    seen = field.wait_for_sightings(3)
+    field.machine.stop()
+    field.machine.boot()
+    field.wait_until_ready(within_s=30.0)
+    assert field.wait_for_sightings(1) > seen
+    assert field.do("systemctl", "--failed", "--no-legend").strip() == ""
+
+
+def test_the_service_is_its_own_user_and_writes_nowhere_but_in_its_state(field_computer: Field) -> None:
+    field, pid = field_computer, str(field_computer.main_pid())
+    assert field.do("stat", "-c", "%U:%G", f"/proc/{pid}").strip() == "sunarc:sunarc"
+    inside = ["nsenter", "-t", pid, "-m", "--", "setpriv", "--reuid=sunarc", "--regid=sunarc", "--clear-groups"]
+    found = field.do(*inside, "python3", "-c", WRITABLE).split("\n")
+    assert any(path.startswith("/var/lib/sunarc") for path in found)
+    assert [path for path in found if path and not path.startswith(OWN)] == []
+    status = field.do("cat", f"/proc/{pid}/status")
+    assert "NoNewPrivs:\t1" in status
+    assert "CapEff:\t0000000000000000" in status
+    assert field.do("stat", "-c", "%a %U", "/etc/sunarc/token").strip() == "600 root"
+
+
+def test_the_units_are_sound_and_the_services_exposure_is_small(field_computer: Field) -> None:
+    field = field_computer
+    names = field.do("sh", "-c", "dpkg -L sunarc | grep ^/lib/systemd/system/").split()
+    assert "/lib/systemd/system/sunarc.service" in names
+    verified = field.call("systemd-analyze", "verify", "--man=no", *names)
+    assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
+    offline = ["systemd-analyze", "security", "--offline=true", "--threshold=14", "/lib/systemd/system/sunarc.service"]
+    judged = field.call(*offline)
+    assert judged.returncode == 0, judged.stdout
+
+
+def test_what_is_not_used_is_refused_and_what_is_used_works(field_computer: Field) -> None:
+    field = field_computer
+    assert field.ask("/v1/status")["camera"]["connected"]
+    assert field.do("cat", "/proc/sys/net/core/rmem_max").strip() == "33554432"
+    field.wait_for_sightings(2)  # frames came by UDP, a kernel was compiled, its cache written
+    assert field.do("sh", "-c", "ls /var/cache/sunarc/numba | wc -l").strip() != "0"
+
+
+def test_a_removed_package_leaves_the_measurements_and_a_purged_one_too_unless_asked(field_computer: Field) -> None:
+    field = field_computer
+    field.wait_for_sightings(1)
+    field.do("apt-get", "purge", "--yes", "sunarc")
+    assert field.path("/var/lib/sunarc/sunarc.sqlite").stat().st_size > 0
+    assert not field.path("/etc/sunarc/token").exists()
+    assert not field.path("/usr/lib/sunarc").exists()
+    assert field.call("systemctl", "is-active", "sunarc").stdout.strip() in {"inactive", "unknown"}
+
+
+def test_the_same_commit_gives_the_same_package(work: Path) -> None:
+    if not (work / "again.deb").exists():
+        pytest.skip("deploy/test-booted --twice builds the package a second time")
+    assert subprocess.run(["cmp", work / "sunarc.deb", work / "again.deb"], check=False).returncode == 0
