@@ -2,10 +2,10 @@
 
 Map: `points` what is given · `selection`, `patches` what of a long record is used · `options` what may be chosen ·
 `calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
-`loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `robust` the service's method ·
-`covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`, `acceptance`
-what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose · `days` what a day is worth ·
-`circle` the image circle · `document` its JSON.
+`loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `doubt`, `robust` the service's
+method · `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`,
+`acceptance` what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose ·
+`days` what a day is worth · `circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
@@ -37,6 +37,7 @@ from sunarc.calibration.metrics import Metrics, measures
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
+from sunarc.calibration.priors import prior_knowledge
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
@@ -83,6 +84,7 @@ __all__ = [
     "lookup",
     "measure_day",
     "measures",
+    "prior_knowledge",
     "project_with_covariance",
     "repose",
     "select_sightings",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
+from sunarc.calibration.doubt import Doubt, doubt
 from sunarc.calibration.evidence import Scales, marginal_fit, prior_precision
 from sunarc.calibration.linear import LinearSystem, linear_system, settled
 from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
@@ -22,7 +23,7 @@ from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.scales import Doubt, Grid, doubt, likely_scales, scale_grid
+from sunarc.calibration.scales import Grid, likely_scales, scale_grid
 from sunarc.calibration.solve import information, most_probable
 
 FloatArray = NDArray[np.float64]
@@ -113,7 +114,7 @@ def fit_robustly(
         problem=problem,
         system=system,
         unknowns=state.unknowns,
-        doubt=doubt(system.normal(), grid, state.unknowns),
+        doubt=doubt(system.normal(), grid, problem, state.unknowns),
         scales=state.scales,
         grid=grid,
         residual=problem.residuals(state.unknowns, seen),

@@ -82,7 +82,8 @@ class InverseTable:
         directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into)
         if self.exact_below > -1.0:
             steep = into @ self.rotation[2] < self.exact_below
-            into[steep] = unproject(self.camera, flat[steep])
+            if np.any(steep):
+                into[steep] = unproject(self.camera, flat[steep])
 
 
 def inverse_table(camera: Camera) -> InverseTable:

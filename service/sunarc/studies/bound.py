@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
 
-from sunarc.calibration import ImageCircle, LensTolerances, Method, hemisphere
-from sunarc.calibration.priors import FREE, LENS, N_LENS, POSE, lens_prior, precisions
+from sunarc.calibration import ImageCircle, LensTolerances, Method, hemisphere, prior_knowledge
 from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius, project_with_jacobian
 from sunarc.optics.camera import RADIAL_ORDERS
 from sunarc.studies.trials import QUANTITIES
@@ -21,6 +20,8 @@ from sunarc.studies.trials import QUANTITIES
 FloatArray = NDArray[np.float64]
 
 _RIGHT_ANGLE = math.pi / 2
+_FREE = np.array([i for i, name in enumerate(PARAMETER_NAMES) if not name.startswith("translation")])
+"""All but the translation."""
 
 
 def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, sigma_px: float) -> FloatArray:
@@ -57,21 +58,16 @@ def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
     held[0, 11:19] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
     held[1, :2] = 1.0, -1.0
     held[2, 2] = 1.0
-    basis = np.zeros((len(PARAMETER_NAMES), FREE.size - 3))
-    basis[FREE] = null_space(held[:, FREE])
+    basis = np.zeros((len(PARAMETER_NAMES), _FREE.size - 3))
+    basis[_FREE] = null_space(held[:, _FREE])
     return basis, np.zeros(basis.shape[1])
 
 
 def _priors(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return the lens's whitened coordinates and the rotation, with the priors that the service starts from."""
-    tolerances = LensTolerances()
     x, y = camera.principal_point_px
     circle = ImageCircle(x=x, y=y, radius=camera.focal_length_px[0] * math.sqrt(2.0))
-    prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
-    basis = np.zeros((len(PARAMETER_NAMES), N_LENS + 3))
-    basis[LENS, :N_LENS] = prior.basis
-    basis[POSE, N_LENS:] = np.eye(3)
-    return basis, np.concatenate([precisions(tolerances.radial_px, tolerances.decentering_px), np.zeros(3)])
+    return prior_knowledge(camera, tolerances=LensTolerances(), circle=circle)
 
 
 def _rows(camera: Camera, directions: FloatArray) -> FloatArray:

@@ -1,0 +1,162 @@
+"""How far a fit may be off when the scales are not known: one Gaussian that holds what all plausible scales say.
+
+Each choice of scales gives its own covariance, and the errors are a mixture of them. The mean of the covariances would
+hold far more than 95 % where a few per cent of the probability lie on a large field, and less where a large field is as
+plausible as none. So the probabilities are tilted by a power of the amplitude, the one with which 95 % of the mixture
+lies within the 95 % ellipses, in the mean over the sky.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.covariance import hemisphere
+from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fits
+from sunarc.calibration.field import WaveBasis
+from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.scales import Grid, scale_weights
+
+FloatArray = NDArray[np.float64]
+
+_HELD = 0.95
+_ELLIPSE = -2.0 * math.log(1.0 - _HELD)
+"""Square of the Mahalanobis distance that holds 95 % of a Gaussian in the plane."""
+_TILTS = (-3.0, 1.5)
+_HALVINGS = 9
+_TAIL_TILT = 0.5
+_WEIGHT_KEPT = 0.985
+_PROBES = 60
+_COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
+"""Directions round a quarter of an ellipse, as the cosine of twice their angle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubt:
+    """How far a fit may be off, the scales not being known.
+
+    Attributes
+    ----------
+    covariance : (p, p) of the unknowns.
+    cross : (2, p, m) with the field's coefficients.
+    amplitude_px, length_px : of the field, as far as it is not known.
+    """
+
+    covariance: FloatArray
+    cross: FloatArray
+    amplitude_px: float
+    length_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Choices:
+    """The plausible scales: their shares, and the fits under them; shift (k, p) from the fit that is doubted."""
+
+    share: FloatArray
+    amplitude: FloatArray
+    length: FloatArray
+    fits: list[Marginal]
+    shift: FloatArray
+
+    def tilted(self, tilt: float) -> FloatArray:
+        """Return the shares, each times a power of its amplitude."""
+        weight = self.share * self.amplitude**tilt
+        return np.asarray(weight / weight.sum())
+
+
+def doubt(normal: Normal, grid: Grid, problem: Problem, unknowns: FloatArray) -> Doubt:
+    """Return how far the unknowns may be off, whatever the scales are."""
+    choices = _plausible(normal, grid, unknowns)
+    weight = choices.tilted(_honest_tilt(choices, _at_probes(choices, grid.basis, problem, unknowns)))
+    covariance = np.einsum("k,kp,kq->pq", weight, choices.shift, choices.shift, optimize=True)
+    cross = np.zeros((2, unknowns.size, len(grid.basis.orders)))
+    for part, fit in zip(weight, choices.fits, strict=True):
+        covariance += part * fit.covariance
+        cross += part * fit.cross
+    power = weight * choices.amplitude**2
+    return Doubt(
+        covariance=covariance,
+        cross=cross,
+        amplitude_px=math.sqrt(float(power.sum())),
+        length_px=math.exp(float(power @ np.log(choices.length) / power.sum())),
+    )
+
+
+def _plausible(normal: Normal, grid: Grid, unknowns: FloatArray) -> _Choices:
+    """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
+    weight = scale_weights(normal, grid)
+    tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
+    either = (weight + tail / tail.sum()).ravel()
+    order = np.argsort(either)[::-1]
+    kept = order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_KEPT * either.sum()))]
+    i, j, k = np.unravel_index(kept, weight.shape)
+    amplitude, length, lens = grid.amplitudes[i], grid.lengths[j], grid.lens_scales[k]
+    scales = [
+        Scales(float(a), float(l), float(r), float(d)) for a, l, (r, d) in zip(amplitude, length, lens, strict=True)
+    ]
+    fits = marginal_fits(normal, grid.basis, scales)
+    share = weight.ravel()[kept]
+    return _Choices(
+        share=share / share.sum(),
+        amplitude=amplitude,
+        length=length,
+        fits=fits,
+        shift=np.stack([fit.unknowns - unknowns for fit in fits]),
+    )
+
+
+def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray) -> FloatArray:
+    """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky."""
+    rows, waves = _probes(problem, unknowns, basis)
+    moved = np.einsum("nap,kp->kna", rows, choices.shift, optimize=True)
+    found = [
+        _moments(rows, waves, fit, float(amplitude))
+        for amplitude, fit in zip(choices.amplitude, choices.fits, strict=True)
+    ]
+    return np.asarray(np.stack(found) + moved[..., :, None] * moved[..., None, :])
+
+
+def _moments(rows: FloatArray, waves: FloatArray, fit: Marginal, amplitude_px: float) -> FloatArray:
+    """Return (n, 2, 2): camera and field together, see `covariance`."""
+    mixed = rows @ np.stack([waves @ part.T for part in fit.cross], axis=-1)
+    own = (rows @ fit.covariance) @ np.swapaxes(rows, -1, -2)
+    return np.asarray(own + mixed + np.swapaxes(mixed, -1, -2) + amplitude_px**2 * np.eye(2))
+
+
+def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives (n, 2, p) and waves (n, m) of sky that the last epoch's camera shows."""
+    sky = hemisphere(_PROBES)
+    nowhere = np.zeros((_PROBES, 2))
+    epoch = np.full(_PROBES, problem.n_epochs - 1)
+    minus, rows = problem.linearised(
+        unknowns, Observations(directions=sky, pixels=nowhere, information=np.ones(_PROBES), epoch=epoch)
+    )
+    shown = np.all((minus < 0.5) & (-minus < [problem.template.width - 0.5, problem.template.height - 0.5]), axis=-1)
+    return rows[shown], basis.values(-minus[shown])
+
+
+def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
+    """Return the power of the amplitude with which the tilted mean holds as much of the mixture as it says."""
+    if moments.shape[1] == 0:
+        return 0.0
+    low, high = _TILTS
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        held = choices.share @ _held(moments, np.tensordot(choices.tilted(middle), moments, 1))
+        low, high = (middle, high) if held < _HELD else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _held(moments: FloatArray, stated: FloatArray) -> FloatArray:
+    """Return (k,): the share of Gaussians (k, n, 2, 2) within the 95 % ellipses of stated covariances (n, 2, 2).
+
+    With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
+    """
+    half = 0.5 * np.einsum("nab,knba->kn", np.linalg.inv(stated), moments, optimize=True)
+    determinant = np.linalg.det(moments) / np.linalg.det(stated)
+    apart = np.sqrt(np.maximum(half**2 - determinant, 0.0))
+    square = half[..., None] + apart[..., None] * _COS_DOUBLED
+    return np.asarray(1.0 - np.exp(-0.5 * _ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2)))
