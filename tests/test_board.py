@@ -5,9 +5,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-from sunarc.board import CameraStatus, ClockStatus, Reason, StatusBoard, WorkerStatus
+from sunarc.board import CameraStatus, ClockStatus, DiskStatus, Reason, StatusBoard, WorkerStatus
 from sunarc.clock import VirtualClock
 
+DISK = DiskStatus(free_bytes=5, images_bytes=3)
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")
 DRIFT = Reason(code="drift", severity="degraded", text="the camera moved", remedy="wait for a clear day")
@@ -60,25 +61,25 @@ def test_heartbeats_age_between_writing_and_reading(board: StatusBoard, clock: V
 
 def test_notes_keep_what_was_noted_before(board: StatusBoard) -> None:
     camera = CameraStatus(name="roof", connected=True)
-    board.note(camera=camera, disk_free_bytes=5)
+    board.note(camera=camera, disk=DISK)
     board.note(clock=ClockStatus(synchronised=True, max_error_s=0.01), last_frame_at=START)
     snapshot = board.snapshot()
-    assert (snapshot.camera, snapshot.disk_free_bytes, snapshot.last_frame_at) == (camera, 5, START)
+    assert (snapshot.camera, snapshot.disk, snapshot.last_frame_at) == (camera, DISK, START)
 
 
 def test_a_snapshot_does_not_change_afterwards(board: StatusBoard) -> None:
     before = board.snapshot()
     board.set_reason(LOST)
-    board.note(disk_free_bytes=1)
+    board.note(disk=DISK)
     assert before.health == "ready"
-    assert before.disk_free_bytes is None
+    assert before.disk is None
 
 
 def test_many_threads_may_write_at_once(board: StatusBoard) -> None:
     def write(name: str) -> None:
         for restarts in range(200):
             board.set_worker(WorkerStatus(name=name, state="running", restarts=restarts))
-            board.note(disk_free_bytes=restarts)
+            board.note(disk=DiskStatus(free_bytes=restarts, images_bytes=0))
             board.snapshot()
 
     threads = [threading.Thread(target=write, args=(f"worker {i}",)) for i in range(4)]

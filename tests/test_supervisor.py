@@ -12,6 +12,7 @@ import pytest
 
 from sunarc.board import StatusBoard, WorkerStatus
 from sunarc.clock import SystemClock, VirtualClock
+from sunarc.errors import OutsideError
 from sunarc.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -241,6 +242,25 @@ def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: St
     supervisor.start()
     assert told.wait(PATIENCE_S)
     assert [after - before for before, after in pairwise(births)] == [1, 2, 4, 8, 16, 30, 30]
+
+
+def test_what_is_outside_may_hinder_a_worker_for_as_long_as_it_takes(clock: VirtualClock, board: StatusBoard) -> None:
+    def hindered(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
+        raise OutsideError("the disk is full")
+
+    again = threading.Event()
+    factory = Factory([*[hindered] * 20, obey_and_tell(again)])
+    supervisor = Supervisor([Supervised(name="refit", make_worker=factory)], clock=clock, board=board)
+    supervisor.start()
+    assert again.wait(PATIENCE_S)
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("worker_hindered_refit", "degraded")
+    assert "the disk is full" in reason.text
+    assert not supervisor.failed.is_set()
+    clock.advance(60.0)
+    supervisor.check()
+    assert board.snapshot().reasons == ()
+    assert supervisor.stop() == ()
 
 
 def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusBoard) -> None:

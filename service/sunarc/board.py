@@ -99,13 +99,22 @@ class ClockStatus:
     last_step_at: datetime | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskStatus:
+    """What is free where the images are, what they take, and the time of the oldest one."""
+
+    free_bytes: int
+    images_bytes: int
+    oldest_image_at: datetime | None = None
+
+
 class Notes(TypedDict, total=False):
     """What `StatusBoard.note` takes."""
 
     camera: CameraStatus
     capture: CaptureStatus
     clock: ClockStatus
-    disk_free_bytes: int
+    disk: DiskStatus
     last_frame_at: datetime
     last_sighting_at: datetime
 
@@ -121,7 +130,7 @@ class StatusSnapshot:
     camera: CameraStatus | None = None
     capture: CaptureStatus | None = None
     clock: ClockStatus | None = None
-    disk_free_bytes: int | None = None
+    disk: DiskStatus | None = None
     last_frame_at: datetime | None = None
     last_sighting_at: datetime | None = None
 

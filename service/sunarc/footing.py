@@ -10,7 +10,7 @@ from sunarc.errors import OutsideError
 
 
 def prepare_state(folder: Path) -> None:
-    """Make the state folder; one that cannot be written to is told in one line."""
+    """Make the state folder, or a part of it; one that cannot be written to is told in one line."""
     trial = folder / f".{uuid.uuid4().hex}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from sunarc.api import ApiOptions
+from sunarc.archive import DiskOptions
 from sunarc.calibration import CalibrationOptions, DayOptions
 from sunarc.cameras import AravisOptions, ReplayOptions
 from sunarc.detection import DiscOptions
@@ -40,6 +41,7 @@ class Settings(BaseSettings):
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
     calibration, refit, days : the fit, when and how it is run, and what makes a day clear.
+    disk : how much of the disk images may have.
     api : the web server.
     supervisor : when a worker is given up, or taken for stuck.
     """
@@ -60,6 +62,7 @@ class Settings(BaseSettings):
     calibration: CalibrationOptions = CalibrationOptions()
     refit: RefitOptions = RefitOptions()
     days: DayOptions = DayOptions()
+    disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 
@@ -72,6 +75,11 @@ class Settings(BaseSettings):
     def database(self) -> Path:
         """The archive's file."""
         return self.state / "sunarc.sqlite"
+
+    @property
+    def reserve(self) -> Path:
+        """The file that holds the database's room."""
+        return self.state / "reserve"
 
     @property
     def images(self) -> Path:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from sunarc.board import Reason, StatusBoard, WorkerState, WorkerStatus
 from sunarc.clock import Clock
-from sunarc.errors import InputError
+from sunarc.errors import InputError, OutsideError
 
 _log = logging.getLogger(__name__)
 
@@ -73,7 +73,9 @@ class Supervisor:
     """Runs workers until `stop`, each in a thread named after it.
 
     A dead worker is made anew after a back-off. One that keeps dying is given up: the others go on, `failed` is set,
-    and the process should end with an error. A supervisor lives once; `start` and `stop` may be called twice.
+    and the process should end with an error. One that is ended by something outside (`OutsideError`: the disk is full)
+    is never given up: it is made anew until what is outside has been mended. A supervisor lives once; `start` and
+    `stop` may be called twice.
 
     Parameters
     ----------
@@ -177,6 +179,8 @@ class _Life:
         self._restarts = 0
         self._last_error: str | None = None
         self._stuck = False
+        self._hindered = False
+        self._born_at = clock.monotonic()
         self._lock = threading.Lock()
 
     def keep(self) -> None:
@@ -185,7 +189,7 @@ class _Life:
             self._last_error = self._live()
             if self._stop.is_set():
                 break
-            if self._count_death() > self._worker.options.max_restarts:
+            if self._count_death() > self._worker.options.max_restarts and not self._hindered:
                 self._give_up()
                 return
             self._enter("restarting")
@@ -205,20 +209,35 @@ class _Life:
         elif self._stuck and not stuck:
             self._board.clear_reason(_stuck_code(self.name))
         self._stuck = stuck
+        if self._state == "running" and self._clock.monotonic() - self._born_at > _LONGEST_BACK_OFF_S:
+            self._go_unhindered()
         return not stuck and not self.given_up
 
     def _live(self) -> str | None:
         """Run the worker once; return what it died of, None when it was stopped."""
         self._enter("running")
+        self._born_at = self._clock.monotonic()
         try:
             self._worker.make_worker().run(self._stop, self._heartbeat)
+        except OutsideError as error:
+            _log.error("%s is hindered: %s", self.name, error)
+            self._hindered = True
+            self._board.set_reason(_hindered_reason(self.name, error))
+            return str(error)
         except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
             _log.exception("%s died", self.name)
+            self._go_unhindered()
             return f"{type(error).__name__}: {error}"
         if self._stop.is_set():
             return None
         _log.error("%s returned without being asked to stop", self.name)
         return "returned without being asked to stop"
+
+    def _go_unhindered(self) -> None:
+        if self._hindered:
+            self._hindered = False
+            self._deaths.clear()
+            self._board.clear_reason(_hindered_code(self.name))
 
     def _heartbeat(self) -> None:
         self._beat_at = self._clock.monotonic()
@@ -256,6 +275,19 @@ class _Life:
 def _back_off_s(deaths: int) -> float:
     """Twice as long after every death of the window."""
     return float(min(_FIRST_BACK_OFF_S * 2.0 ** (deaths - 1), _LONGEST_BACK_OFF_S))
+
+
+def _hindered_code(name: str) -> str:
+    return f"worker_hindered_{name}"
+
+
+def _hindered_reason(name: str, error: OutsideError) -> Reason:
+    return Reason(
+        code=_hindered_code(name),
+        severity="degraded",
+        text=f"the {name} worker is hindered: {error}",
+        remedy="mend what is named; it is tried again by itself",
+    )
 
 
 def _stuck_code(name: str) -> str:

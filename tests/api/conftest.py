@@ -19,7 +19,7 @@ from fastapi import FastAPI
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, open_archive, upgrade
-from sunarc.board import CameraStatus, ClockStatus, StatusBoard, WorkerStatus
+from sunarc.board import CameraStatus, ClockStatus, DiskStatus, StatusBoard, WorkerStatus
 from sunarc.calibration import (
     BackwardModel,
     Calibration,
@@ -266,7 +266,7 @@ def made(make: Make, tmp_path: Path) -> Made:
         clock=ClockStatus(
             synchronised=True, max_error_s=0.01, last_step_s=-2.5, last_step_at=datetime(2013, 5, 13, 18, tzinfo=UTC)
         ),
-        disk_free_bytes=10**10,
+        disk=DiskStatus(free_bytes=10**10, images_bytes=10**9, oldest_image_at=datetime(2013, 4, 13, 18, tzinfo=UTC)),
         last_frame_at=NOON,
         last_sighting_at=NOON,
     )

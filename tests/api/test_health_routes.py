@@ -66,7 +66,7 @@ def test_the_status_tells_everything_at_a_glance(made: Made) -> None:
 def test_the_status_of_a_service_that_just_started_knows_nothing(empty: Made) -> None:
     told = empty.client.get("/v1/status").json()
     assert told["workers"] == []
-    for name in ("camera", "clock", "disk_free_bytes", "last_frame_at", "calibration", "last_day"):
+    for name in ("camera", "clock", "disk_free_bytes", "disk", "last_frame_at", "calibration", "last_day"):
         assert told[name] is None
 
 

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from sunarc.archive import SunPoint, open_archive
+from sunarc.imaging import jpeg_with, png_with
 from sunarc.simulation import SGP, Scene, SceneOptions, true_camera
 
 if TYPE_CHECKING:
@@ -98,6 +99,22 @@ def test_images_of_another_size_are_not_mixed_in(sunarc: Sunarc, scene: Scene, c
     told = ingest(sunarc, config)
     assert (told["added"], told["skipped"]) == (1, 1)
     assert "image size" in told["files_skipped"][0]["reason"]
+
+
+def test_our_own_composites_tell_their_time_and_their_previews_are_left_out(
+    sunarc: Sunarc, scene: Scene, config: Path
+) -> None:
+    moment = NOON.replace(microsecond=123_456)
+    document = {"schema": "sunarc.image/1", "time_utc": "2013-05-13T18:30:00.123456Z", "preview": False}
+    image = frame(scene, moment)
+    stem = str(config.parent / "images" / "20130513T183000.123Z_hdr")
+    png = cv2.imencode(".png", image)[1].tobytes()
+    Path(stem + ".png").write_bytes(png_with(png, document, software="sunarc", created="2013"))
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    Path(stem + ".jpg").write_bytes(jpeg_with(jpeg, document | {"preview": True}))
+    told = ingest(sunarc, config)
+    assert (told["added"], told["skipped"]) == (1, 1)
+    assert [point.time for point in stored(config)] == [moment]
 
 
 def test_a_folder_that_is_none_is_one_line_and_exit_2(sunarc: Sunarc, config: Path) -> None:

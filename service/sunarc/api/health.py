@@ -12,7 +12,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from sunarc.api.calibrations import summary
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.record import day_out
-from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, Readiness, ReasonOut, Status, WorkerOut
+from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
 from sunarc.api.served import Served
 from sunarc.board import StatusSnapshot
 
@@ -79,7 +79,8 @@ def _status(served: Served) -> Status:
         camera=None if snapshot.camera is None else CameraOut(**asdict(snapshot.camera)),
         capture=None if snapshot.capture is None else CaptureOut(**asdict(snapshot.capture)),
         clock=None if snapshot.clock is None else ClockOut(**asdict(snapshot.clock)),
-        disk_free_bytes=snapshot.disk_free_bytes,
+        disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
+        disk=None if snapshot.disk is None else DiskOut(**asdict(snapshot.disk)),
         last_frame_at=snapshot.last_frame_at,
         last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),

@@ -11,7 +11,7 @@ from prometheus_client.registry import Collector
 
 from sunarc.api.calibrations import summary
 from sunarc.api.served import Served
-from sunarc.board import CaptureStatus, Health, StatusSnapshot, WorkerState
+from sunarc.board import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
 _CAPTURE_COUNTS = {
     "cycles": "Slots served by day.",
@@ -106,7 +106,7 @@ def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
     yield _single("sunarc_clock_synchronised", "1 while a time service disciplines the host's clock.", synchronised)
     yield _single("sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at)
     yield _single("sunarc_clock_error_seconds", "Bound of the host clock's error.", error_s)
-    yield _single("sunarc_disk_free_bytes", "Free space where the state is kept.", snapshot.disk_free_bytes)
+    yield from _disk(snapshot.disk)
     yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))
     yield _single("sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s(snapshot.last_sighting_at))
 
@@ -123,6 +123,13 @@ def _capture(capture: CaptureStatus | None) -> Iterator[Metric]:
     yield _single("sunarc_capture_jitter_seconds", "From the last slot to its first exposure.", jitter)
     yield _single("sunarc_capture_jitter_max_seconds", "The largest since the service started.", jitter_max)
     yield _single("sunarc_capture_hdr_seconds", "From a cycle's beginning to the end of its normal exposures.", hdr)
+
+
+def _disk(disk: DiskStatus | None) -> Iterator[Metric]:
+    if disk is not None:
+        yield _single("sunarc_disk_free_bytes", "Free space where the images are.", disk.free_bytes)
+        yield _single("sunarc_images_bytes", "What the images take.", disk.images_bytes)
+        yield _single("sunarc_oldest_image_seconds", "Unix time of the oldest image.", _unix_s(disk.oldest_image_at))
 
 
 def _unix_s(time: datetime | None) -> float | None:

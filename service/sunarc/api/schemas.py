@@ -230,6 +230,14 @@ class ClockOut(BaseModel):
     last_step_at: Time | None
 
 
+class DiskOut(BaseModel):
+    """What is free where the images are, and what they take."""
+
+    free_bytes: int
+    images_bytes: int
+    oldest_image_at: Time | None
+
+
 class Status(BaseModel):
     """Everything at a glance."""
 
@@ -244,6 +252,7 @@ class Status(BaseModel):
     capture: CaptureOut | None
     clock: ClockOut | None
     disk_free_bytes: int | None
+    disk: DiskOut | None
     last_frame_at: Time | None
     last_sighting_at: Time | None
     calibration: CalibrationSummary | None

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import uuid
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import sunarc
-from sunarc.archive import Archive, CameraRecord, ImageStore, Refit
+from sunarc.archive import Archive, CameraRecord, ImageStore, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
+from sunarc.errors import OutsideError
 from sunarc.settings import Settings
 from sunarc.supervisor import Supervised, Worker
 from sunarc.workers import (
@@ -18,14 +21,18 @@ from sunarc.workers import (
     ComposeWorker,
     DayJudge,
     DetectWorker,
+    DiskWorker,
     FrameTime,
     Handover,
     RefitWorker,
     ReplayWorker,
+    SightingKeeper,
     SunExposures,
     SunPredictor,
+    image_document,
 )
 
+_log = logging.getLogger(__name__)
 _WAITING_CYCLES = 4
 _WAITING_SUN_FRAMES = 8
 
@@ -60,6 +67,9 @@ class Service:
             board=self.board,
         )
         self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
+        self.images = ImageStore(settings.images, options=settings.disk)
+        self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
+        self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(settings.sun_exposure)
         self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
         self.sun_frames: Handover[Frame] = Handover(capacity=_WAITING_SUN_FRAMES)
@@ -79,6 +89,7 @@ class Service:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
             self._supervised("clock", lambda: self.clock_watch),
+            self._supervised("disk", self.disk_worker),
             self._supervised("refit", self.refit_worker),
             self._supervised("detect", self.detect_worker),
             self._supervised("compose", self.compose_worker),
@@ -102,21 +113,23 @@ class Service:
             self.days.judge_ended_days()
 
     def open_and_remember(self) -> SkyCamera:
-        """Open the camera and write down what it is."""
+        """Open the camera and write down what it is; a disk that refuses does not keep it from its work."""
         camera = self._open_camera()
         info, site = camera.info, self.settings.site
-        self.archive.save_camera(
-            CameraRecord(
-                name=self.settings.name,
-                latitude=site.latitude,
-                longitude=site.longitude,
-                altitude=site.altitude,
-                width=info.width,
-                height=info.height,
-                model=f"{info.vendor} {info.model}".strip(),
-                serial=info.serial,
-            )
+        record = CameraRecord(
+            name=self.settings.name,
+            latitude=site.latitude,
+            longitude=site.longitude,
+            altitude=site.altitude,
+            width=info.width,
+            height=info.height,
+            model=f"{info.vendor} {info.model}".strip(),
+            serial=info.serial,
         )
+        try:
+            self.archive.save_camera(record)
+        except OutsideError as error:
+            _log.warning("the camera is not written down: %s", error)
         return camera
 
     def capture_worker(self) -> CaptureWorker:
@@ -148,14 +161,31 @@ class Service:
     def compose_worker(self) -> ComposeWorker:
         """Return the worker that writes composites."""
         return ComposeWorker(
-            self.cycles, store=ImageStore(self.settings.images), options=self.settings.sensor, board=self.board
+            self.cycles,
+            store=self.images,
+            options=self.settings.sensor,
+            describe=partial(
+                image_document, camera=self.settings.name, site=self.settings.site, predictor=self.predictor
+            ),
+            board=self.board,
+        )
+
+    def disk_worker(self) -> DiskWorker:
+        """Return the worker that keeps the disk from filling."""
+        return DiskWorker(
+            store=self.images,
+            reserve=self.reserve,
+            options=self.settings.disk,
+            clock=self.clock,
+            age_from=lambda: self.frame_time.now() if self.frame_time.known and self.clock_watch.trusted() else None,
+            board=self.board,
         )
 
     def detect_worker(self) -> DetectWorker:
         """Return the worker that looks for the sun."""
         return DetectWorker(
             self.sun_frames,
-            archive=self.archive,
+            keeper=self.keeper,
             camera=self.settings.name,
             predictor=self.predictor,
             options=self.settings.sensor,

@@ -17,7 +17,7 @@ import uvicorn
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener
 from sunarc.app.service import Service
-from sunarc.archive import ImageStore, open_archive, upgrade
+from sunarc.archive import ImageStore, Reserve, open_archive, upgrade
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
@@ -34,6 +34,8 @@ def serve(settings: Settings) -> int:
     clock = SystemClock()
     listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.state)
+    prepare_state(settings.images)
+    _make_room(settings)
     upgrade(settings.database)
     service = Service(
         settings,
@@ -55,6 +57,13 @@ def serve(settings: Settings) -> int:
     return 3 if supervisor.failed.is_set() else 0
 
 
+def _make_room(settings: Settings) -> None:
+    """See that the database can be opened, should the disk be full."""
+    images = ImageStore(settings.images, options=settings.disk)
+    images.make_room()
+    Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6)).balance(images.usage().free_bytes)
+
+
 def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.Server:
     options = _with_credentials(service.settings.api)
     app = create_app(
@@ -64,7 +73,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.
         status=service.board.snapshot,
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,
-        latest_image=lambda: ImageStore(service.settings.images).newest(kind="hdr.jpg"),
+        latest_image=lambda: service.images.newest(kind="hdr.jpg"),
         options=options,
     )
     return _Server(

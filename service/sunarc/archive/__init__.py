@@ -3,7 +3,8 @@
 values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
 schema.py: revisions, migrations (in migrations/), checks · copies.py: backups and their way back · sightings.py (with
 columns.py), calibrations.py (with documents.py, validity.py), history.py, used.py, journal.py: the parts of `Archive` ·
-archive.py: the whole · images.py: composites on disk · csv_files.py: the files people hand us.
+archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside them · csv_files.py: the
+files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -16,7 +17,8 @@ from sunarc.archive.csv_files import (
     write_columns,
     write_sightings,
 )
-from sunarc.archive.images import ImageStore
+from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
 from sunarc.archive.values import (
@@ -42,12 +44,15 @@ __all__ = [
     "Check",
     "Day",
     "DayVerdict",
+    "DiskOptions",
+    "DiskUsage",
     "Event",
     "EventSeverity",
     "ImageStore",
     "PoseEpoch",
     "Refit",
     "RefitState",
+    "Reserve",
     "SightingTable",
     "SunPoint",
     "SunPointColumns",

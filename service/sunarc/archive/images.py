@@ -1,52 +1,216 @@
-"""Composites on disk: written whole or not at all, in folders by UTC date."""
+"""Composites on disk: written whole or not at all, in folders by UTC date, the oldest removed when room is needed."""
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import shutil
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sunarc.errors import OutsideError
+from sunarc.errors import InputError, OutsideError
+
+_STAMP = "%Y%m%dT%H%M%S"
+_OURS = re.compile(r"(\d{8}T\d{6})\.\d{3}Z_hdr\.(png|jpg)")
+_DAYS = "[0-9]*/[0-9]*/[0-9]*"
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_MB = 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskOptions:
+    """How much of the disk images may have.
+
+    Attributes
+    ----------
+    keep_days : images older than this are removed.
+    keep_free_mb : megabytes (10⁶ bytes) that images leave free; the oldest go first.
+    reserve_mb : megabytes held in a file, and given to the database when the disk is full all the same.
+    check_every_s : seconds from look to look.
+    """
+
+    keep_days: float = 30.0
+    keep_free_mb: float = 500.0
+    reserve_mb: float = 32.0
+    check_every_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves the database no room."""
+        if min(self.keep_days, self.check_every_s) <= 0.0 or self.reserve_mb < 0.0:
+            raise InputError(field="disk", problem="a limit is not positive", remedy="give days, megabytes and seconds")
+        if self.keep_free_mb < max(2.0 * self.reserve_mb, 1.0):
+            raise InputError(
+                field="disk.keep_free_mb", problem="less than twice the reserve", remedy="raise it, or lower reserve_mb"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskUsage:
+    """What is free where the images are, what they take, and the time of the oldest one."""
+
+    free_bytes: int
+    images_bytes: int
+    oldest_image_at: datetime | None
 
 
 class ImageStore:
-    """Writes images under `images/YYYY/MM/DD/`.
+    """Writes images under `images/YYYY/MM/DD/`, and removes the oldest; any thread may do either.
 
     Parameters
     ----------
-    folder : the root of the dated folders.
+    folder : the root of the dated folders. Files in it that are not named as ours are left alone.
+    options : how much of the disk it may have.
+    free_bytes : asks how much of the disk is free.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        options: DiskOptions | None = None,
+        free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+    ) -> None:
         self.folder = folder
+        self._keep_free_bytes = int((options or DiskOptions()).keep_free_mb * _MB)
+        self._free_bytes = free_bytes
+        self._lock = threading.RLock()
+        self._bytes: int | None = None
+        self._oldest: deque[Path] = deque()
 
     def path(self, captured_at: datetime, *, kind: str) -> Path:
         """Return where an image of this moment and kind ("hdr.png", "hdr.jpg") stands."""
         moment = captured_at.astimezone(UTC)
-        stamp = f"{moment:%Y%m%dT%H%M%S}.{moment.microsecond // 1000:03d}Z"
-        return self.folder / f"{moment:%Y/%m/%d}" / f"{stamp}_{kind}"
+        return self.folder / f"{moment:%Y/%m/%d}" / f"{moment:{_STAMP}}.{moment.microsecond // 1000:03d}Z_{kind}"
 
     def write(self, captured_at: datetime, encoded: bytes, *, kind: str) -> Path:
-        """Write an encoded image atomically and return its path.
+        """Write an encoded image atomically and return its path; older images make room for it.
 
         Raises
         ------
-        OutsideError : when the disk refuses.
+        OutsideError : when the disk refuses, or what would be left free is less than is to be kept.
         """
         target = self.path(captured_at, kind=kind)
-        part = target.with_suffix(target.suffix + ".part")
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(encoded)
-            part.replace(target)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise OutsideError(f"image {target.name} could not be written: {error.strerror or error}") from error
-        return target
+        while True:
+            if not self.make_room(len(encoded)):
+                raise OutsideError(f"image {target.name} was not written: the disk has too little room")
+            try:
+                _write_whole(target, encoded)
+            except OSError as error:
+                if error.errno in _FULL and self._remove_oldest():
+                    continue
+                raise OutsideError(f"image {target.name} could not be written: {error.strerror or error}") from error
+            with self._lock:
+                self._bytes = None if self._bytes is None else self._bytes + len(encoded)
+            return target
 
     def newest(self, *, kind: str) -> Path | None:
         """Return the newest image of a kind, or None; looks at the last day that has one."""
-        for folder in sorted(self.folder.glob("[0-9]*/[0-9]*/[0-9]*"), reverse=True):
+        for folder in sorted(self.folder.glob(_DAYS), reverse=True):
             images = sorted(folder.glob(f"*_{kind}"))
             if images:
                 return images[-1]
         return None
+
+    def make_room(self, needed_bytes: int = 0) -> bool:
+        """Remove the oldest images until this much can be written; return whether it can."""
+        while self._free() - needed_bytes < self._keep_free_bytes:
+            if not self._remove_oldest():
+                return False
+        return True
+
+    def expire(self, before: datetime) -> int:
+        """Remove the images from before a time, and return how many."""
+        removed = 0
+        while self._remove_oldest(before=before):
+            removed += 1
+        return removed
+
+    def usage(self) -> DiskUsage:
+        """Return what the images take; counted once, then kept up to date."""
+        with self._lock:
+            if self._bytes is None:
+                self._bytes = sum(_size(path) for path in self.folder.rglob("*") if _OURS.fullmatch(path.name))
+            oldest = self._first()
+            return DiskUsage(
+                free_bytes=self._free(),
+                images_bytes=self._bytes,
+                oldest_image_at=None if oldest is None else _captured_at(oldest),
+            )
+
+    def clear_up(self) -> None:
+        """Remove what an interrupted write has left."""
+        for part in self.folder.rglob("*.part"):
+            part.unlink(missing_ok=True)
+
+    def _free(self) -> int:
+        place = self.folder
+        while not place.exists():
+            place = place.parent
+        return self._free_bytes(place)
+
+    def _first(self) -> Path | None:
+        """Return the oldest image; the files of one day are listed at a time."""
+        while self._oldest and not self._oldest[0].exists():
+            self._oldest.popleft()
+        if not self._oldest:
+            for folder in sorted(self.folder.glob(_DAYS)):
+                self._oldest.extend(path for path in sorted(folder.iterdir()) if _OURS.fullmatch(path.name))
+                if self._oldest:
+                    break
+        return self._oldest[0] if self._oldest else None
+
+    def _remove_oldest(self, *, before: datetime | None = None) -> bool:
+        with self._lock:
+            oldest = self._first()
+            if oldest is None or (before is not None and _captured_at(oldest) >= before):
+                return False
+            size = _size(oldest)
+            try:
+                oldest.unlink()
+            except OSError:
+                return False
+            self._bytes = None if self._bytes is None else self._bytes - size
+            self._oldest.popleft()
+            _remove_empty(oldest.parent, root=self.folder)
+            return True
+
+
+def _write_whole(target: Path, encoded: bytes) -> None:
+    """Write beside the target, to the disk itself, and rename: a power cut leaves all of it or nothing."""
+    part = target.with_suffix(target.suffix + ".part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as file:
+            file.write(encoded)
+            file.flush()
+            os.fdatasync(file.fileno())
+        part.replace(target)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _captured_at(path: Path) -> datetime:
+    return datetime.strptime(path.name[:19], f"{_STAMP}.%f").replace(tzinfo=UTC)
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _remove_empty(folder: Path, *, root: Path) -> None:
+    """Remove a day's folder, and its month's and year's, where nothing is left in them."""
+    while folder != root:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+        folder = folder.parent

@@ -1,7 +1,7 @@
 """What to expose for the sun, and what to keep of a cycle: all pure.
 
 Map: `exposure` the sun exposure controller, `brightness` whether frames had their exposures, `hdr` the merge, `preview`
-for people.
+for people, `metadata` what a file says of itself.
 """
 
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
@@ -14,6 +14,7 @@ from sunarc.imaging.exposure import (
     next_sun_exposures,
 )
 from sunarc.imaging.hdr import HdrImage, merge_hdr
+from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 from sunarc.imaging.preview import preview
 
 __all__ = [
@@ -23,9 +24,12 @@ __all__ = [
     "Peak",
     "SunExposureOptions",
     "SunExposureState",
+    "document_of",
     "first_sun_exposures",
+    "jpeg_with",
     "light_ratio_contradiction",
     "merge_hdr",
     "next_sun_exposures",
+    "png_with",
     "preview",
 ]

@@ -16,8 +16,9 @@ from PIL import Image as Pictures
 from sunarc.archive import Archive, CameraRecord, open_archive, parse_time, sun_point_of, upgrade
 from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
+from sunarc.imaging import document_of
 from sunarc.offline.detecting import Method, detect_in_image
-from sunarc.offline.files import read_image
+from sunarc.offline.files import read_file, read_image
 from sunarc.settings import Settings
 from sunarc.sky import sun_angles
 
@@ -55,7 +56,8 @@ def ingest_folder(
     folder : where the images are.
     method : as in `detect_in_image`.
     time_pattern : `strptime` pattern of the files' stems; unless given, any date and time in the name is found, then a
-        sidecar (`NAME.json` with `time_utc` and `exposure_us`) is asked, then EXIF.
+        sidecar (`NAME.json` with `time_utc` and `exposure_us`) is asked, then EXIF; our own composites tell it
+        themselves.
     utc_offset_h : hours that times without a zone are ahead of UTC.
 
     Yields
@@ -125,10 +127,23 @@ def _taken(path: Path, pattern: str | None, offset: timedelta) -> tuple[datetime
     sidecar = path.with_suffix(".json")
     if sidecar.exists():
         return _from_sidecar(sidecar, exposure_us)
-    captured_at = _from_name(path.name, offset) or _from_exif(path, offset)
+    captured_at = _from_document(path) or _from_name(path.name, offset) or _from_exif(path, offset)
     if captured_at is None:
         raise InputError(field=path.name, problem="no time in its name, sidecar or EXIF", remedy="give --time-pattern")
     return captured_at, exposure_us
+
+
+def _from_document(path: Path) -> datetime | None:
+    """Return the time that one of our own composites tells."""
+    document = document_of(read_file(path)) or {}
+    if document.get("preview"):
+        raise InputError(
+            field=path.name, problem="a preview, not linear in light", remedy="the composite beside it is read"
+        )
+    try:
+        return parse_time(str(document["time_utc"]), where=path.name)
+    except (KeyError, InputError):
+        return None
 
 
 def _from_name(name: str, offset: timedelta) -> datetime | None:

@@ -5,8 +5,11 @@ from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
+from sunarc.workers.disk import DiskWorker
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
+from sunarc.workers.image_document import image_document
+from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.points import points_of
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
@@ -23,13 +26,16 @@ __all__ = [
     "ComposeWorker",
     "DayJudge",
     "DetectWorker",
+    "DiskWorker",
     "FrameTime",
     "Handover",
     "RefitOptions",
     "RefitWorker",
     "ReplayWorker",
     "SensorOptions",
+    "SightingKeeper",
     "SunExposures",
     "SunPredictor",
+    "image_document",
     "points_of",
 ]

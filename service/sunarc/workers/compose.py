@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+import sunarc
 from sunarc.archive import ImageStore
 from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
-from sunarc.imaging import merge_hdr, preview
+from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
 from sunarc.workers.handover import Handover
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
@@ -31,16 +32,25 @@ class ComposeWorker:
     cycles : the frames of one cycle at a time.
     store : where composites go.
     options : the sensor.
-    board : where a full disk is reported.
+    describe : what a composite's file says of itself.
+    board : where a disk that refuses is reported.
     """
 
     def __init__(
-        self, cycles: Handover[Sequence[Frame]], *, store: ImageStore, options: SensorOptions, board: StatusBoard
+        self,
+        cycles: Handover[Sequence[Frame]],
+        *,
+        store: ImageStore,
+        options: SensorOptions,
+        describe: Callable[[Sequence[Frame], HdrImage], Mapping[str, Any]],
+        board: StatusBoard,
     ) -> None:
         self._cycles = cycles
         self._store = store
         self._options = options
+        self._describe = describe
         self._board = board
+        self._refused = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -48,34 +58,53 @@ class ComposeWorker:
             heartbeat()
             frames = self._cycles.get(timeout_s=_POLL_S)
             if frames is not None:
-                self._compose(frames)
+                self.compose(frames)
             elif stop.is_set():
                 return
 
-    def _compose(self, frames: Sequence[Frame]) -> None:
+    def compose(self, frames: Sequence[Frame]) -> None:
+        """Merge the exposures of one cycle and write both files; a disk that refuses costs this composite alone."""
         sensor = sensor_of(frames[0], self._options)
         composite = merge_hdr(
             [frame.image for frame in frames],
             [frame.exposure_us for frame in frames],
             sensor=sensor,
         )
+        document = self._describe(frames, composite)
+        png = png_with(
+            encode(composite.image, ".png"),
+            document,
+            software=f"sunarc {sunarc.__version__}",
+            created=document["time_utc"],
+        )
+        jpeg = jpeg_with(encode(preview(composite.image, bayer=sensor.bayer), ".jpg"), {**document, "preview": True})
         captured_at = frames[0].time
         try:
-            self._store.write(captured_at, encode(composite.image, ".png"), kind="hdr.png")
-            self._store.write(captured_at, encode(preview(composite.image, bayer=sensor.bayer), ".jpg"), kind="hdr.jpg")
+            self._store.write(captured_at, png, kind="hdr.png")
+            self._store.write(captured_at, jpeg, kind="hdr.jpg")
         except OutsideError as error:
-            _log.warning("%s", error)
-            self._board.set_reason(
-                Reason(
-                    code="images_not_written",
-                    severity="degraded",
-                    text=str(error),
-                    remedy="free space on the disk of the state folder, or make it writable",
-                )
+            self._show_refused(error)
+        else:
+            self._show_written()
+
+    def _show_refused(self, error: OutsideError) -> None:
+        if not self._refused:
+            _log.error("composites are not kept: %s", error)
+        self._refused = True
+        self._board.set_reason(
+            Reason(
+                code="images_not_written",
+                severity="degraded",
+                text=str(error),
+                remedy="free space on the disk of the state folder, or make it writable",
             )
-            return
+        )
+
+    def _show_written(self) -> None:
+        if self._refused:
+            _log.info("composites are kept again")
+        self._refused = False
         self._board.clear_reason("images_not_written")
-        self._board.note(disk_free_bytes=shutil.disk_usage(self._store.folder).free)
 
 
 def encode(image: NDArray[np.uint8] | NDArray[np.uint16], suffix: str) -> bytes:

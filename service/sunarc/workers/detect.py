@@ -7,11 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
-from sunarc.archive import Archive, sun_point_of
+from sunarc.archive import sun_point_of
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, detect_sun
 from sunarc.workers.handover import Handover
+from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
@@ -24,7 +25,7 @@ class DetectWorker:
     Parameters
     ----------
     frames : the sun exposures, oldest first.
-    archive, camera : where sightings go, and under which name.
+    keeper, camera : who stores the sightings, and under which name.
     predictor : where the sun should be.
     options, disc : the sensor, and the detector's settings.
     clock_error_s : bound of the error of a frame's time, seconds.
@@ -36,7 +37,7 @@ class DetectWorker:
         self,
         frames: Handover[Frame],
         *,
-        archive: Archive,
+        keeper: SightingKeeper,
         camera: str,
         predictor: SunPredictor,
         options: SensorOptions,
@@ -46,7 +47,7 @@ class DetectWorker:
         board: StatusBoard,
     ) -> None:
         self._frames = frames
-        self._archive = archive
+        self._keeper = keeper
         self._camera = camera
         self._predictor = predictor
         self._options = options
@@ -63,7 +64,10 @@ class DetectWorker:
             if frame is not None:
                 self.look_at(frame)
             elif stop.is_set():
+                self._keeper.give_up()
                 return
+            elif self._keeper.waiting:
+                self._keeper.store()
 
     def look_at(self, frame: Frame) -> Detection:
         """Detect, store and report one frame."""
@@ -74,16 +78,15 @@ class DetectWorker:
             options=self._with_brightness(frame.time),
             exposure_us=frame.exposure_us,
         )
-        epoch = self._archive.epoch_at(self._camera, frame.time, reason="first frame")
         point = sun_point_of(
             detection,
             camera=self._camera,
-            pose_epoch=epoch.id,
+            pose_epoch="",
             time=frame.time,
             exposure_us=frame.exposure_us,
             clock_error_s=self._clock_error_s(frame.time),
         )
-        self._archive.add_sun_points([point])
+        self._keeper.keep(point)
         self._report(frame, detection)
         if detection.accepted:
             self._board.note(last_sighting_at=frame.time)

@@ -60,6 +60,11 @@ class SunPredictor:
         day = np.floor((unix_s + self._site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
         return clear_sun(apparent_zenith=zenith, level_per_us=levels, day=day)
 
+    def calibration_id(self) -> str | None:
+        """Return the id of the calibration that is current."""
+        record = self._archive.current_calibration(self._camera)
+        return None if record is None else record.id
+
     def expectation(self, moment: datetime) -> Expectation | None:
         """Return where the sun should be; None before there is a calibration, or outside its field."""
         calibration = self._current()

@@ -1,0 +1,140 @@
+"""What the whole service costs at its real cadence: processor time and memory, with a 2048×2048 Mono12 camera.
+
+    unshare -n sh -c 'ip link set lo up; exec python docs/studies/running_cost.py --minutes 6'
+
+Runs a simulated imager in a process of its own, and the service as `sunarc serve` runs it, at speed 1. After a minute
+of settling it prints, every minute and at the end, the service's processor time per second of real time (in percent
+of one core), its resident memory, and the same by thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+
+from sunarc.simulation import ImagerOptions, imager, run_imager
+
+_SIZE = 2048
+_START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
+_TICKS = os.sysconf("SC_CLK_TCK")
+_CONFIG = """\
+state = "{state}"
+[site]
+latitude = 36.604043
+longitude = -97.484856
+altitude = 318.0
+[camera]
+address = "127.0.0.1"
+pixel_format = "Mono12"
+packet_size = 8000
+packet_socket = {packet_socket}
+timestamps = "camera"
+[capture]
+cadence_s = {cadence}
+[api]
+port = 8099
+"""
+
+
+def main() -> None:
+    """Measure, or be the imager."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--cadence", type=float, default=30.0)
+    parser.add_argument("--udp", action="store_true", help="as an unprivileged user receives frames")
+    parser.add_argument("--imager", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.imager:
+        _be_imager()
+        return
+    with tempfile.TemporaryDirectory() as folder, _running([sys.executable, __file__, "--imager"]):
+        config = Path(folder) / "sunarc.toml"
+        packet_socket = "false" if arguments.udp else "true"
+        config.write_text(
+            _CONFIG.format(state=Path(folder) / "state", cadence=arguments.cadence, packet_socket=packet_socket)
+        )
+        time.sleep(3.0)
+        with _running([sys.executable, "-m", "sunarc", "serve", "--config", str(config)]) as service:
+            time.sleep(60.0)
+            _measure(service.pid, minutes=arguments.minutes)
+        images = list((Path(folder) / "state" / "images").rglob("*"))
+        files = [path for path in images if path.is_file()]
+        kinds = Counter(path.name.split("_")[-1] for path in files)
+        print("files:", dict(kinds), f"{sum(path.stat().st_size for path in files) / 1e6:.1f} MB")
+
+
+def _measure(pid: int, *, minutes: float) -> None:
+    began, before = time.monotonic(), _by_thread(pid)
+    while time.monotonic() - began < minutes * 60.0:
+        time.sleep(min(60.0, began + minutes * 60.0 - time.monotonic() + 0.01))
+        elapsed_s = time.monotonic() - began
+        spent = _by_thread(pid)
+        spent.subtract(before)
+        status = Path(f"/proc/{pid}/status").read_text()
+        resident = {line.split(":")[0]: int(line.split()[1]) / 1024 for line in status.splitlines() if "VmRSS" in line}
+        total = sum(spent.values())
+        print(
+            f"{elapsed_s:6.0f} s  {100.0 * total / elapsed_s:5.2f} % of a core  {resident['VmRSS']:.0f} MiB", flush=True
+        )
+    for name, seconds in spent.most_common(12):
+        print(f"   {name:16s} {100.0 * seconds / elapsed_s:5.2f} %")
+
+
+def _by_thread(pid: int) -> Counter[str]:
+    """Return the seconds of processor time that each thread has used, by its name."""
+    spent: Counter[str] = Counter()
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        text = (task / "stat").read_text()
+        fields = text[text.rindex(")") + 2 :].split()
+        spent[text[text.index("(") + 1 : text.rindex(")")]] += (int(fields[11]) + int(fields[12])) / _TICKS
+    return spent
+
+
+@contextmanager
+def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(command)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(timeout=30.0)
+
+
+def _be_imager() -> None:
+    """Serve frames of the paper's lens on a larger sensor."""
+    paper = imager.true_camera(0)
+    margin = (_SIZE - paper.width) / 2.0
+    x, y = paper.principal_point_px
+    scale = _SIZE / paper.width
+    larger = replace(
+        paper,
+        width=_SIZE,
+        height=_SIZE,
+        principal_point_px=(x + margin, y + margin),
+        focal_length_px=(paper.focal_length_px[0] * scale, paper.focal_length_px[1] * scale),
+    )
+    imager.true_camera = lambda _seed: larger
+    stop = threading.Event()
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    signal.signal(signal.SIGTERM, end)
+    run_imager(ImagerOptions(start=_START, speed=1.0), stop)
+
+
+if __name__ == "__main__":
+    main()

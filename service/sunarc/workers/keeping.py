@@ -1,0 +1,90 @@
+"""Sightings on their way into the archive; what the disk refuses waits in memory."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from dataclasses import replace
+
+from sunarc.archive import Archive, SunPoint
+from sunarc.board import Reason, StatusBoard
+from sunarc.errors import OutsideError
+
+_log = logging.getLogger(__name__)
+_CAPACITY = 20_000  # a week of two a cycle, and 10 MB
+_AT_A_TIME = 200
+_CODE = "sightings_not_stored"
+
+
+class SightingKeeper:
+    """Stores sightings in the order they come, and those that could not be stored when it is possible again.
+
+    Parameters
+    ----------
+    archive : where they go.
+    board : where those that wait are shown.
+    capacity : how many may wait; then the oldest is given up.
+    """
+
+    def __init__(self, archive: Archive, *, board: StatusBoard, capacity: int = _CAPACITY) -> None:
+        self._archive = archive
+        self._board = board
+        self._waiting: deque[SunPoint] = deque()
+        self._capacity = capacity
+        self._lost = 0
+        self._refused = False
+
+    @property
+    def waiting(self) -> int:
+        """How many sightings wait."""
+        return len(self._waiting)
+
+    def keep(self, point: SunPoint) -> None:
+        """Store a sighting, now or later; its pose epoch is found when it is stored."""
+        if len(self._waiting) >= self._capacity:
+            self._waiting.popleft()
+            self._lost += 1
+        self._waiting.append(point)
+        self.store()
+
+    def store(self) -> None:
+        """Try to store what waits."""
+        try:
+            while self._waiting:
+                some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
+                self._archive.add_sun_points([self._placed(point) for point in some])
+                for _ in some:
+                    self._waiting.popleft()
+        except OutsideError as error:
+            self._show_refused(error)
+        else:
+            self._show_stored()
+
+    def give_up(self) -> None:
+        """Say what is lost with the end of the process."""
+        if self._waiting:
+            _log.error("%d sightings could not be stored and are lost", len(self._waiting))
+
+    def _placed(self, point: SunPoint) -> SunPoint:
+        epoch = self._archive.epoch_at(point.camera, point.time, reason="first frame")
+        return replace(point, pose_epoch=epoch.id)
+
+    def _show_refused(self, error: OutsideError) -> None:
+        if not self._refused:
+            _log.error("sightings wait in memory: %s", error)
+        self._refused = True
+        lost = f", and {self._lost} were lost" if self._lost else ""
+        self._board.set_reason(
+            Reason(
+                code=_CODE,
+                severity="degraded",
+                text=f"{len(self._waiting)} sightings wait in memory{lost}: {error}",
+                remedy="free space on the disk of the state folder, or make it writable; do not restart before",
+            )
+        )
+
+    def _show_stored(self) -> None:
+        if self._refused:
+            _log.info("the sightings that waited are stored; %d were lost", self._lost)
+            self._board.clear_reason(_CODE)
+            self._refused, self._lost = False, 0

@@ -1,0 +1,110 @@
+"""The keeping of the disk."""
+
+from __future__ import annotations
+
+import threading
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.archive import DiskOptions, ImageStore, Reserve
+from sunarc.workers import DiskWorker
+
+from .conftest import NOON
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sunarc.board import StatusBoard
+    from sunarc.clock import VirtualClock
+
+OPTIONS = DiskOptions(keep_days=10.0, keep_free_mb=2.0, reserve_mb=1.0)
+MB = bytes(1_000_000)
+
+
+class Disk:
+    """A small disk: what others took of it, and the state folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.others_bytes = 0
+        self.folder = folder
+
+    def free(self, _: Path) -> int:
+        ours = sum(path.stat().st_size for path in self.folder.rglob("*") if path.is_file())
+        return 8_000_000 - self.others_bytes - ours
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Disk:
+    return Disk(tmp_path)
+
+
+@pytest.fixture
+def store(disk: Disk) -> ImageStore:
+    return ImageStore(disk.folder / "images", options=OPTIONS, free_bytes=disk.free)
+
+
+def worker_of(
+    store: ImageStore, clock: VirtualClock, board: StatusBoard, age_from: Callable[[], datetime | None] | None = None
+) -> DiskWorker:
+    return DiskWorker(
+        store=store,
+        reserve=Reserve(store.folder.parent / "reserve", size_bytes=1_000_000),
+        options=OPTIONS,
+        clock=clock,
+        age_from=age_from or clock.now,
+        board=board,
+    )
+
+
+def reasons(board: StatusBoard) -> set[str]:
+    return {reason.code for reason in board.snapshot().reasons}
+
+
+def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
+    disk: Disk, store: ImageStore, clock: VirtualClock, board: StatusBoard
+) -> None:
+    worker = worker_of(store, clock, board)
+    for hour in range(3):
+        store.write(NOON - timedelta(hours=hour), MB, kind="hdr.png")
+    worker.look()
+    shown = board.snapshot().disk
+    assert shown is not None
+    assert (shown.images_bytes, shown.free_bytes) == (3_000_000, 5_000_000)  # the reserve is taken at the end of a look
+    disk.others_bytes = 3_500_000
+    worker.look()
+    assert store.usage().images_bytes == 1_000_000
+    assert reasons(board) == set()
+    disk.others_bytes = 6_000_000
+    worker.look()
+    assert store.usage().images_bytes == 0
+    assert reasons(board) == {"disk_low"}
+    disk.others_bytes = 6_900_000
+    worker.look()
+    assert reasons(board) == {"disk_full"}
+    assert disk.free(disk.folder) == 1_100_000  # what was reserved
+    disk.others_bytes = 0
+    worker.look()
+    assert reasons(board) == set()
+    assert disk.free(disk.folder) == 7_000_000
+
+
+def test_old_images_are_removed_but_not_by_a_clock_that_cannot_be_trusted(
+    store: ImageStore, clock: VirtualClock, board: StatusBoard
+) -> None:
+    store.write(NOON - timedelta(days=11), MB, kind="hdr.png")
+    worker_of(store, clock, board, age_from=lambda: None).look()
+    assert store.usage().images_bytes == 1_000_000
+    worker_of(store, clock, board).look()
+    assert store.usage().images_bytes == 0
+
+
+def test_it_looks_every_ten_seconds_until_stopped(
+    store: ImageStore, clock: VirtualClock, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worker, stop, looks = worker_of(store, clock, board), threading.Event(), []
+    monkeypatch.setattr(worker, "look", lambda: looks.append(clock.monotonic()))
+    worker.run(stop, lambda: stop.set() if clock.monotonic() > 35.0 else None)
+    assert looks == pytest.approx([0.0, 10.0, 20.0, 30.0])

@@ -1,0 +1,100 @@
+"""Sightings when the disk refuses them."""
+
+from __future__ import annotations
+
+import logging
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.errors import OutsideError
+from sunarc.workers import SightingKeeper
+
+from .conftest import NOON
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from sunarc.board import StatusBoard
+
+
+class Refusing(Archive):
+    """An archive whose disk is full while `full`."""
+
+    full = False
+
+    def add_sun_points(self, points: Iterable[SunPoint]) -> int:
+        if self.full:
+            raise OutsideError("cannot use the database: database or disk is full")
+        return super().add_sun_points(points)
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Refusing:
+    upgrade(tmp_path / "sunarc.sqlite")
+    opened = open_archive(tmp_path / "sunarc.sqlite")
+    opened.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
+    return Refusing(opened._engine)
+
+
+def sighting(number: int) -> SunPoint:
+    return SunPoint(
+        camera="roof",
+        pose_epoch="",
+        time=NOON + timedelta(seconds=number),
+        method="disc",
+        accepted=True,
+        verdict="clear",
+        x_px=float(number),
+        y_px=3.0,
+    )
+
+
+def reasons(board: StatusBoard) -> dict[str, str]:
+    return {reason.code: reason.text for reason in board.snapshot().reasons}
+
+
+def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board: StatusBoard) -> None:
+    SightingKeeper(archive, board=board).keep(sighting(1))
+    (stored,) = archive.sun_points("roof")
+    assert (stored.x_px, stored.pose_epoch) == (1.0, "roof-1")
+    assert reasons(board) == {}
+
+
+def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(archive: Refusing, board: StatusBoard) -> None:
+    keeper = SightingKeeper(archive, board=board)
+    archive.full = True
+    for number in range(450):
+        keeper.keep(sighting(number))
+    assert "450 sightings wait" in reasons(board)["sightings_not_stored"]
+    assert archive.sun_points("roof") == ()
+    archive.full = False
+    keeper.keep(sighting(450))
+    assert [point.x_px for point in archive.sun_points("roof")] == [float(number) for number in range(451)]
+    assert reasons(board) == {}
+    assert keeper.waiting == 0
+
+
+def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing, board: StatusBoard) -> None:
+    keeper = SightingKeeper(archive, board=board, capacity=3)
+    archive.full = True
+    for number in range(5):
+        keeper.keep(sighting(number))
+    assert "3 sightings wait in memory, and 2 were lost" in reasons(board)["sightings_not_stored"]
+    archive.full = False
+    keeper.store()
+    assert [point.x_px for point in archive.sun_points("roof")] == [2.0, 3.0, 4.0]
+
+
+def test_what_is_lost_at_the_end_is_said(
+    archive: Refusing, board: StatusBoard, caplog: pytest.LogCaptureFixture
+) -> None:
+    keeper = SightingKeeper(archive, board=board)
+    archive.full = True
+    keeper.keep(sighting(1))
+    with caplog.at_level(logging.ERROR):
+        keeper.give_up()
+    assert "1 sightings could not be stored" in caplog.text
