@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,10 +24,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
+from sunarc.clock import SystemClock
 from sunarc.simulation import ImagerOptions, imager, run_imager
 
 _SIZE = 2048
 _START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
+_CLOCK = SystemClock()
 _TICKS = os.sysconf("SC_CLK_TCK")
 _CONFIG = """\
 state = "{state}"
@@ -55,20 +56,23 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=6.0)
     parser.add_argument("--cadence", type=float, default=30.0)
     parser.add_argument("--udp", action="store_true", help="as an unprivileged user receives frames")
-    parser.add_argument("--imager", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--imager", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.imager:
-        _be_imager()
+        _be_imager(arguments.imager)
         return
-    with tempfile.TemporaryDirectory() as folder, _running([sys.executable, __file__, "--imager"]):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _running([sys.executable, __file__, "--imager", f"{folder}/truth.json"]),
+    ):
         config = Path(folder) / "sunarc.toml"
         packet_socket = "false" if arguments.udp else "true"
         config.write_text(
             _CONFIG.format(state=Path(folder) / "state", cadence=arguments.cadence, packet_socket=packet_socket)
         )
-        time.sleep(3.0)
+        _wait_for(Path(folder) / "truth.json")
         with _running([sys.executable, "-m", "sunarc", "serve", "--config", str(config)]) as service:
-            time.sleep(60.0)
+            _wait(60.0)
             _measure(service.pid, minutes=arguments.minutes)
         images = list((Path(folder) / "state" / "images").rglob("*"))
         files = [path for path in images if path.is_file()]
@@ -77,10 +81,10 @@ def main() -> None:
 
 
 def _measure(pid: int, *, minutes: float) -> None:
-    began, before = time.monotonic(), _by_thread(pid)
-    while time.monotonic() - began < minutes * 60.0:
-        time.sleep(min(60.0, began + minutes * 60.0 - time.monotonic() + 0.01))
-        elapsed_s = time.monotonic() - began
+    began, before = _CLOCK.monotonic(), _by_thread(pid)
+    while _CLOCK.monotonic() - began < minutes * 60.0:
+        _wait(min(60.0, began + minutes * 60.0 - _CLOCK.monotonic() + 0.01))
+        elapsed_s = _CLOCK.monotonic() - began
         spent = _by_thread(pid)
         spent.subtract(before)
         status = Path(f"/proc/{pid}/status").read_text()
@@ -91,6 +95,15 @@ def _measure(pid: int, *, minutes: float) -> None:
         )
     for name, seconds in spent.most_common(12):
         print(f"   {name:16s} {100.0 * seconds / elapsed_s:5.2f} %")
+
+
+def _wait(seconds: float) -> None:
+    _CLOCK.wait(threading.Event(), seconds)
+
+
+def _wait_for(file: Path) -> None:
+    while not file.exists():
+        _wait(0.2)
 
 
 def _by_thread(pid: int) -> Counter[str]:
@@ -105,7 +118,7 @@ def _by_thread(pid: int) -> Counter[str]:
 
 @contextmanager
 def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(command)
+    process = subprocess.Popen(command)  # noqa: S603 - our own programs
     try:
         yield process
     finally:
@@ -113,7 +126,7 @@ def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
         process.wait(timeout=30.0)
 
 
-def _be_imager() -> None:
+def _be_imager(truth: Path) -> None:
     """Serve frames of the paper's lens on a larger sensor."""
     paper = imager.true_camera(0)
     margin = (_SIZE - paper.width) / 2.0
@@ -133,7 +146,7 @@ def _be_imager() -> None:
         stop.set()
 
     signal.signal(signal.SIGTERM, end)
-    run_imager(ImagerOptions(start=_START, speed=1.0), stop)
+    run_imager(ImagerOptions(start=_START, speed=1.0, truth=truth), stop)
 
 
 if __name__ == "__main__":

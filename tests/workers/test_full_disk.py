@@ -182,7 +182,7 @@ def test_a_disk_filled_by_a_stranger_costs_images_and_no_sighting(
     (state / "stranger").unlink()
     chain.disk.look()
     chain.cycle(115)
-    assert chain.stored() == 151
+    assert chain.stored() == 116
     assert codes(board) == set()
     assert (state / "reserve").exists()
     assert check(state / "sunarc.sqlite").sound
