@@ -21,6 +21,7 @@ from sunarc.errors import ConfigurationError, InputError, SunarcError
 from sunarc.journal import start_log
 from sunarc.offline.calibrate_command_line import calibrate
 from sunarc.offline.command_line import Config, db_cli, points_cli
+from sunarc.offline.export_command_line import export_calibration
 from sunarc.offline.history_command_line import calibrations_cli
 from sunarc.settings import load_settings
 from sunarc.sky import Site
@@ -41,6 +42,7 @@ cli.add_typer(db_cli, name="db")
 cli.add_typer(calibrations_cli, name="calibrations")
 cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
+cli.command("export")(export_calibration)
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)]

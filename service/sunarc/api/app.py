@@ -23,6 +23,7 @@ from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
 from sunarc.api.health import health_routes
 from sunarc.api.limits import Limits
+from sunarc.api.maps import map_routes
 from sunarc.api.metrics import StatusCollector
 from sunarc.api.options import ApiOptions
 from sunarc.api.overlay import overlay_routes
@@ -131,6 +132,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
         calibration_routes(served),
         decision_routes(served),
         direction_routes(served, gate),
+        map_routes(served, gate),
         sun_routes(served),
         overlay_routes(served),
         record_routes(served),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import io
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from http import HTTPStatus
 
 import numpy as np
@@ -90,64 +91,77 @@ def require_few(count: int, *, most: int, field: str) -> None:
         )
 
 
-class RowsResponse(Response):
-    """Answers rows with rows, a chunk computed in a thread while another one is being sent.
+class PartsResponse(Response):
+    """Sends parts one after the other, the next ones being made in threads meanwhile.
 
     Parameters
     ----------
-    rows : (n, k) what was asked.
-    answer : returns what is told of a chunk, (m, `width`).
-    width : columns of the answer.
-    headers : to send along.
+    parts : each makes one.
+    length : of all together, bytes.
+    media_type, headers : to send along.
     held : the place at the gate, left when all is sent.
     """
 
-    media_type = NPY
-
     def __init__(
         self,
-        rows: Rows,
-        answer: Callable[[Rows], Rows],
+        parts: Sequence[Callable[[], bytes | memoryview]],
         *,
-        width: int,
+        length: int,
+        media_type: str,
         headers: dict[str, str],
         held: AbstractContextManager[object],
     ) -> None:
-        self._rows, self._answer, self._held = rows, answer, held
-        self._start = _header(rows.dtype, (rows.shape[0], width))
-        length = len(self._start) + rows.shape[0] * width * rows.dtype.itemsize
-        self.status_code, self.background = 200, None
+        self._parts, self._held = parts, held
+        self.status_code, self.background, self.media_type = 200, None, media_type
         self.init_headers(headers | {"content-length": str(length)})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 - the protocol's
         """Send the answer."""
         with self._held:
             await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-            await send({"type": "http.response.body", "body": self._start, "more_body": True})
-            async for chunk in self._chunks():
-                await send({"type": "http.response.body", "body": chunk, "more_body": True})
+            async for part in self._made():
+                await send({"type": "http.response.body", "body": part, "more_body": True})
             await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    async def _chunks(self) -> AsyncIterator[memoryview]:
-        parts = [self._rows[begin : begin + _CHUNK] for begin in range(0, len(self._rows), _CHUNK)]
-        coming: list[asyncio.Task[Rows]] = []
+    async def _made(self) -> AsyncIterator[bytes | memoryview]:
+        coming: list[asyncio.Task[bytes | memoryview]] = []
         try:
-            for part in parts:
-                coming.append(asyncio.create_task(run_in_threadpool(self._answer, part)))
+            for part in self._parts:
+                coming.append(asyncio.create_task(run_in_threadpool(part)))
                 if len(coming) > _AHEAD:
-                    yield _bytes(await coming.pop(0))
+                    yield await coming.pop(0)
             while coming:
-                yield _bytes(await coming.pop(0))
+                yield await coming.pop(0)
         finally:
             for task in coming:
                 task.cancel()
+
+
+def rows_response(
+    rows: Rows,
+    answer: Callable[[Rows], Rows],
+    *,
+    width: int,
+    headers: dict[str, str],
+    held: AbstractContextManager[object],
+) -> PartsResponse:
+    """Answer rows with rows (n, `width`), as a .npy file that is computed while it is being sent."""
+    start = _header(rows.dtype, (rows.shape[0], width))
+    chunks = [rows[begin : begin + _CHUNK] for begin in range(0, len(rows), _CHUNK)]
+
+    def made(chunk: Rows) -> memoryview:
+        return np.ascontiguousarray(answer(chunk)).data.cast("B")
+
+    return PartsResponse(
+        [lambda: start, *(partial(made, chunk) for chunk in chunks)],
+        length=len(start) + rows.shape[0] * width * rows.dtype.itemsize,
+        media_type=NPY,
+        headers=headers,
+        held=held,
+    )
 
 
 def _header(dtype: np.dtype[np.floating], shape: tuple[int, int]) -> bytes:
     stream = io.BytesIO()
     npy.write_array_header_1_0(stream, {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape})
     return stream.getvalue()
-
-
-def _bytes(rows: Rows) -> memoryview:
-    return np.ascontiguousarray(rows).data.cast("B")

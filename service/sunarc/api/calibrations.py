@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request
@@ -13,8 +14,9 @@ from sunarc.api.fields import Time
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
 from sunarc.api.record_schemas import Calibrations, CalibrationSummary
-from sunarc.api.served import Served
+from sunarc.api.served import Kept, Served
 from sunarc.archive import CalibrationRecord, CalibrationState
+from sunarc.exports import FILE_NAMES, FORMATS, MEDIA_TYPES, Exported, Format, export
 
 _DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {
@@ -25,17 +27,39 @@ _DOCUMENT: dict[int | str, dict[str, Any]] = {
     304: {"description": "The document is the one that If-None-Match names."},
 }
 
+_EXPORTED: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The calibration document, schema sunarc.calibration/1, or another format of it.",
+        "headers": {
+            "ETag": {"description": "Changes with the document.", "schema": {"type": "string"}},
+            "Sunarc-Fit-Error": {
+                "description": "How far another format is from the calibration, in px and degrees.",
+                "schema": {"type": "string"},
+            },
+        },
+        "content": _DOCUMENT[200]["content"]
+        | {media_type.partition(";")[0]: {} for name, media_type in MEDIA_TYPES.items() if name != "json"},
+    },
+    304: _DOCUMENT[304],
+}
+
 
 def calibration_routes(served: Served) -> APIRouter:
     """Return the routes that tell calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
-    @routes.get("/calibration", responses=_DOCUMENT | answers(404, 422))
+    made = {name: Kept(partial(_exported, name), key=tag_of) for name in FORMATS}
+
+    @routes.get("/calibration", responses=_EXPORTED | answers(404, 422))
     def calibration(
-        request: Request, at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None
+        request: Request,
+        at: Time | None = None,
+        wanted: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
+        if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
         """Return the calibration that answers now, or the one that answers for the moment `at`."""
-        return _document(served.of(request).record(at), if_none_match)
+        record = served.of(request).record(at)
+        return _document(record, if_none_match) if wanted == "json" else _export(record, made, wanted, if_none_match)
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
@@ -79,8 +103,13 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
     )
 
 
+def tag_of(record: CalibrationRecord) -> str:
+    """Return what changes with a calibration's document."""
+    return hashlib.sha256(_text(record)).hexdigest()[:32]
+
+
 def _document(record: CalibrationRecord, if_none_match: str | None) -> Response:
-    return tagged(json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode(), if_none_match)
+    return tagged(_text(record), if_none_match)
 
 
 def tagged(content: bytes, if_none_match: str | None) -> Response:
@@ -90,6 +119,29 @@ def tagged(content: bytes, if_none_match: str | None) -> Response:
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     return Response(content, media_type="application/json", headers=headers)
+
+
+def _text(record: CalibrationRecord) -> bytes:
+    return json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _exported(wanted: Format, record: CalibrationRecord) -> Exported:
+    return export(record.document, wanted)
+
+
+def _export(
+    record: CalibrationRecord, made: dict[Format, Kept[Exported]], wanted: Format, if_none_match: str | None
+) -> Response:
+    tag = f'"{tag_of(record)}-{wanted}"'
+    headers = {"etag": tag, "cache-control": "no-cache"}
+    if matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    exported = made[wanted].get(record)
+    headers |= {
+        "content-disposition": f'attachment; filename="{FILE_NAMES[wanted]}"',
+        "sunarc-fit-error": exported.error,
+    }
+    return Response(exported.content, media_type=MEDIA_TYPES[wanted], headers=headers)
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:

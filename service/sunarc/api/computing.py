@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from sunarc.api.arrays import NPY, Gate, Rows, RowsResponse, read_rows
+from sunarc.api.arrays import NPY, Gate, Rows, read_rows, rows_response
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.api.served import Served
 from sunarc.archive import CalibrationRecord
@@ -112,7 +112,7 @@ def rows_told(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
         "Sunarc-Calibration": {"description": "Id of the calibration that answered.", "schema": {"type": "string"}},
         "Sunarc-Columns": {"description": "Names of the columns of a .npy.", "schema": {"type": "string"}},
     }
-    return {200: {"description": text, "headers": headers, "content": {NPY: _BINARY}}}
+    return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
 
 
 def _json(computation: Computation, served: Served, request: Request, body: bytes, at: datetime | None) -> Response:
@@ -131,7 +131,7 @@ async def _rows(
         body = await request.body()
         rows = read_rows(body, columns=computation.columns, most=served.options.max_rows)
         answering = await run_in_threadpool(_answering, served, request, at)
-        return RowsResponse(
+        return rows_response(
             rows,
             partial(computation.answer, answering),
             width=len(computation.told),

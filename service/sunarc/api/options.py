@@ -33,6 +33,7 @@ class ApiOptions:
     max_array_bytes : a larger request of .npy is refused (413).
     max_points : more pixels or directions in one request of JSON are refused (413).
     max_rows : more of them in one request of .npy are refused (413).
+    obstruction_mask : an image of the camera's size, black where something hides the sky; it goes into the maps.
     max_large_at_once : large requests (of .npy, of long JSON, of exports that are to be made) that are answered at the
         same time; more are refused (429).
     max_connections : open connections; of more, the one that was idle longest is closed.
@@ -52,6 +53,7 @@ class ApiOptions:
     max_points: int = 100_000
     max_rows: int = 4_000_000
     max_large_at_once: int = 4
+    obstruction_mask: Path | None = None
     max_connections: int = 512
     max_at_once: int = 128
     requests_per_s: float = 100.0

@@ -29,26 +29,35 @@ class Kept(Generic[Value]):
 
     Parameters
     ----------
-    make : makes it; a model never changes under one id.
+    make : makes it.
+    most : so many are kept.
+    key : what makes it another one; a model never changes under one id.
     """
 
-    def __init__(self, make: Callable[[CalibrationRecord], Value]) -> None:
-        self._make = make
+    def __init__(
+        self,
+        make: Callable[[CalibrationRecord], Value],
+        *,
+        most: int = _MOST_KEPT,
+        key: Callable[[CalibrationRecord], str] = lambda record: record.id,
+    ) -> None:
+        self._make, self._most, self._key = make, most, key
         self._turn = threading.Lock()
         self._kept: OrderedDict[str, Value] = OrderedDict()
 
     def known(self, record: CalibrationRecord | None) -> Value | None:
         """Return what is there already, at once."""
-        return None if record is None else self._kept.get(record.id)
+        return None if record is None else self._kept.get(self._key(record))
 
     def get(self, record: CalibrationRecord) -> Value:
         """Return what is made of a record; it may have to be made."""
+        key = self._key(record)
         with self._turn:
-            found = self._kept.get(record.id)
+            found = self._kept.get(key)
             if found is None:
-                found = self._kept[record.id] = self._make(record)
-            self._kept.move_to_end(record.id)
-            while len(self._kept) > _MOST_KEPT:
+                found = self._kept[key] = self._make(record)
+            self._kept.move_to_end(key)
+            while len(self._kept) > self._most:
                 self._kept.popitem(last=False)
             return found
 

@@ -1,7 +1,8 @@
 """Answers from files, with no service running: what the command line does at once and prints.
 
 fitting.py: sightings to a calibration · placing.py: directions to pixels and back · detecting.py: the sun in images ·
-ingesting.py: an archive of images to sightings · storing.py: the archive in and out · files.py: what is handed over.
+ingesting.py: an archive of images to sightings · storing.py: the archive in and out · export_command_line.py: other
+formats · files.py: what is handed over.
 """
 
 from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay

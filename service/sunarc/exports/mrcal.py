@@ -1,0 +1,105 @@
+"""mrcal's camera model: a splined stereographic lens, which can follow any lens that rises.
+
+Reference: D. Kogan, mrcal's documentation of LENSMODEL_SPLINED_STEREOGRAPHIC: u = 2 tan(θ/2) along the ray's direction
+about the axis, moved by a cubic B-spline surface over u, then scaled by the focal lengths and shifted by the centre.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, kron, vstack
+from scipy.sparse.linalg import spsolve
+
+from sunarc.exports.sky import FitError, fit_error, sky_of
+from sunarc.optics import Camera
+
+FloatArray = NDArray[np.float64]
+
+_KNOTS = 40
+_STIFFNESS = 1e-7
+_MARGIN = math.radians(2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SplinedModel:
+    """mrcal's splined stereographic camera.
+
+    Attributes
+    ----------
+    name : of the lens model, with its configuration.
+    intrinsics : focal lengths, centre, control points (px, px, then in u).
+    error : how far it is from ours.
+    """
+
+    name: str
+    intrinsics: FloatArray
+    error: FitError
+
+
+def splined_model(camera: Camera) -> SplinedModel:
+    """Return mrcal's splined model that is closest to a camera; its pose is the camera's own."""
+    sky = sky_of(camera, within=camera.max_angle)
+    fov_deg = min(math.ceil(2.0 * math.degrees(sky.within + _MARGIN)), 330)
+    knots_per_u = (_KNOTS - 3) / (4.0 * math.tan(math.radians(fov_deg) / 4.0))
+    sign = -1.0 if camera.mirrored else 1.0
+    focal = np.array([sign * camera.focal_length_px[0], camera.focal_length_px[1]])
+    x0, y0 = camera.principal_point_px
+    center = np.array([camera.width - 1.0 - x0 if camera.mirrored else x0, y0])
+    u = 2.0 * sky.rays[:, :2] / (1.0 + sky.rays[:, 2:])
+    design = _design(u, knots_per_u)
+    wanted = (sky.pixels - center) / focal - u
+    bending = _bending()
+    normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
+    control = spsolve(normal, design.T @ wanted)
+    told = (u + design @ control) * focal + center
+    return SplinedModel(
+        name=f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={_KNOTS}_Ny={_KNOTS}_fov_x_deg={fov_deg}",
+        intrinsics=np.r_[focal, center, control.ravel()],
+        error=fit_error(camera, sky, told),
+    )
+
+
+def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> bytes:
+    """Return mrcal's file; its reference frame is east-north-up."""
+    listed = ", ".join(f"{value:.10g}" for value in model.intrinsics)
+    turn = ", ".join(f"{value:.12f}" for value in camera.rotation_cam_enu)
+    return (
+        "".join(f"# {note}\n" for note in notes)
+        + "{\n"
+        + f"    'lensmodel':  '{model.name}',\n\n"
+        + "    # rotation vector and translation from east-north-up to the camera\n"
+        + f"    'extrinsics': [ {turn}, 0, 0, 0 ],\n\n"
+        + f"    'intrinsics': [ {listed} ],\n\n"
+        + f"    'imagersize': [ {camera.width}, {camera.height} ]\n"
+        + "}\n"
+    ).encode()
+
+
+def _design(u: FloatArray, knots_per_u: float) -> csr_array:
+    """Return (n, knots²): the weight of every control point, the row of the image slowest."""
+    place = np.clip(u * knots_per_u + (_KNOTS - 1) / 2.0, 1.0, _KNOTS - 2.0 - 1e-9)
+    node = np.floor(place).astype(np.int64)
+    s = place - node
+    weights = (
+        np.stack(
+            [(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, -3.0 * s**3 + 3.0 * s**2 + 3.0 * s + 1.0, s**3], axis=-1
+        )
+        / 6.0
+    )
+    columns = node[..., None] - 1 + np.arange(4)
+    index = columns[:, 1, :, None] * _KNOTS + columns[:, 0, None, :]
+    value = weights[:, 1, :, None] * weights[:, 0, None, :]
+    count = len(u)
+    row = np.broadcast_to(np.arange(count)[:, None, None], index.shape)
+    return csr_array((value.ravel(), (row.ravel(), index.ravel())), shape=(count, _KNOTS**2))
+
+
+def _bending() -> csr_array:
+    """Return what holds the control points that no ray reaches: differences of the third order."""
+    third = csr_array(np.diff(np.eye(_KNOTS), n=3, axis=0))
+    identity = csr_array(np.eye(_KNOTS))
+    return csr_array(vstack([kron(third, identity), kron(identity, third)]))

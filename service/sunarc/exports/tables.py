@@ -1,0 +1,205 @@
+"""Named arrays with units, as NetCDF (CF conventions) and npz: a calibration, and the map of what every pixel sees."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import h5netcdf
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from sunarc.calibration import BackProjectionMap, Calibration, lookup
+from sunarc.exports.sky import FitError, fit_error, sky_of
+from sunarc.optics import Camera, project
+
+_STEP = 8
+_CONVENTIONS = (
+    "pixel (0, 0) is the centre of the top-left one, x right, y down; azimuth clockwise from north; directions are "
+    "apparent (refracted) unit vectors, east-north-up; a sigma is per axis; NaN outside the camera's field"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variable:
+    """An array, what its dimensions are called, and what it means.
+
+    Attributes
+    ----------
+    dimensions : names; a dimension with a variable of its name has it as its coordinate.
+    values : the array.
+    attributes : units, long_name and others of the CF conventions.
+    """
+
+    dimensions: tuple[str, ...]
+    values: NDArray[Any]
+    attributes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Variables that belong together.
+
+    Attributes
+    ----------
+    variables : by name.
+    attributes : of the whole.
+    """
+
+    variables: Mapping[str, Variable]
+    attributes: Mapping[str, Any]
+
+
+def netcdf_bytes(table: Table) -> bytes:
+    """Return a NetCDF-4 file."""
+    target = io.BytesIO()
+    with h5netcdf.File(target, "w") as file:
+        for variable in table.variables.values():
+            for name, size in zip(variable.dimensions, variable.values.shape, strict=True):
+                if name not in file.dimensions:
+                    file.dimensions[name] = size
+        for name, variable in table.variables.items():
+            written = file.create_variable(name, variable.dimensions, **_content(variable.values))
+            written.attrs.update(variable.attributes)
+        file.attrs.update(table.attributes)
+    return target.getvalue()
+
+
+def _content(values: NDArray[Any]) -> dict[str, Any]:
+    """Return what h5netcdf is told of an array; texts are of any length."""
+    if values.dtype.kind == "U":
+        return {"dtype": h5py.string_dtype(), "data": values.astype(object)}
+    return {"data": values}
+
+
+def npz_bytes(table: Table) -> bytes:
+    """Return an npz file: the arrays by name, and `attributes`, a JSON text of all that is said of them."""
+    said = {"attributes": dict(table.attributes)} | {n: dict(v.attributes) for n, v in table.variables.items()}
+    text = json.dumps(said, default=lambda value: value.tolist())
+    target = io.BytesIO()
+    arrays = {name: variable.values for name, variable in table.variables.items()}
+    np.savez(target, allow_pickle=False, attributes=np.array(text), **arrays)
+    return target.getvalue()
+
+
+def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: Mapping[str, Variable]) -> Table:
+    """Return the map of what every pixel sees, with masks of its shape."""
+    height, width = found.zenith_deg.shape
+    variables = _axes(np.arange(width), np.arange(height)) | {"camera": _camera(document)}
+    variables |= _views(found.zenith_deg, found.azimuth_deg, found.directions, found.sigma_deg)
+    return Table(
+        variables=variables | dict(masks),
+        attributes=_attributes(document, title="What every pixel of an all-sky imager sees"),
+    )
+
+
+def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> tuple[Table, FitError]:
+    """Return a calibration as arrays: parameters, covariance, and a grid of what every eighth pixel sees.
+
+    The error is that of a bilinear interpolation of the unit vectors between the pixels of the grid.
+    """
+    camera = calibration.camera
+    x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
+    told = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
+    error = _bilinear_error(camera, x, y, np.asarray(told[..., 2:5], dtype=np.float64))
+    names = np.array(calibration.parameter_names)
+    variables = _axes(x, y) | {"camera": _camera(document)}
+    variables |= _views(told[..., 0], told[..., 1], told[..., 2:5], told[..., 5])
+    variables |= {
+        "parameter": Variable(dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter"}),
+        "parameter_too": Variable(
+            dimensions=("parameter_too",), values=names, attributes={"long_name": "fitted parameter"}
+        ),
+        "covariance": Variable(
+            dimensions=("parameter", "parameter_too"),
+            values=calibration.covariance,
+            attributes={"long_name": "covariance of the fitted parameters, in their own units"},
+        ),
+    }
+    attributes = _attributes(document, title="Calibration of an all-sky imager") | {
+        "calibration_document": json.dumps(document, separators=(",", ":")),
+        "fit_error": f"the grid, interpolated bilinearly by its unit vectors, {error}",
+    }
+    return Table(variables=variables, attributes=attributes), error
+
+
+def _every(step: int, size: int) -> NDArray[np.int64]:
+    """Return every so manieth pixel, and the last one."""
+    return np.unique(np.r_[np.arange(0, size, step), size - 1])
+
+
+def _axes(x: NDArray[np.int64], y: NDArray[np.int64]) -> dict[str, Variable]:
+    def axis(name: str, values: NDArray[np.int64], meaning: str) -> Variable:
+        return Variable(
+            dimensions=(name,), values=values.astype(np.int32), attributes={"units": "1", "long_name": meaning}
+        )
+
+    component = Variable(
+        dimensions=("component",), values=np.array(["east", "north", "up"]), attributes={"long_name": "component"}
+    )
+    return {
+        "y": axis("y", y, "row in px from the centre of the top-most pixel, downward"),
+        "x": axis("x", x, "column in px from the centre of the left-most pixel, rightward"),
+        "component": component,
+    }
+
+
+def _views(
+    zenith: NDArray[Any], azimuth: NDArray[Any], directions: NDArray[Any], sigma: NDArray[Any]
+) -> dict[str, Variable]:
+    def view(values: NDArray[Any], units: str, meaning: str, *more: str) -> Variable:
+        attributes = {"units": units, "long_name": meaning, "grid_mapping": "camera"}
+        return Variable(dimensions=("y", "x", *more), values=values, attributes=attributes)
+
+    return {
+        "zenith": view(zenith, "degree", "apparent zenith angle of the view direction"),
+        "azimuth": view(azimuth, "degree", "azimuth of the view direction, clockwise from north"),
+        "direction": view(directions, "1", "unit vector towards what the pixel sees, east-north-up", "component"),
+        "sigma": view(sigma, "degree", "1-sigma of the view direction on the sphere, per axis"),
+    }
+
+
+def _camera(document: Mapping[str, Any]) -> Variable:
+    """Return the variable that plays the part of a grid mapping: its attributes are the camera model."""
+    model, image, site = document["model"], document["image"], document["site"]
+    return Variable(
+        dimensions=(),
+        values=np.array(0, dtype=np.int32),
+        attributes={
+            "grid_mapping_name": "all_sky_imager",
+            "long_name": "camera model (schema sunarc.calibration/1)",
+            "mirrored": int(image["mirrored"]),
+            "latitude": float(site["latitude"]),
+            "longitude": float(site["longitude"]),
+            "altitude": float(site["altitude"]),
+            **{name: np.asarray(value) if isinstance(value, list) else value for name, value in model.items()},
+        },
+    )
+
+
+def _attributes(document: Mapping[str, Any], *, title: str) -> dict[str, Any]:
+    software = document["software"]
+    return {
+        "Conventions": "CF-1.11",
+        "title": title,
+        "source": f"{software['name']} {software['version']}",
+        "comment": _CONVENTIONS,
+        "camera_name": document["camera"],
+        "calibration": document["id"],
+        "valid_from": document["valid_from"] or "",
+    }
+
+
+def _bilinear_error(
+    camera: Camera, x: NDArray[np.int64], y: NDArray[np.int64], directions: NDArray[np.float64]
+) -> FitError:
+    sky = sky_of(camera, within=camera.max_angle)
+    between = RegularGridInterpolator((y, x), directions, bounds_error=False, fill_value=None)(sky.pixels[:, ::-1])
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    return fit_error(camera, sky, project(camera, between))

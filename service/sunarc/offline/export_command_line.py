@@ -1,0 +1,65 @@
+"""The command `sunarc export`: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sunarc.errors import InputError, OutsideError
+from sunarc.exports import FORMATS, MAP_FORMATS, export, export_map
+from sunarc.offline.files import read_file
+
+_MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
+
+
+def export_calibration(
+    calibration: Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")],
+    *,
+    wanted: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
+    target: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write; standard output unless given.")
+    ] = None,
+) -> None:
+    """Write a calibration in another format, and say on standard error how far that is from it.
+
+    Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
+    """
+    content, error = _made(_document(calibration), wanted)
+    if target is None:
+        sys.stdout.buffer.write(content)
+    else:
+        _write(target, content)
+    print(f"{wanted}: {error}", file=sys.stderr)
+
+
+def _made(document: dict[str, object], wanted: str) -> tuple[bytes, str]:
+    for name in MAP_FORMATS:
+        if wanted == f"map-{name}":
+            return export_map(document, name), "in single precision"
+    for chosen in FORMATS:
+        if wanted == chosen:
+            made = export(document, chosen)
+            return made.content, made.error
+    known = ", ".join((*FORMATS, *_MAPS))
+    raise InputError(field="--format", problem=f"{wanted!r} is unknown", remedy=f"use one of {known}")
+
+
+def _document(path: Path) -> dict[str, object]:
+    try:
+        found = json.loads(read_file(path))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(field=str(path), problem="is no JSON object", remedy="give a calibration document")
+    return found
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path}: {error.strerror}") from error

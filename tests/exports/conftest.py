@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sunarc.calibration import (
+    BackwardModel,
+    Calibration,
+    Evidence,
+    Field,
+    Metrics,
+    Verdict,
+    WaveBasis,
+    camera_sees,
+    hemisphere,
+    to_document,
+)
+from sunarc.optics import Camera, pose_angles, project
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+
+LENS = Camera(
+    width=1748,
+    height=1600,
+    projection="equisolid",
+    focal_length_px=(601.32, 600.9),
+    principal_point_px=(871.96, 803.0),
+    rotation_cam_enu=(0.05, -0.035, 2.1),
+    skew_px=0.2,
+    radial=(0.004, -0.009, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0),
+    decentering=(1e-4, -5e-5, 0.0, 0.0),
+)
+
+
+def document_of(camera: Camera) -> dict[str, Any]:
+    """Return the document of a calibration whose every number is chosen."""
+    basis = WaveBasis(center_px=(873.5, 799.5), half_px=(1400.0, 1400.0), orders=np.array([[1, 1]]))
+    numbers = dict.fromkeys(("rmse_px", "rmse_all_px", "mae_px", "sd_px", "sd_of_distance_px", "rmse_deg"), 0.04)
+    made = Calibration(
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        parameter_names=("principal_point_x_px", "rotation_z"),
+        covariance=np.array([[1e-4, 1e-8], [1e-8, 1e-10]]),
+        field=Field(amplitude_px=0.05, length_px=425.0, basis=basis, cross=np.zeros((2, 2, 1))),
+        sky_rms_deg=0.006,
+        sky_max_deg=0.012,
+        metrics=Metrics(n=1440, **numbers),
+        pose=pose_angles(camera.rotation_cam_enu),
+        backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
+        evidence=Evidence(
+            days=("2013-05-13",),
+            n_supplied=1500,
+            n_used=1440,
+            n_rejected=60,
+            options={},
+            sigma_px=0.03,
+            inflation=1.0,
+            radial_px=1.7,
+            clock_error_s=0.01,
+        ),
+        verdict=Verdict(accepted=True, reasons=("chosen",)),
+        method="robust",
+        site=Site(latitude=36.604043, longitude=-97.484856, altitude=318.0),
+    )
+    day = datetime(2013, 5, 13, tzinfo=UTC)
+    return to_document(
+        made,
+        id="one",
+        camera="the roof's",
+        state="current",
+        created_at=day,
+        valid_from=day,
+        valid_until=None,
+        pose_epoch="1",
+        software_version="0.1.0",
+    )
+
+
+@pytest.fixture(scope="session", params=["straight", "mirrored"])
+def camera(request: pytest.FixtureRequest) -> Camera:
+    return replace(LENS, mirrored=request.param == "mirrored")
+
+
+@pytest.fixture(scope="session")
+def document(camera: Camera) -> dict[str, Any]:
+    return document_of(camera)
+
+
+@pytest.fixture(scope="session")
+def straight() -> dict[str, Any]:
+    return document_of(LENS)
+
+
+@pytest.fixture(scope="session")
+def sky(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return directions (n, 3) above 1 degree, and their pixels (n, 2) in the image."""
+    directions = hemisphere(3001)
+    directions = directions[directions[:, 2] > np.sin(np.radians(1.0))]
+    pixels = project(camera, directions)
+    seen = camera_sees(camera, pixels)
+    return directions[seen], pixels[seen]
+
+
+def worst_stated_px(error: str) -> float:
+    """Return the largest error that a sentence states first."""
+    return float(error.split(" px RMS and ")[1].split(" px", maxsplit=1)[0])
