@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
 from sunarc.archive import Archive, CameraRecord, backup, check, head_revision, open_archive, upgrade
@@ -26,6 +28,15 @@ def test_the_migrations_make_the_tables_of_the_models(path: Path) -> None:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, metadata) == []
     engine.dispose()
+
+
+def test_migrations_are_named_after_their_revisions_which_follow_one_another(pytestconfig: pytest.Config) -> None:
+    config = Config()
+    config.set_main_option("script_location", str(pytestconfig.rootpath / "migrations"))
+    scripts = list(ScriptDirectory.from_config(config).walk_revisions())
+    assert [Path(script.path).name.split("_")[0] for script in scripts] == [script.revision for script in scripts]
+    assert scripts[0].revision == head_revision()
+    assert sorted(script.revision for script in scripts) == [script.revision for script in reversed(scripts)]
 
 
 def test_an_upgrade_from_nothing_reaches_the_head_and_a_second_one_does_nothing(path: Path) -> None:

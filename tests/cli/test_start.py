@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-HEAVY = ("pandas", "matplotlib", "xarray", "scipy.stats", "scipy.signal")
+HEAVY = ("pandas", "matplotlib", "xarray", "scipy.stats", "scipy.signal", "alembic")
 
 
 def test_the_command_line_starts_without_what_only_some_answers_need() -> None:

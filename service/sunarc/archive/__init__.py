@@ -1,7 +1,7 @@
 """What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
 
 values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
-schema.py: revisions, migrations (in migrations/), checks · copies.py: backups and their way back · sightings.py (with
+schema.py: revisions, checks · migrating.py: alembic's part · copies.py: backups and their way back · sightings.py (with
 columns.py), calibrations.py (with documents.py, validity.py), history.py, used.py, journal.py: the parts of `Archive` ·
 archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside them · csv_files.py: the
 files people hand us.

@@ -6,15 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from alembic import command
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, Engine, func, inspect, select
 
 import sunarc
 from sunarc.archive.copies import backup
-from sunarc.archive.engine import create_archive_engine, reading, writing
+from sunarc.archive.engine import create_archive_engine, reading
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
 
@@ -43,10 +39,7 @@ class Check:
 
 def head_revision() -> str:
     """Return the revision that this version needs."""
-    head = ScriptDirectory.from_config(_config()).get_current_head()
-    if head is None:
-        raise SchemaError("the migrations are missing; install sunarc again")
-    return head
+    return _revisions()[-1]
 
 
 def upgrade(path: Path) -> Path | None:
@@ -65,10 +58,7 @@ def upgrade(path: Path) -> Path | None:
         if revision == head_revision():
             return None
         copy = backup(path, _kept_aside(path, revision), replace=True) if existed else None
-        config = _config()
-        with writing(engine) as connection:
-            config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+        _migrate(engine, to="head")
     finally:
         engine.dispose()
     return copy
@@ -96,23 +86,20 @@ def downgrade(path: Path, revision: str) -> Path:
     What only the newer revision can hold is lost; everything else stays.
     """
     require_file(path, command="sunarc db upgrade")
-    known = tuple(script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
+    known = _revisions()
     engine = create_archive_engine(path, foreign_keys=False)
     try:
         with reading(engine) as connection:
             present = _revision(connection)
-        if present not in known or revision not in known or known.index(revision) < known.index(present):
-            older = ", ".join(known[known.index(present) :]) if present in known else "none"
+        if present not in known or revision not in known or revision > present:
+            older = ", ".join(known[: known.index(present) + 1]) if present in known else "none"
             raise InputError(
                 field="--to",
                 problem=f"{path} is at revision {present}, which cannot be brought to {revision}",
                 remedy=f"give one of: {older}",
             )
         copy = backup(path, path.with_name(f"{path.name}.at-{present}"), replace=True)
-        config = _config()
-        with writing(engine) as connection:
-            config.attributes["connection"] = connection
-            command.downgrade(config, revision)
+        _migrate(engine, to=revision)
     finally:
         engine.dispose()
     return copy
@@ -127,7 +114,7 @@ def require_file(path: Path, *, command: str) -> None:
 def require_head(connection: Connection, *, path: Path, command: str) -> None:
     """Refuse a database of another revision."""
     revision, head = _revision(connection), head_revision()
-    if revision is None or revision in _known_revisions():
+    if revision is None or revision in _revisions():
         if revision != head:
             raise SchemaError(f"{path} is at revision {revision}, this version needs {head}; run: {command}")
         return
@@ -142,11 +129,24 @@ def _kept_aside(path: Path, revision: str | None) -> Path:
 
 
 def _revision(connection: Connection) -> str | None:
-    return MigrationContext.configure(connection).get_current_revision()
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    found = connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar()
+    return None if found is None else str(found)
 
 
-def _known_revisions() -> set[str]:
-    return {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
+def _revisions() -> tuple[str, ...]:
+    """Return the revisions that this version knows, oldest first: a migration's file begins with its own."""
+    known = sorted(file.stem.split("_")[0] for file in (_migrations() / "versions").glob("[0-9]*.py"))
+    if not known:
+        raise SchemaError("the migrations are missing; install sunarc again")
+    return tuple(known)
+
+
+def _migrate(engine: Engine, *, to: str) -> None:
+    from sunarc.archive.migrating import migrate  # noqa: PLC0415 - a start without a migration does without alembic
+
+    migrate(engine, _migrations(), to=to)
 
 
 def _integrity(connection: Connection) -> tuple[str, ...]:
@@ -155,13 +155,10 @@ def _integrity(connection: Connection) -> tuple[str, ...]:
     return (*(line for line in lines if line != "ok"), *(f"{row[0]} row {row[1]} refers to nothing" for row in orphans))
 
 
-def _config() -> Config:
+def _migrations() -> Path:
     package = Path(sunarc.__file__).parent
     places = (package / "migrations", package.parents[1] / "migrations")  # an installed wheel, a checkout
-    config = Config()
-    place = next((folder for folder in places if folder.is_dir()), places[0])
-    config.set_main_option("script_location", str(place).replace("%", "%%"))
-    return config
+    return next((folder for folder in places if folder.is_dir()), places[0])
 
 
 def _make_folder(folder: Path) -> None:
