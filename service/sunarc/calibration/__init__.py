@@ -4,8 +4,8 @@ Map: `points` what is given · `selection`, `patches` what of a long record is u
 `calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
 `loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `doubt`, `robust` the service's
 method · `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`,
-`acceptance` what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose ·
-`days` what a day is worth · `circle` the image circle · `document` its JSON.
+`acceptance` what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose · `watching/` what
+changed · `days` what a day is worth · `circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points

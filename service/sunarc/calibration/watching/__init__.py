@@ -1,0 +1,10 @@
+"""Did something change? Every sighting against the calibration, and what explains those that disagree.
+
+Map: `values` what is told, remembered and found · `window` sightings held to a calibration · `observe` one more of them
+· `explain` the explanations, weighed · `tell` the one that is named, in words.
+"""
+
+from sunarc.calibration.watching.observe import REMEMBERED, observe
+from sunarc.calibration.watching.values import Change, ChangeKind, Watch, Watched, WatchOptions
+
+__all__ = ["REMEMBERED", "Change", "ChangeKind", "Watch", "WatchOptions", "Watched", "observe"]

@@ -1,0 +1,269 @@
+"""What changed, and when: explanations weighed by how likely they make the last sightings.
+
+Every explanation changes where the sun is predicted from one sighting on, with few free numbers (three for a turn, one
+for a clock, none for a mirrored image); its evidence is that of all sightings, before and after, false ones among them.
+Reference for the weighing: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.posing.condition import Held, Sightings, held_to
+from sunarc.calibration.posing.seen import finite
+from sunarc.calibration.posing.stated import joined, predicted, turned
+from sunarc.calibration.posing.turn import likely_turn
+from sunarc.calibration.watching.tell import told
+from sunarc.calibration.watching.values import Change, ChangeKind, WatchOptions
+from sunarc.calibration.watching.window import Window, errors_at
+from sunarc.optics import Camera, project_fast, rotation_matrix
+from sunarc.sky import Site, sun_directions
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_SMALLEST_TURN_RAD = math.radians(0.02)
+_RECENT, _STRIDE, _FEW = 12, 3, 4
+_CLEARER = 6.0
+"""Powers of e by which a rarer explanation must be better than a turn to be named."""
+_CLOCK_PRIOR = 5.0
+"""Powers of e that a clock is less likely than a bump where the host says nothing."""
+_AS_LIKELY = 5.0
+_CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
+_LARGEST_SPREAD_PX2 = 1.0
+_LONG, _ROUGH_PX = 10, 5.0
+_FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.05, 0.03, 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Explanation:
+    """What the sightings from one on would be if something had changed.
+
+    Attributes
+    ----------
+    kind : what.
+    first : the first sighting after the change.
+    camera : that sees them then.
+    directions, pixels : (k, 3) where the sun was, (k, 2) where it was seen, told as that camera tells it.
+    free : (p, f) what may still be off, in the belief's parameters, one column a free number of 1-sigma 1.
+    mean : (p,) where those are expected before the sightings.
+    """
+
+    kind: ChangeKind
+    first: int
+    camera: Camera
+    directions: FloatArray
+    pixels: FloatArray
+    free: FloatArray
+    mean: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Weighed:
+    """An explanation with what the sightings say of it."""
+
+    of: Explanation
+    held: Held
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of how likely it makes them."""
+        return self.held.log_evidence
+
+    @property
+    def agreeing(self) -> int:
+        """How many sightings after the change agree with it."""
+        return int(self.held.believed[self.of.first :].sum())
+
+
+def explain(
+    window: Window, *, site: Site, options: WatchOptions, small: bool, clock_stepped: bool, posed_from_few: bool
+) -> Change | None:
+    """Return the change that explains the last sightings far better than none does; None where there is none.
+
+    Parameters
+    ----------
+    window, site, options : see `observe`.
+    small : whether to look for changes so small that sightings were trusted in spite of them.
+    clock_stepped, posed_from_few : see `observe`.
+    """
+    nothing = held_to(window.covariance, window.seen, window.watch.trusted)
+    best = _best_turn(window, small=small, least=options.least_agreeing)
+    best = best or _lens_alone(window)
+    if not best:
+        return None
+    rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
+    chosen = _chosen(best[0], rivals, clock_stepped=clock_stepped)
+    gain = chosen.evidence - nothing.log_evidence
+    if gain < options.least_gain or chosen.agreeing < options.least_agreeing:
+        return None
+    if chosen.agreeing < int(nothing.believed[chosen.of.first :].sum()):
+        return None
+    alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
+    return told(window, chosen.of, chosen.held, gain=gain, alike=alike)
+
+
+def _best_turn(window: Window, *, small: bool, least: int) -> list[Weighed]:
+    """Return the turns from one sighting on that may be, the best first; a change begins with what was not trusted."""
+    n = len(window.watch)
+    recent = range(max(n - _RECENT, 0), n - least + 1)
+    coarse = sorted({*recent, *range(0, max(n - _RECENT, 0), _STRIDE)})
+    places = coarse if small else [k for k in range(n - least + 1) if not window.watch.trusted[k]]
+    turns = _turns(window, places, least=least)
+    if turns and small:
+        best = turns[0].of.first
+        near = range(max(best - _STRIDE, 0), min(best + _STRIDE, n - least) + 1)
+        turns += _turns(window, [k for k in near if k not in places], least=least)
+    return sorted(turns, key=lambda turn: -turn.evidence)
+
+
+def _turns(window: Window, places: list[int], *, least: int) -> list[Weighed]:
+    found = [_turn_from(window, first, least=least) for first in places]
+    return sorted((turn for turn in found if turn is not None), key=lambda turn: -turn.evidence)
+
+
+def _weigh(window: Window, explanation: Explanation) -> Weighed:
+    """Return an explanation with its evidence."""
+    before = np.arange(explanation.first)
+    after = predicted(window.belief, explanation.camera, explanation.directions)
+    at = joined(window.at.select(before), after)
+    residual = np.concatenate([window.seen.residual[before], finite(explanation.pixels - after.pixels)])
+    residual[explanation.first :] -= after.rows @ explanation.mean
+    free = np.concatenate(
+        [np.zeros((2 * before.size, explanation.free.shape[1])), _flat(after.rows @ explanation.free)]
+    )
+    covariance = errors_at(window, at) + free @ free.T
+    seen = Sightings(residual=residual, variance=window.seen.variance, false_density=window.seen.false_density)
+    off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
+    rough = _FAR_PX if explanation.kind == "lens" else _CLOSE_PX
+    close = off < _CLOSE * np.sqrt(seen.variance[explanation.first :]) + rough
+    believed = np.concatenate([window.watch.trusted[before], close])
+    return Weighed(of=explanation, held=held_to(covariance, seen, believed))
+
+
+def _flat(rows: FloatArray) -> FloatArray:
+    return rows.reshape(-1, rows.shape[-1])
+
+
+def _turn_from(window: Window, first: int, *, least: int) -> Weighed | None:
+    """Return the turn that most sightings from one on agree with; None where fewer than `least` do."""
+    watch = window.watch
+    directions, pixels = watch.directions[first:], watch.pixels[first:]
+    spread = np.diag(window.covariance).reshape(-1, 2).mean(axis=1)[first:]
+    tolerance = np.sqrt(window.seen.variance[first:] + np.minimum(spread, _LARGEST_SPREAD_PX2))
+    turn = likely_turn(window.camera, directions, pixels, tolerance)
+    apart = finite(pixels - project_fast(turned(window.camera, turn), directions))
+    if np.sum(np.linalg.norm(apart, axis=-1) < _CLOSE * tolerance) < least:
+        return None
+    size = max(float(np.linalg.norm(turn)), _SMALLEST_TURN_RAD)
+    return _weigh(window, _turning(window, first, turn, size * np.eye(3), kind="bump"))
+
+
+def _turning(window: Window, first: int, turn: FloatArray, freedom: FloatArray, *, kind: ChangeKind) -> Explanation:
+    size = window.belief.mean.size
+    free, mean = np.zeros((size, freedom.shape[1])), np.zeros(size)
+    free[window.belief.turn], mean[window.belief.turn] = freedom, -turn
+    return Explanation(
+        kind=kind,
+        first=first,
+        camera=turned(window.camera, turn),
+        directions=window.watch.directions[first:],
+        pixels=window.watch.pixels[first:],
+        free=free,
+        mean=mean,
+    )
+
+
+def _rivals(window: Window, best: Weighed, site: Site, *, posed_from_few: bool) -> list[Weighed]:
+    """Return the other explanations of what the best turn explains."""
+    others = [_clock(window, best, site), *_flips(window, site, best.of.first), _other_lens(window, best.of)]
+    if posed_from_few and best.of.first > 0:
+        whole = _turn_from(window, 0, least=_FEW)
+        others += [] if whole is None else [_other_lens(window, whole.of)]
+    return [_weigh(window, other) for other in others]
+
+
+def _clock(window: Window, best: Weighed, site: Site) -> Explanation:
+    """Return the turn about the celestial pole alone that comes nearest to a turn."""
+    pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_of(site)
+    nearest = float(-best.of.mean[window.belief.turn] @ pole)
+    size = max(abs(nearest), _SMALLEST_TURN_RAD)
+    turn = nearest * pole
+    return _turning(window, best.of.first, turn, size * pole[:, None], kind="clock")
+
+
+def pole_of(site: Site) -> FloatArray:
+    """Return the direction of the celestial north pole, east-north-up."""
+    latitude = math.radians(site.latitude)
+    return np.array([0.0, math.cos(latitude), math.sin(latitude)])
+
+
+def _flips(window: Window, site: Site, first: int) -> list[Explanation]:
+    """Return the explanations without any free number: a mirrored image, a site with a wrong sign."""
+    watch, size = window.watch, window.belief.mean.size
+    plain = Explanation(
+        kind="mirrored",
+        first=first,
+        camera=window.camera,
+        directions=watch.directions[first:],
+        pixels=watch.pixels[first:],
+        free=np.zeros((size, 1)),
+        mean=np.zeros(size),
+    )
+    last = np.array([window.camera.width - 1.0, window.camera.height - 1.0])
+    mirrored = [replace(plain, pixels=np.where(axis, last - plain.pixels, plain.pixels)) for axis in ([1, 0], [0, 1])]
+    sites = [
+        replace(site, latitude=-site.latitude),
+        replace(site, longitude=-site.longitude),
+        replace(site, latitude=-site.latitude, longitude=-site.longitude),
+    ]
+    return mirrored + [
+        replace(plain, kind="site", directions=sun_directions(watch.unix_s[first:], other)) for other in sites
+    ]
+
+
+def _other_lens(window: Window, turn: Explanation) -> Explanation:
+    """Return a turn with a lens of which little is known."""
+    names = list(window.belief.chosen)
+    camera, size = window.camera, window.belief.mean.size
+    spread = {
+        0: _FOCAL_SHARE * camera.focal_length_px[0],
+        3: _CENTER_SHARE * camera.width,
+        4: _CENTER_SHARE * camera.height,
+        11: _RADIAL,
+        12: _RADIAL,
+    }
+    columns = np.zeros((size, len(spread)))
+    for column, (index, sigma) in enumerate(spread.items()):
+        if index in names:
+            columns[names.index(index), column] = sigma
+    if 0 in names and 1 in names:
+        columns[names.index(1), 0] = columns[names.index(0), 0]
+    return replace(turn, kind="lens", free=np.concatenate([turn.free, columns], axis=1))
+
+
+def _lens_alone(window: Window) -> list[Weighed]:
+    """Return a change of the lens where nothing has agreed for long, and no turn explains it."""
+    late = window.watch.trusted[-_LONG:]
+    if late.size < _LONG or np.any(late):
+        return []
+    first = int(np.flatnonzero(window.watch.trusted)[-1]) + 1 if np.any(window.watch.trusted) else 0
+    directions, pixels = window.watch.directions[first:], window.watch.pixels[first:]
+    turn = likely_turn(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
+    size = max(float(np.linalg.norm(turn)), _SMALLEST_TURN_RAD)
+    return [_weigh(window, _other_lens(window, _turning(window, first, turn, size * np.eye(3), kind="bump")))]
+
+
+def _chosen(best: Weighed, rivals: list[Weighed], *, clock_stepped: bool) -> Weighed:
+    """Return the explanation to name: a turn, unless a rarer one is clearly better, or the host's clock was set."""
+
+    def handicap(weighed: Weighed) -> float:
+        if weighed.of.kind == "clock":
+            return -_CLEARER if clock_stepped else _CLOCK_PRIOR
+        return _CLEARER
+
+    return max([best, *rivals], key=lambda one: one.evidence - (0.0 if one is best else handicap(one)))

@@ -1,0 +1,152 @@
+"""What the watch is told, what it remembers, and what it finds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.errors import InputError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ChangeKind = Literal["bump", "clock", "lens", "mirrored", "site"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchOptions:
+    """When a change is believed.
+
+    Attributes
+    ----------
+    wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
+    wander_hours : time over which they do.
+    least_gain : by how many powers of e a change must explain the sightings better than none.
+    least_agreeing : fewest sightings after the change that agree on it.
+    """
+
+    wander_deg: float = 0.01
+    wander_hours: float = 2.0
+    least_gain: float = 20.0
+    least_agreeing: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse what would find changes everywhere."""
+        positive = self.wander_hours > 0.0 and self.wander_deg >= 0.0 and self.least_gain >= 10.0
+        if not (positive and self.least_agreeing >= 3):
+            raise InputError(
+                field="watch",
+                problem="a number is out of bounds",
+                remedy="give wander_deg from 0, wander_hours above 0, least_gain from 10, least_agreeing from 3",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watched:
+    """One sighting as the watch sees it.
+
+    Attributes
+    ----------
+    unix_s : mid-exposure.
+    pixel : x, y, px.
+    direction : where the sun was, east-north-up.
+    sigma_px : stated 1-sigma per axis; NaN where nobody states one.
+    """
+
+    unix_s: float
+    pixel: tuple[float, float]
+    direction: tuple[float, float, float]
+    sigma_px: float = math.nan
+
+
+def _column() -> FloatArray:
+    return np.zeros(0)
+
+
+def _mask() -> BoolArray:
+    return np.zeros(0, dtype=bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Watch:
+    """The last sightings, the oldest first; a value: every look makes a new one.
+
+    Attributes
+    ----------
+    unix_s, sigma_px : (n,)
+    pixels, directions : (n, 2), (n, 3)
+    trusted : (n,) whether each agreed with those before it.
+    surprise : (n, 2) by how many sigmas it did not, in whitened axes; 0 where it is not trusted.
+    """
+
+    unix_s: FloatArray = field(default_factory=_column)
+    pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    directions: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    sigma_px: FloatArray = field(default_factory=_column)
+    trusted: BoolArray = field(default_factory=_mask)
+    surprise: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __len__(self) -> int:
+        return int(self.unix_s.size)
+
+    def since(self, unix_s: float) -> Watch:
+        """Return what is remembered from a moment on."""
+        return self._picked(self.unix_s >= unix_s)
+
+    def last(self, count: int) -> Watch:
+        """Return the last ones."""
+        return self._picked(np.arange(len(self)) >= len(self) - count)
+
+    def with_one(self, seen: Watched, *, trusted: bool, surprise: FloatArray) -> Watch:
+        """Return this with one more sighting."""
+        return Watch(
+            unix_s=np.append(self.unix_s, seen.unix_s),
+            pixels=np.vstack([self.pixels, seen.pixel]),
+            directions=np.vstack([self.directions, seen.direction]),
+            sigma_px=np.append(self.sigma_px, seen.sigma_px),
+            trusted=np.append(self.trusted, trusted),
+            surprise=np.vstack([self.surprise, surprise]),
+        )
+
+    def _picked(self, which: BoolArray) -> Watch:
+        return Watch(
+            unix_s=self.unix_s[which],
+            pixels=self.pixels[which],
+            directions=self.directions[which],
+            sigma_px=self.sigma_px[which],
+            trusted=self.trusted[which],
+            surprise=self.surprise[which],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """Something changed.
+
+    Attributes
+    ----------
+    kind : what it looks like.
+    at_unix_s : of the first sighting after it.
+    earliest_unix_s, latest_unix_s : the last sighting surely before it, the first surely after it.
+    size, size_sigma, unit : how large it is: degrees of a turn, seconds of a clock; 0 where that has no meaning.
+    gain : by how many powers of e it explains the sightings better than no change.
+    agreeing, of : sightings since that agree on it.
+    text, remedy : for people.
+    """
+
+    kind: ChangeKind
+    at_unix_s: float
+    earliest_unix_s: float
+    latest_unix_s: float
+    size: float
+    size_sigma: float
+    unit: str
+    gain: float
+    agreeing: int
+    of: int
+    text: str
+    remedy: str

@@ -1,0 +1,81 @@
+"""The last sightings held to a calibration: what it states of its errors, and a mount that wanders, allowed for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.posing.condition import Sightings, false_density
+from sunarc.calibration.posing.seen import finite, noise_px
+from sunarc.calibration.posing.stated import Predicted, Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.result import Calibration
+from sunarc.calibration.watching.values import Watch, WatchOptions
+from sunarc.optics import Camera
+
+FloatArray = NDArray[np.float64]
+
+_HOUR_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Window:
+    """Sightings, a calibration, and how far the two may lie apart when nothing has changed.
+
+    Attributes
+    ----------
+    watch : the sightings.
+    camera, belief : of the calibration.
+    at : where it sees the sun.
+    covariance : (2n, 2n) of its errors there, px².
+    seen : the sightings' residuals and noise.
+    wander : (n, n) covariance of the mount's wandering between their times, rad².
+    """
+
+    watch: Watch
+    camera: Camera
+    belief: Stated
+    at: Predicted
+    covariance: FloatArray
+    seen: Sightings
+    wander: FloatArray
+
+
+def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> Window:
+    """Return the sightings held to a calibration."""
+    belief, camera = stated(calibration), at_every_angle(calibration.camera)
+    at = predicted(belief, camera, watch.directions)
+    residual = finite(watch.pixels - at.pixels)
+    wander = wandering(watch.unix_s, options)
+    seen = Sightings(
+        residual=residual,
+        variance=noise_px(calibration, watch.sigma_px) ** 2,
+        false_density=false_density(residual, area_px2=float(camera.width * camera.height)),
+    )
+    return Window(
+        watch=watch,
+        camera=camera,
+        belief=belief,
+        at=at,
+        covariance=joint_covariance(belief, at) + _of_turns(belief, at, wander),
+        seen=seen,
+        wander=wander,
+    )
+
+
+def errors_at(window: Window, at: Predicted) -> FloatArray:
+    """Return (2n, 2n): the covariance of the calibration's errors where another camera sees the sun."""
+    return joint_covariance(window.belief, at) + _of_turns(window.belief, at, window.wander)
+
+
+def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
+    """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
+    apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / (options.wander_hours * _HOUR_S)
+    return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + apart) * np.exp(-apart))
+
+
+def _of_turns(belief: Stated, at: Predicted, wander: FloatArray) -> FloatArray:
+    flat = at.rows[..., belief.turn].reshape(-1, 3)
+    return (flat @ flat.T) * np.kron(wander, np.ones((2, 2)))

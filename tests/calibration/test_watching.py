@@ -1,0 +1,178 @@
+"""Every sighting against the calibration: what is noticed, how soon, and what it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, repose
+from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
+from sunarc.errors import InputError
+from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.simulation import SGP
+from sunarc.sky import Site, sun_directions
+
+if TYPE_CHECKING:
+    from tests.calibration.conftest import Simulated
+
+FloatArray = NDArray[np.float64]
+After = Callable[[Camera, FloatArray], FloatArray]
+BEFORE, AFTER = 30, 20
+NOON = 1_368_403_200.0 + 86_400.0 + 43_200.0 + 97.484856 * 240.0
+
+
+@pytest.fixture(scope="module")
+def camera(clear_day: Simulated) -> Camera:
+    return replace(clear_day.camera, max_angle=2.5)
+
+
+def turned(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
+    matrix = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
+    return replace(camera, rotation_cam_enu=rotation_vector(matrix))
+
+
+def sightings(camera: Camera, after: After, *, false: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return one every minute around noon; `after` says where the sun is seen from the 31st on."""
+    times = NOON + 60.0 * np.arange(-BEFORE, AFTER, dtype=np.float64)
+    rng = np.random.default_rng(seed)
+    before = project(camera, sun_directions(times[:BEFORE], SGP))
+    pixels = np.concatenate([before, after(camera, times[BEFORE:])]) + rng.normal(0.0, 0.02, (times.size, 2))
+    wrong = rng.random(times.size) < false
+    return times, pixels + np.where(wrong[:, None], rng.normal(0.0, 8.0, pixels.shape), 0.0)
+
+
+def watched(
+    calibration: Calibration, times: FloatArray, pixels: FloatArray, *, site: Site = SGP, **told: bool
+) -> tuple[int, Change | None]:
+    """Return after how many sightings what was found."""
+    watch, directions = Watch(), sun_directions(times, site)
+    for number, (unix_s, pixel, direction) in enumerate(zip(times, pixels, directions, strict=True), 1):
+        one = Watched(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, change = observe(watch, one, calibration=calibration, site=site, options=WatchOptions(), **told)
+        if change is not None:
+            return number, change
+    return len(times), None
+
+
+def bumped(*turn_deg: float) -> After:
+    return lambda camera, times: project(turned(camera, turn_deg), sun_directions(times, SGP))  # type: ignore[arg-type]
+
+
+def mirrored(camera: Camera, times: FloatArray) -> FloatArray:
+    return np.array([camera.width - 1.0, 0.0]) + [-1.0, 1.0] * project(camera, sun_directions(times, SGP))
+
+
+@pytest.mark.parametrize("turn_deg", [(0.1, 0.0, 0.17), (-0.2, 0.0, 0.0), (0.012, 0.016, 0.0), (20.0, 10.0, -30.0)])
+def test_a_turn_is_noticed_within_ten_sightings_and_dated_to_two(
+    calibrated: Calibration, camera: Camera, turn_deg: tuple[float, float, float]
+) -> None:
+    times, pixels = sightings(camera, bumped(*turn_deg), false=0.0, seed=1)
+    number, change = watched(calibrated, times, pixels)
+    assert change is not None
+    assert change.kind == "bump"
+    assert number - BEFORE <= 10
+    assert abs(change.at_unix_s - times[BEFORE]) <= 2 * 60.0
+    assert change.earliest_unix_s < times[BEFORE] <= change.latest_unix_s
+
+
+def test_a_third_of_false_sightings_hide_no_turn(calibrated: Calibration, camera: Camera) -> None:
+    times, pixels = sightings(camera, bumped(0.0, 0.15, 0.1), false=0.33, seed=2)
+    number, change = watched(calibrated, times, pixels)
+    assert change is not None
+    assert change.kind == "bump"
+    assert number - BEFORE <= 15
+    assert abs(change.at_unix_s - times[BEFORE]) <= 2 * 60.0
+
+
+@pytest.mark.parametrize("false", [0.0, 0.33])
+def test_false_sightings_alone_are_no_change(calibrated: Calibration, camera: Camera, false: float) -> None:
+    times, pixels = sightings(camera, bumped(0.0, 0.0, 0.0), false=false, seed=3)
+    assert watched(calibrated, times, pixels) == (times.size, None)
+
+
+def test_a_mount_that_wanders_with_the_heat_is_no_change(calibrated: Calibration, camera: Camera) -> None:
+    times = NOON + np.arange(-5.0, 5.0, 0.1) * 3600.0
+    lean = 0.01 * np.sin(2.0 * np.pi * (times - NOON) / (4.0 * 3600.0))
+    pixels = np.array(
+        [project(turned(camera, (a, 0.0, 0.0)), sun_directions(t, SGP)) for a, t in zip(lean, times, strict=True)]
+    )
+    noise = np.random.default_rng(4).normal(0.0, 0.02, pixels.shape)
+    assert watched(calibrated, times, pixels + noise)[1] is None
+
+
+def test_a_clock_that_the_host_says_was_set_is_a_clock(calibrated: Calibration, camera: Camera) -> None:
+    times, pixels = sightings(camera, lambda seen, t: project(seen, sun_directions(t + 5.0, SGP)), false=0.0, seed=5)
+    _, change = watched(calibrated, times, pixels, clock_stepped=True)
+    assert change is not None
+    assert (change.kind, change.unit) == ("clock", "s")
+    assert change.size == pytest.approx(5.0, abs=4.0 * change.size_sigma)
+
+
+def test_a_turn_is_a_turn_though_the_clock_was_set(calibrated: Calibration, camera: Camera) -> None:
+    times, pixels = sightings(camera, bumped(0.1, 0.3, 0.0), false=0.0, seed=6)
+    _, change = watched(calibrated, times, pixels, clock_stepped=True)
+    assert change is not None
+    assert change.kind == "bump"
+
+
+@pytest.mark.parametrize("false", [0.0, 0.3])
+def test_a_mirrored_image_is_named(calibrated: Calibration, camera: Camera, false: float) -> None:
+    times, pixels = sightings(camera, mirrored, false=false, seed=7)
+    _, change = watched(calibrated, times, pixels)
+    assert change is not None
+    assert change.kind == "mirrored"
+    assert "reverse" in change.remedy
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(-1.0, 1.0), (1.0, -1.0)])
+def test_a_site_with_the_wrong_sign_is_named(
+    calibrated: Calibration, camera: Camera, latitude: float, longitude: float
+) -> None:
+    wrong = replace(SGP, latitude=latitude * SGP.latitude, longitude=longitude * SGP.longitude)
+    times, pixels = sightings(camera, bumped(0.0, 0.0, 0.0), false=0.0, seed=8)
+    _, change = watched(calibrated, times, pixels, site=wrong)
+    assert change is not None
+    assert change.kind == "site"
+
+
+def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated: Calibration, camera: Camera) -> None:
+    other = replace(turned(camera, (1.0, 2.0, 30.0)), focal_length_px=(590.0, 590.0), principal_point_px=(885.0, 870.0))
+    times = NOON + 60.0 * np.arange(-30.0, 60.0)
+    seen = [project(one, sun_directions(part, SGP)) for one, part in ((camera, times[:30]), (other, times[30:]))]
+    pixels = np.concatenate(seen) + np.random.default_rng(9).normal(0.0, 0.02, (times.size, 2))
+    number, first = watched(calibrated, times, pixels)
+    assert first is not None
+    if first.kind == "lens":
+        return
+    begun = times >= first.at_unix_s
+    few = SunPoints(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
+    posed = repose(few, start=calibrated, site=SGP, options=CalibrationOptions(level_within_deg=40.0))
+    _, second = watched(posed, times[begun], pixels[begun], posed_from_few=True)
+    assert second is not None
+    assert second.kind == "lens"
+
+
+def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibration, camera: Camera) -> None:
+    other = replace(turned(camera, (1.0, 2.0, 30.0)), focal_length_px=(585.0, 585.0), principal_point_px=(890.0, 860.0))
+    times = NOON + 360.0 * np.arange(-10, 30)
+    pixels = np.concatenate(
+        [project(camera, sun_directions(times[:10], SGP)), project(other, sun_directions(times[10:], SGP))]
+    )
+    found: set[str] = set()
+    watch, directions = Watch(), sun_directions(times, SGP)
+    for unix_s, pixel, direction in zip(times, pixels, directions, strict=True):
+        one = Watched(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, change = observe(watch, one, calibration=calibrated, site=SGP, options=WatchOptions())
+        found |= set() if change is None else {change.kind}
+    assert "lens" in found
+
+
+def test_options_that_find_changes_everywhere_are_refused() -> None:
+    with pytest.raises(InputError, match="least_gain"):
+        WatchOptions(least_gain=1.0)
