@@ -1,4 +1,7 @@
-"""Runs a simulated imager until SIGTERM. Arguments: options in JSON, the start in ISO 8601, the truth's file."""
+"""Runs a simulated imager until SIGTERM. Arguments: options in JSON, the start in ISO 8601, the truth's file.
+
+With a fourth, "orders", it reads lines from standard input: a register's name in `genicam`, and its new value.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,23 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import ImagerOptions, run_imager
+from sunarc.simulation import ImagerOptions, genicam, run_imager
+from sunarc.simulation.fake_camera import FakeCamera
+
+
+def obey(camera: FakeCamera) -> None:
+    for line in sys.stdin:
+        name, value = line.split()
+        camera.write(getattr(genicam, name), int(value))
+
+
+def running(camera: FakeCamera) -> None:
+    if orders:
+        threading.Thread(target=obey, args=(camera,), daemon=True).start()
+
 
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
-keywords, start, truth = sys.argv[1:]
-run_imager(ImagerOptions(**json.loads(keywords), start=datetime.fromisoformat(start), truth=Path(truth)), stop)
+keywords, start, truth, *orders = sys.argv[1:]
+options = ImagerOptions(**json.loads(keywords), start=datetime.fromisoformat(start), truth=Path(truth))
+run_imager(options, stop, running=running)

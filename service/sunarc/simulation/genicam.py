@@ -1,7 +1,13 @@
 """The simulated camera's own description of its features (GenICam), laid over the registers of Aravis's fake camera.
 
 Reference: EMVA, "GenICam Standard Features Naming Convention". Addresses up to 0x3ff belong to Aravis; those from
-0xb000 on are free memory, which carries the faults that can be asked for.
+0xb000 on are free memory, which carries the faults that can be asked for:
+
+SimDelayMs : every frame comes so much later · SimFreezeMs : the camera is deaf for so long, once
+SimLossPermille : share of the stream's packets that are lost
+SimWrongExposurePercent : of the stated exposure, which the next frame gets · SimStaleExposure : every frame has the
+exposure of the one before · SimClockDriftPpm : the timestamps run fast
+SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
 
 from __future__ import annotations
@@ -11,9 +17,23 @@ from dataclasses import dataclass
 WIDTH, HEIGHT, GAIN, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x110, 0x118, 0x11C
 EXPOSURE, PIXEL_FORMAT, OFFSET_X, OFFSET_Y = 0x120, 0x128, 0x130, 0x134
 VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
+BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 0x124, 0x300, 0x304
+CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
+STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
+EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
-PIXEL_FORMATS = {"Mono8": 0x01080001, "Mono10": 0x01100003, "Mono12": 0x01100005, "Mono16": 0x01100007}
+PIXEL_FORMATS = {
+    "Mono8": 0x01080001,
+    "Mono10": 0x01100003,
+    "Mono12": 0x01100005,
+    "Mono16": 0x01100007,
+    "BayerRG8": 0x01080009,
+    "BayerRG10": 0x0110000D,
+    "BayerRG12": 0x01100011,
+    "BayerRG16": 0x0110002F,
+    "Mono12Packed": 0x010C0006,  # offered as real cameras do, and never delivered
+}
 GAIN_STEPS_PER_DB = 10
 TEMPERATURE_STEPS_PER_DEGREE = 10
 
@@ -65,10 +85,14 @@ def _image_format() -> list[Feature]:
     return [
         _integer("SensorWidth", SENSOR_WIDTH, category),
         _integer("SensorHeight", SENSOR_HEIGHT, category),
-        _integer("Width", WIDTH, category, "<Min>1</Min><pMax>SensorWidth</pMax>"),
-        _integer("Height", HEIGHT, category, "<Min>1</Min><pMax>SensorHeight</pMax>"),
-        _integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>SensorWidth</pMax>"),
-        _integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>SensorHeight</pMax>"),
+        _integer("BinningHorizontal", BINNING_X, category, "<Min>1</Min><Max>4</Max>"),
+        _integer("BinningVertical", BINNING_Y, category, "<Min>1</Min><Max>4</Max>"),
+        _quotient("WidthMax", "SensorWidth", "BinningHorizontal", category),
+        _quotient("HeightMax", "SensorHeight", "BinningVertical", category),
+        _integer("Width", WIDTH, category, "<Min>1</Min><pMax>WidthMax</pMax>"),
+        _integer("Height", HEIGHT, category, "<Min>1</Min><pMax>HeightMax</pMax>"),
+        _integer("OffsetX", OFFSET_X, category, "<Min>0</Min><pMax>WidthMax</pMax>"),
+        _integer("OffsetY", OFFSET_Y, category, "<Min>0</Min><pMax>HeightMax</pMax>"),
         _enumeration("PixelFormat", PIXEL_FORMAT, category, PIXEL_FORMATS),
         Feature(name="PayloadSize", category="TransportLayerControl", nodes=payload),
     ]
@@ -84,21 +108,25 @@ def _acquisition(exposure_min_us: int, exposure_max_us: int) -> list[Feature]:
     )
     return [
         _enumeration("AcquisitionMode", 0x12C, category, {"Continuous": 1, "SingleFrame": 2, "MultiFrame": 3}),
-        _command("AcquisitionStart", 0x124, category, 1),
-        _command("AcquisitionStop", 0x124, category, 0),
+        _command("AcquisitionStart", ACQUISITION, category, 1),
+        _command("AcquisitionStop", ACQUISITION, category, 0),
         Feature(name="TriggerSelector", category=category, nodes=selector),
-        _enumeration("TriggerMode", 0x300, category, {"Off": 0, "On": 1}),
-        _enumeration("TriggerSource", 0x304, category, {"Line0": 0, "Software": 1}),
+        _enumeration("TriggerMode", TRIGGER_MODE, category, {"Off": 0, "On": 1}),
+        _enumeration("TriggerSource", TRIGGER_SOURCE, category, {"Line0": 0, "Software": 1}),
         _enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
         _command("TriggerSoftware", 0x30C, category, 1),
         Feature(name="ExposureTime", category=category, nodes=exposure),
-        _enumeration("ExposureAuto", 0xB200, category, {"Off": 0, "Continuous": 1}),
+        _enumeration("ExposureMode", EXPOSURE_MODE, category, {"Timed": 0, "TriggerWidth": 1}),
+        _enumeration("ExposureAuto", EXPOSURE_AUTO, category, {"Off": 0, "Continuous": 1}),
+        _boolean("AcquisitionFrameRateEnable", FRAME_RATE, category),
         Feature(
             name="Gain",
             category="AnalogControl",
             nodes=_scaled("Gain", GAIN, steps=GAIN_STEPS_PER_DB, low=0, high=24),
         ),
-        _enumeration("GainAuto", 0xB204, "AnalogControl", {"Off": 0, "Continuous": 1}),
+        _enumeration("GainAuto", GAIN_AUTO, "AnalogControl", {"Off": 0, "Continuous": 1}),
+        _integer("BlackLevelRaw", BLACK_LEVEL, "AnalogControl", "<Min>0</Min><Max>255</Max>"),
+        _boolean("GammaEnable", GAMMA, "AnalogControl"),
     ]
 
 
@@ -109,6 +137,10 @@ def _faults() -> list[Feature]:
         _integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
         _integer("SimFreezeMs", FREEZE, category),
         _integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
+        _integer("SimStaleExposure", STALE_EXPOSURE, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimClockDriftPpm", CLOCK_DRIFT, category),
     ]
 
 
@@ -125,6 +157,19 @@ def _register(name: str, address: int, access: str = "RW") -> str:
 
 def _integer(name: str, address: int, category: str, bounds: str = "") -> Feature:
     nodes = f'<Integer Name="{name}"><pValue>{name}Register</pValue>{bounds}</Integer>{_register(name, address)}'
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _boolean(name: str, address: int, category: str) -> Feature:
+    nodes = f'<Boolean Name="{name}"><pValue>{name}Register</pValue></Boolean>{_register(name, address)}'
+    return Feature(name=name, category=category, nodes=nodes)
+
+
+def _quotient(name: str, over: str, under: str, category: str) -> Feature:
+    nodes = (
+        f'<IntSwissKnife Name="{name}"><pVariable Name="A">{over}</pVariable><pVariable Name="B">{under}</pVariable>'
+        "<Formula>A / B</Formula></IntSwissKnife>"
+    )
     return Feature(name=name, category=category, nodes=nodes)
 
 

@@ -7,8 +7,10 @@ import json
 import logging
 import signal
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from sunarc.cameras import Counts, full_scale_of
@@ -27,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 _PR_SET_PDEATHSIG = 1
 _TEMPERATURE_C = 21.5
+_LOOK_AT_ORDERS_S = 0.05
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -81,8 +84,16 @@ class ImagerOptions:
         _weathers(self.clouds)
 
 
-def run_imager(options: ImagerOptions, stop: threading.Event, *, clock: Clock | None = None) -> None:
+def run_imager(
+    options: ImagerOptions,
+    stop: threading.Event,
+    *,
+    clock: Clock | None = None,
+    running: Callable[[FakeCamera], None] = lambda _: None,
+) -> None:
     """Serve frames until `stop` is set; see `ImagerOptions`.
+
+    `running` is given the camera once it serves: whoever writes its registers can bring about faults from outside.
 
     Raises
     ------
@@ -94,13 +105,20 @@ def run_imager(options: ImagerOptions, stop: threading.Event, *, clock: Clock | 
     if options.die_with_parent:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     description = genicam.genicam_xml(exposure_min_us=options.exposure_min_us, exposure_max_us=options.exposure_max_us)
+    scene = scene_of(options)
+    scene.render(
+        round(options.start.timestamp() * 1e6), exposure_us=10.0
+    )  # compiles, before anyone can ask for a frame
     with fake_camera(address=options.address, serial=options.serial, description=description) as camera:
-        imager = _Imager(options, camera, stop=stop, clock=clock or SystemClock())
+        clock = clock or SystemClock()
+        imager = _Imager(options, scene, camera, stop=stop, clock=clock)
         camera.fill_with(imager.fill)
         if options.truth is not None:
             _write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
         _log.info("simulated imager at %s, %s, speed %g", options.address, options.start.isoformat(), options.speed)
-        stop.wait()
+        running(camera)
+        while not clock.wait(stop, _LOOK_AT_ORDERS_S):
+            imager.obey()
 
 
 def scene_of(options: ImagerOptions) -> Scene:
@@ -113,15 +131,17 @@ def scene_of(options: ImagerOptions) -> Scene:
 class _Imager:
     """Renders what the registers ask for, at the simulated time."""
 
-    def __init__(self, options: ImagerOptions, camera: FakeCamera, *, stop: threading.Event, clock: Clock) -> None:
-        self.scene = scene_of(options)
+    def __init__(
+        self, options: ImagerOptions, scene: Scene, camera: FakeCamera, *, stop: threading.Event, clock: Clock
+    ) -> None:
+        self.scene = scene
         self._options = options
         self._camera = camera
         self._stop = stop
         self._clock = clock
+        self._previous_exposure_us = 0.0
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
-        self.scene.render(round(start_unix_s * 1e6), exposure_us=10.0)  # compiles what is to be compiled
         self._timeline = Timeline(
             options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
         )
@@ -130,17 +150,48 @@ class _Imager:
     def fill(self, request: Request) -> tuple[Counts, int]:
         """Return a frame's counts and its timestamp in nanoseconds: the simulated start of the exposure."""
         begun = self._clock.monotonic()
-        start_us = round(self._timeline.at(begun - self._started_at) * 1e6)
-        wrong_percent = self._camera.read(genicam.WRONG_EXPOSURE)
-        image = self.scene.render(
-            start_us,
-            exposure_us=request.exposure_us * (wrong_percent or 100) / 100.0,
-            gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
-            full_scale=full_scale_of(_FORMAT_NAMES[request.pixel_format]),
-            region=request.region,
+        elapsed_s = begun - self._started_at
+        start_us = round(self._timeline.at(elapsed_s) * 1e6)
+        drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
+        image = self._binned(
+            partial(
+                self.scene.render,
+                start_us,
+                exposure_us=self._light_us(request.exposure_us),
+                gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
+                full_scale=full_scale_of(_FORMAT_NAMES[request.pixel_format]),
+            ),
+            request.region,
         )
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
-        return image, start_us * 1000
+        return image, (start_us + round(drift_us)) * 1000
+
+    def obey(self) -> None:
+        """Do what is asked for at any time: be switched off and on, or let go of who is in control."""
+        if self._camera.read(genicam.POWER_CYCLE):
+            self._switch_on()
+        if self._camera.read(genicam.DROP_CONTROL):
+            self._camera.write(genicam.DROP_CONTROL, 0)
+            self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
+
+    def _light_us(self, stated_us: float) -> float:
+        """Return how long the frame is exposed: what it states, unless a fault is asked for."""
+        percent = self._camera.read(genicam.WRONG_EXPOSURE) or 100
+        self._camera.write(genicam.WRONG_EXPOSURE, 0)
+        stale = bool(self._camera.read(genicam.STALE_EXPOSURE)) and self._previous_exposure_us > 0.0
+        light_us = self._previous_exposure_us if stale else stated_us * percent / 100.0
+        self._previous_exposure_us = stated_us
+        return light_us
+
+    def _binned(self, render: Callable[..., Counts], region: tuple[int, int, int, int]) -> Counts:
+        """Return a region's counts, each the mean of the pixels that the registers join."""
+        across, down = self._camera.read(genicam.BINNING_X), self._camera.read(genicam.BINNING_Y)
+        x, y, width, height = region
+        image = render(region=(x * across, y * down, width * across, height * down))
+        if across == down == 1:
+            return image
+        joined: Counts = image.reshape(height, down, width, across).mean(axis=(1, 3)).astype(image.dtype)
+        return joined
 
     def _hold_back(self, rest_of_exposure_s: float) -> None:
         """Wait as long as the exposure and the faults want, and let packets be lost."""
@@ -159,6 +210,8 @@ class _Imager:
             genicam.SENSOR_HEIGHT: height,
             genicam.WIDTH: width,
             genicam.HEIGHT: height,
+            genicam.BINNING_X: 1,
+            genicam.BINNING_Y: 1,
             genicam.PIXEL_FORMAT: genicam.PIXEL_FORMATS["Mono12"],
             genicam.EXPOSURE: 3000,
             genicam.GAIN: 0,
@@ -168,6 +221,23 @@ class _Imager:
             self._camera.write(address, value)
         self._camera.write_text(genicam.VENDOR, "sunarc", length=32)
         self._camera.write_text(genicam.MODEL, "simulated sky", length=32)
+
+    def _switch_on(self) -> None:
+        """Be as a camera is after switching on: free-running, everything automatic, controlled by nobody."""
+        self._set_up_registers()
+        registers = {
+            genicam.POWER_CYCLE: 0,
+            genicam.ACQUISITION: 0,
+            genicam.TRIGGER_MODE: 0,
+            genicam.TRIGGER_SOURCE: 0,
+            genicam.EXPOSURE_AUTO: 1,
+            genicam.GAIN_AUTO: 1,
+            genicam.GAMMA: 1,
+            genicam.GAIN: 6 * genicam.GAIN_STEPS_PER_DB,
+            genicam.CONTROL_PRIVILEGE: 0,
+        }
+        for address, value in registers.items():
+            self._camera.write(address, value)
 
 
 def _weathers(clouds: str) -> tuple[Weather, ...]:

@@ -205,10 +205,11 @@ class CaptureWorker:
             received=self._received,
         )
 
-    def _late_s(self, first: Frame, slot: datetime) -> float:
-        """Return the real seconds from a slot to the beginning of its first frame's exposure."""
+    def _late_s(self, first: Frame, slot: datetime) -> float | None:
+        """Return the real seconds from a slot to its first frame's beginning; None where the clock was set between."""
         began = first.time - timedelta(microseconds=first.exposure_us / 2.0)
-        return (began - slot).total_seconds() / self._options.speed
+        late_s = (began - slot).total_seconds()
+        return late_s / self._options.speed if abs(late_s) < self._options.cadence_s else None
 
     def _require_exposures(self, camera: SkyCamera) -> None:
         beyond = unreachable_exposures(self._options.hdr_exposures_us, camera.info)

@@ -1,0 +1,30 @@
+"""The soak's short form: every kind of fault once, over a real GigE Vision connection on loopback."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+
+import pytest
+
+from .soak import FAULTS, soak
+
+pytestmark = [pytest.mark.gige, pytest.mark.slow, pytest.mark.timeout(240)]
+
+
+def test_no_frame_is_kept_under_another_s_exposure_whatever_happens_to_the_camera() -> None:
+    if importlib.util.find_spec("gi") is None:
+        pytest.skip("no GigE Vision: this environment has no gi (apt-get install python3-gi, then tests/run)")
+    try:
+        ctypes.CDLL("libaravis-0.8.so.0")
+    except OSError:
+        pytest.skip("no GigE Vision: Aravis is missing (apt-get install gir1.2-aravis-0.8)")
+    outcome = soak(cycles=100, seed=5, cadence_s=0.8, fault_every=5)
+    assert outcome.wrong == []
+    assert len(outcome.faults) >= len(FAULTS) - 2
+    assert outcome.frames > 200
+    assert len(outcome.incomplete_undisturbed) <= 1  # a busy machine may stall for a cycle
+    assert max(second for each in outcome.recoveries_s.values() for second in each) < 30.0
+    assert outcome.after["resident_mb"] < outcome.before["resident_mb"] + 30.0
+    assert outcome.after["threads"] <= outcome.before["threads"]
+    assert outcome.after["files"] <= outcome.before["files"] + 1

@@ -1,0 +1,24 @@
+"""Takes control of a camera as soon as it is to be had, holds it, and lets go. Arguments: address, seconds."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+from sunarc.cameras import AravisOptions, open_aravis
+from sunarc.clock import SystemClock
+from sunarc.errors import CameraError
+
+address, hold_s = sys.argv[1], float(sys.argv[2])
+clock = SystemClock()
+print("trying", flush=True)  # noqa: T201 - whom it is stolen from waits for this
+until = clock.monotonic() + 15.0
+while clock.monotonic() < until:
+    try:
+        camera = open_aravis(AravisOptions(address=address), clock)
+    except CameraError:
+        continue
+    camera.expose(777.0)
+    clock.wait(threading.Event(), hold_s)
+    camera.close()
+    break
