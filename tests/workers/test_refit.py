@@ -17,7 +17,6 @@ from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker
-from sunarc.workers import refit as refit_module
 from sunarc.workers.solve import Problem, SolveFailedError, solve_in_child
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
@@ -90,7 +89,7 @@ def carry_out(worker: RefitWorker, archive: Archive, monkeypatch: pytest.MonkeyP
                 raise answer
             return answer
 
-        monkeypatch.setattr(refit_module, "solve_in_child", solved)
+        monkeypatch.setattr(worker, "_solve", solved)
         refit = archive.add_refit(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
         worker.carry_out(refit, threading.Event(), lambda: None)
         return archive.refit(refit.id)

@@ -1,4 +1,4 @@
-"""Sightings read as columns: of millions of rows no object per row is made."""
+"""Sightings read as columns: of millions of rows no object per row is made; what is no number is passed over."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Connection, Integer, func, literal_column, select
+from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select
 
 from sunarc.archive import tables
 from sunarc.archive.tables import sun_point
@@ -43,12 +43,18 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
 
 def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
     c, epochs = sun_point.c, tables.pose_epoch
-    numbers = (c.time, c.x_px, c.y_px, func.coalesce(c.sigma_px, -1.0), func.coalesce(c.clock_error_s, -1.0))
+    numbers = (c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0))
+    sound = [func.typeof(c.time) == "integer", *(func.typeof(column) == "real" for column in (c.x_px, c.y_px))]
     joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
-    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*wanted).order_by(c.time, c.id)
+    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*wanted, *sound).order_by(c.time, c.id)
     result = connection.execute(statement)
     cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
     return np.fromiter(cursor, dtype=_COLUMNS)
+
+
+def _number_or(column: ColumnElement[Any], otherwise: float) -> ColumnElement[Any]:
+    """Return a column's numbers; what a hand wrote there that is none counts as unknown."""
+    return case((func.typeof(column) == "real", column), else_=otherwise)
 
 
 def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -5,7 +5,7 @@ Map: `points` what is given · `selection`, `patches` what of a long record is u
 `loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `doubt`, `robust` the service's
 method · `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`,
 `acceptance` what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose · `watching/` what
-changed · `days` what a day is worth · `circle` the image circle · `document` its JSON.
+changed · `days` what a day is worth · `drift` how the pose wanders · `circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
@@ -30,6 +30,7 @@ from sunarc.calibration.days import (
     smooth_arc,
 )
 from sunarc.calibration.document import SCHEMA, from_document, to_document
+from sunarc.calibration.drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
@@ -84,6 +85,7 @@ __all__ = [
     "lookup",
     "measure_day",
     "measures",
+    "pose_spread_deg",
     "prior_knowledge",
     "project_with_covariance",
     "repose",
@@ -94,4 +96,5 @@ __all__ = [
     "to_document",
     "unproject_with_sigma",
     "unseen_points",
+    "with_pose_spread",
 ]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.covariance import hemisphere, project_with_covariance
+from sunarc.calibration.drift import own_sky_rms_deg
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.result import Calibration, Verdict
 from sunarc.optics import project
@@ -21,15 +22,17 @@ _FIRST_DAY = date(1970, 1, 1).toordinal()
 _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""
 _MUCH_WORSE = 1.5
+_FOUND_OUT = 4.0
+"""Growth that is believed of a fit that knows more days: the current one was too sure of itself."""
 _FAR_SIGMAS = 5.0
 _SHOWN = 0.5
-_CHANGED = 9.0
-"""Mean square of the change, in units of what both say of themselves, beyond which it is not chance."""
+_CHANGED = 2.0
+"""Change over the sky, in units of the larger of both stated sigmas, that is not believed without proof."""
 _FORETOLD = (2.0, 4.0)
 """Held-out error over what was expected: marginal, refused."""
-_SURPRISED = 9.0
-"""Median square of unseen sightings, in units of what was stated, that disproves a calibration."""
-_ENOUGH = 50
+_PROOF = 100.0
+"""By how much the sightings since must be met better, as a difference of chi-squares."""
+_OUTLIER = 9.0
 
 
 def accept(
@@ -42,8 +45,9 @@ def accept(
     """Return whether a candidate may become the current calibration.
 
     It may where its own verdict allows, where it foretells days left out about as well as it says, where it is not less
-    sure of the sky than the current one, and where the two agree within what they say of themselves. A current one that
-    the sightings since disprove has no say in how sure the next one must be.
+    sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the two agree
+    within what they say of themselves: so the error served does not rise by more than twice what is stated. A larger
+    change needs proof: that the sightings since are met far better.
 
     Parameters
     ----------
@@ -57,13 +61,11 @@ def accept(
     refusals, doubts = _foretold(candidate)
     reasons = ["the first calibration", *candidate.verdict.reasons]
     if current is not None:
-        disproved = same_pose and _disproved(current, candidate, unseen)
-        for found in (_sureness(candidate, current, disproved=disproved), _change(candidate, current, same_pose)):
+        before, now = own_sky_rms_deg(current), own_sky_rms_deg(candidate)
+        reasons = [f"1-sigma over the sky {now:.4f} degrees, before {before:.4f}"]
+        for found in _compared(candidate, current, same_pose=same_pose, unseen=unseen):
             refusals += found[0]
-            doubts += [] if disproved else found[1]
-        before, now = current.sky_rms_deg, candidate.sky_rms_deg
-        what = "the sightings since disprove the current one" if disproved else "as sure of the sky or surer"
-        reasons = [f"{what}: 1-sigma {now:.4f} against {before:.4f} degrees"]
+            doubts += found[1]
     if refusals:
         return Verdict(accepted=False, reasons=tuple(refusals + doubts))
     if doubts:
@@ -90,46 +92,63 @@ def _foretold(candidate: Calibration) -> _Found:
     return (said, []) if found > _FORETOLD[1] * expected else ([], said)
 
 
-def _sureness(candidate: Calibration, current: Calibration, *, disproved: bool) -> _Found:
-    before, now = current.sky_rms_deg, candidate.sky_rms_deg
-    if now <= _WORSE * before or disproved:
+def _compared(
+    candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: SunPoints | None
+) -> list[_Found]:
+    """Return what speaks against the candidate beside the current one."""
+    if candidate.camera.mirrored != current.camera.mirrored:
+        return [(["the other handedness than the current one: the setting was changed, or the image flipped"], [])]
+    if not same_pose:
+        return []
+    refusals, doubts = _change(candidate, current)
+    if doubts and _met_better(candidate, current, unseen):
+        doubts = []
+    return [(refusals, doubts), _sureness(candidate, current)]
+
+
+def _sureness(candidate: Calibration, current: Calibration) -> _Found:
+    before, now = own_sky_rms_deg(current), own_sky_rms_deg(candidate)
+    allowed = _FOUND_OUT if _knows_more(candidate, current) else _WORSE
+    if now <= allowed * before:
         return [], []
     said = [f"less sure of the sky: 1-sigma {now:.4f} against {before:.4f} degrees"]
-    return (said, []) if not now <= _MUCH_WORSE * before else ([], said)
+    return (said, []) if not now <= _MUCH_WORSE * allowed * before else ([], said)
 
 
-def _change(candidate: Calibration, current: Calibration, same_pose: bool) -> _Found:  # noqa: FBT001 - private
-    if candidate.camera.mirrored != current.camera.mirrored:
-        return ["the other handedness than the current one: the setting was changed, or the image flipped"], []
-    if not same_pose:
-        return [], []
-    square, worst_px = _squares(candidate, current)
-    share = float(np.mean(square > _FAR_SIGMAS**2))
+def _knows_more(candidate: Calibration, current: Calibration) -> bool:
+    """Return whether a fit rests on days that the current one does not know, and on about as much beside."""
+    new, old = candidate.evidence, current.evidence
+    return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
+
+
+def _change(candidate: Calibration, current: Calibration) -> _Found:
+    share, worst_px = disagreement(candidate, current)
     if share > _SHOWN:
         where = f"{100 * share:.0f} % of the sky contradicts the current one, by up to {worst_px:.2f} px"
         return [f"{where}: the camera may have moved"], []
-    mean = float(np.mean(square)) / 2.0
-    if mean > _CHANGED:
-        return [], [f"it is {math.sqrt(mean):.1f} sigma from the current one, by up to {worst_px:.2f} px"]
+    apart, first, second = _over_the_sky(candidate, current)
+    stated = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
+    change = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
+    if change > _CHANGED * stated:
+        said = f"it is {change:.3f} px from the current one over the sky, where {stated:.3f} px are stated"
+        return [], [f"{said}, and the sightings since do not prove it"]
     return [], []
 
 
-def _disproved(current: Calibration, candidate: Calibration, unseen: SunPoints | None) -> bool:
-    """Return whether sightings that the current one does not know lie further off than it allows, and now do not."""
-    if unseen is None or len(unseen) < _ENOUGH:
+def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints | None) -> bool:
+    """Return whether the candidate meets sightings that the current one does not know far better than that does."""
+    noise = candidate.evidence.sigma_px * math.sqrt(max(candidate.evidence.inflation, 1.0))
+    if unseen is None or len(unseen) == 0 or not noise > 0.0:
         return False
-    return _surprise(current, unseen) > max(_SURPRISED, 2.0 * _surprise(candidate, unseen))
+    gain = _chi_square(current, unseen, noise) - _chi_square(candidate, unseen, noise)
+    return gain > _PROOF
 
 
-def _surprise(calibration: Calibration, points: SunPoints) -> float:
-    """Return the median square distance of sightings in units of what is stated, 1 where all is as stated."""
-    pixels, covariance = project_with_covariance(calibration, sun_directions(points.unix_s, calibration.site))
-    known = np.all(np.isfinite(pixels), axis=-1)
-    noise = calibration.evidence.sigma_px
-    total = covariance[known] + (noise**2 if math.isfinite(noise) else 0.0) * np.eye(2) + 1e-12 * np.eye(2)
-    apart = (points.pixels - pixels)[known]
-    square = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[..., None])[..., 0])
-    return float(np.median(square)) / (2.0 * math.log(2.0)) if square.size else 0.0
+def _chi_square(calibration: Calibration, points: SunPoints, noise_px: float) -> float:
+    """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
+    apart = points.pixels - project(calibration.camera, sun_directions(points.unix_s, calibration.site))
+    square = np.sum(apart**2, axis=-1) / noise_px**2
+    return float(np.sum(np.minimum(np.nan_to_num(square, nan=np.inf), _OUTLIER)))
 
 
 def distance_px(first: Calibration, second: Calibration) -> float:
@@ -144,19 +163,18 @@ def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]
 
     They contradict where their distance is beyond five of their joint sigmas.
     """
-    square, worst_px = _squares(first, second)
-    return float(np.mean(square > _FAR_SIGMAS**2)), worst_px
+    apart, a_covariance, b_covariance = _over_the_sky(first, second)
+    if apart.size == 0:
+        return 1.0, math.inf
+    joint = a_covariance + b_covariance + 1e-12 * np.eye(2)
+    square = np.einsum("ni,ni->n", apart, np.linalg.solve(joint, apart[..., None])[..., 0])
+    return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(apart, axis=-1)))
 
 
-def _squares(first: Calibration, second: Calibration) -> tuple[FloatArray, float]:
-    """Return (n,) squares of the distances over the sky in units of both covariances, and the largest distance, px."""
+def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how far two calibrations are apart, (n, 2) px, and the covariances of both where they see the sky."""
     directions = hemisphere(400)
     a, a_covariance = project_with_covariance(first, directions)
     b, b_covariance = project_with_covariance(second, directions)
     both = np.all(np.isfinite(a), axis=-1) & np.all(np.isfinite(b), axis=-1)
-    if not np.any(both):
-        return np.array([math.inf]), math.inf
-    apart = (a - b)[both]
-    joint = (a_covariance + b_covariance)[both] + 1e-12 * np.eye(2)
-    square = np.einsum("ni,ni->n", apart, np.linalg.solve(joint, apart[..., None])[..., 0])
-    return np.asarray(square), float(np.max(np.linalg.norm(apart, axis=-1)))
+    return (a - b)[both], a_covariance[both], b_covariance[both]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.drift import with_pose_spread
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.result import Calibration
@@ -28,7 +30,7 @@ def calibrate_again(past: Calibration, points: SunPoints) -> Calibration:
     """
     evidence = past.evidence
     try:
-        return calibrate(
+        solved = calibrate(
             points,
             site=past.site,
             image_size=(past.camera.width, past.camera.height),
@@ -40,6 +42,8 @@ def calibrate_again(past: Calibration, points: SunPoints) -> Calibration:
         raise InputError(
             field="evidence", problem=f"is of another version ({error})", remedy="use the version that made it"
         ) from error
+    solved = replace(solved, evidence=replace(solved.evidence, selection=evidence.selection))
+    return with_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
 
 
 def _options(told: Mapping[str, object]) -> CalibrationOptions:

@@ -208,6 +208,11 @@ def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m
     turn = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
     eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
     turn += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
+    return turn_covariance(camera, turn)
+
+
+def turn_covariance(camera: Camera, turn: FloatArray) -> FloatArray:
+    """Return (3, 3): covariance of the rotation vector where that of small turns about east, north and up is given."""
     to_vector = np.linalg.inv(pose.right_jacobian(camera.rotation_cam_enu))
     return np.asarray(to_vector @ turn @ to_vector.T)
 

@@ -257,7 +257,15 @@ def _read_evidence(read: _Reader) -> Evidence:
         circle=read.value("evidence.circle", needed=False),
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},
+        pose_spread_deg=_read_spread(read),
     )
+
+
+def _read_spread(read: _Reader) -> tuple[float, float, float] | None:
+    if read.value("evidence.pose_spread_deg", needed=False) is None:
+        return None
+    east, north, up = read.numbers("evidence.pose_spread_deg", 3)
+    return east, north, up
 
 
 def _read_site(read: _Reader) -> Site:

@@ -46,6 +46,7 @@ class Evidence:
     circle : the image circle that was given, by name; None without one.
     start : the camera that the fit began at, by name; None where it was sought.
     selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
+    pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
     """
 
     days: tuple[str, ...]
@@ -60,6 +61,7 @@ class Evidence:
     circle: Mapping[str, object] | None = None
     start: Mapping[str, object] | None = None
     selection: Mapping[str, object] = field(default_factory=dict)
+    pose_spread_deg: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

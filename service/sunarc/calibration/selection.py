@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 
 _SECONDS_PER_DEGREE = 240.0
 _SECONDS_PER_DAY = 86_400
+_PATCH_SLOT_S = 240.0
+"""The sun moves by a degree meanwhile; its place in every sighting of a long record would take a minute to compute."""
 _DAY_BITS = 17
 """Days since 1970 of more than three centuries."""
 
@@ -40,10 +42,10 @@ class SelectionOptions:
     largest_clock_error_s : sightings whose clock may be wrong by more are left out.
     """
 
-    patch_deg: float = 2.0
-    most_per_patch: int = 48
-    most_per_epoch: int = 32
-    most: int = 20_000
+    patch_deg: float = 4.0
+    most_per_patch: int = 96
+    most_per_epoch: int = 64
+    most: int = 30_000
     largest_clock_error_s: float = 2.0
 
     def __post_init__(self) -> None:
@@ -154,7 +156,7 @@ def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:
 
 def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
     """Return the passes by patch, in each the latest pose's first, by precision, then by their days' bits reversed."""
-    patch = sky_patches(sun_directions(points.unix_s[among], site), width_deg=options.patch_deg)
+    patch = _patches(points.unix_s[among], site, options.patch_deg)
     epoch = points.epoch[among]
     days = day - day.min() if day.size else day
     n_days, n_epochs = int(days.max(initial=0)) + 1, int(epoch.max(initial=0)) + 1
@@ -174,6 +176,12 @@ def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, optio
         rank=rank[member],
         patches=int(np.unique(of_patch).size),
     )
+
+
+def _patches(unix_s: FloatArray, site: Site, width_deg: float) -> IntArray:
+    """Return the patch of each moment's sun, taken where it stood in the middle of a few minutes."""
+    slot, member = np.unique(np.floor(unix_s / _PATCH_SLOT_S), return_inverse=True)
+    return sky_patches(sun_directions((slot + 0.5) * _PATCH_SLOT_S, site), width_deg=width_deg)[member]
 
 
 def _grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:

@@ -10,8 +10,9 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from sunarc.archive import Archive, Day, Event, Refit
-from sunarc.calibration import DayOptions, decide_day, measure_day
+from sunarc.archive import Archive, Day, Event, Refit, SunPointColumns
+from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, from_document, measure_day
+from sunarc.errors import InputError
 from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
 from sunarc.workers.points import points_of
 
@@ -83,6 +84,7 @@ class DayJudge:
             options=self._options,
         )
         decided = decide_day(measure, self._options)
+        offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(
             camera=self._camera,
             date=date_,
@@ -97,12 +99,26 @@ class DayJudge:
             doubtful_clock=_finite(measure.doubtful_clock),
             sd_px=_finite(measure.sd_px),
             rmsd_px=_finite(measure.rmsd_px),
+            pose_offset_deg=None if offset is None else offset.turn_deg,
+            pose_offset_sigma_deg=None if offset is None else offset.sigma_deg,
         )
+
+    def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
+        """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
+        current = self._archive.current_calibration(self._camera)
+        if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
+            return None
+        try:
+            calibration = from_document(current.document)
+        except InputError:
+            return None  # of another version: the refit worker tells it
+        last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
+        return daily_pose_offset(points_of(last), calibration=calibration, site=self._site)
 
     def _remember(self, day: Day) -> None:
         self._archive.save_day(day)
         text = f"{day.date} was {day.verdict}: {'; '.join(day.reasons)}"
-        details = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
+        details = {key: value for key, value in asdict(day).items() if isinstance(value, int | float | tuple)}
         self._archive.add_event(
             Event(time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera, details=details)
         )

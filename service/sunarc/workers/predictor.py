@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import Archive
+from sunarc.archive import Archive, CalibrationRecord
 from sunarc.calibration import Calibration, from_document, project_with_covariance
 from sunarc.detection import ClearSun, Expectation, clear_sun
+from sunarc.errors import InputError
 from sunarc.optics import local_stretch
 from sunarc.sky import Site, sun_angles, sun_directions
 
+_log = logging.getLogger(__name__)
 _LEAST_UNCERTAINTY_PX = 2.0
 _BRIGHTNESS_OF = timedelta(days=5)
 _BRIGHTNESS_EVERY = timedelta(hours=1)
@@ -35,7 +38,7 @@ class SunPredictor:
         self._camera = camera
         self._site = site
         self._lock = threading.Lock()
-        self._known: tuple[str, Calibration] | None = None
+        self._known: tuple[str, Calibration | None] | None = None
         self._clear: tuple[datetime, ClearSun | None] | None = None
 
     def apparent_zenith(self, moment: datetime) -> float:
@@ -90,5 +93,14 @@ class SunPredictor:
             return None
         with self._lock:
             if self._known is None or self._known[0] != record.id:
-                self._known = (record.id, from_document(record.document))
+                self._known = (record.id, _readable(record))
             return self._known[1]
+
+
+def _readable(record: CalibrationRecord) -> Calibration | None:
+    """Return the calibration; None where another version wrote it, as though there were none."""
+    try:
+        return from_document(record.document)
+    except InputError as error:
+        _log.warning("calibration %s cannot be read by this version: %s", record.id, error)
+        return None

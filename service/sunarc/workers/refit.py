@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
+import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import sunarc
-from sunarc.archive import Archive, CalibrationRecord, Event, Refit, RefitState
-from sunarc.board import Reason, StatusBoard
+from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
+from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -19,17 +20,21 @@ from sunarc.calibration import (
     Verdict,
     accept,
     from_document,
+    pose_spread_deg,
     to_document,
     unseen_points,
+    with_pose_spread,
 )
 from sunarc.clock import Clock
 from sunarc.errors import InputError
-from sunarc.sky import Site
+from sunarc.sky import Site, solar_date
 from sunarc.workers.problem import Task, next_task
 from sunarc.workers.solve import SolveFailedError, solve_in_child
+from sunarc.workers.soundness import Soundness
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
+_DAYS_OF_SPREAD = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +72,7 @@ class RefitWorker:
     now : frame time, which dates calibrations.
     board : where the lack of a calibration is shown.
     may_solve : whether a refit may begin now; the others wait.
+    solve : how a problem is solved; see `solve_in_child`.
     """
 
     def __init__(
@@ -82,6 +88,7 @@ class RefitWorker:
         now: Callable[[], datetime],
         board: StatusBoard,
         may_solve: Callable[[], bool] = lambda: True,
+        solve: Callable[..., Calibration | None] = solve_in_child,
     ) -> None:
         self._archive = archive
         self._camera = camera
@@ -91,12 +98,13 @@ class RefitWorker:
         self._cadence_s = cadence_s
         self._clock = clock
         self._now = now
-        self._board = board
+        self._soundness = Soundness(archive=archive, camera=camera, now=now, board=board)
         self._may_solve = may_solve
+        self._solve = solve
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
-        self._show_calibration()
+        self._soundness.look()
         while not stop.is_set():
             heartbeat()
             waiting = self._archive.refits(self._camera, unfinished=True)
@@ -121,7 +129,7 @@ class RefitWorker:
             self._finish(refit, "failed", task)
             return
         try:
-            solved = solve_in_child(
+            solved = self._solve(
                 task.problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
             )
         except SolveFailedError as error:
@@ -133,17 +141,27 @@ class RefitWorker:
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
         epoch = self._archive.current_epoch(self._camera)
+        solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
             since = f"the camera was moved at {epoch.started_at.isoformat()}, and no usable sighting is younger"
             solved = replace(solved, verdict=Verdict(accepted=False, reasons=(since,)))
         else:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
-        record = self._keep(refit, task, solved, current)
+        record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
         served = record.accepted and self._archive.activate(record.id).state == "current"
         held = ("kept as a candidate: the current one is pinned",) if record.accepted and not served else ()
         self._finish(refit, state, "; ".join((*record.reasons, *held)), calibration=record.id)
-        self._show_calibration()
+        self._soundness.look()
+
+    def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
+        """Return how the pose wandered on the last days of the epoch that goes on."""
+        if epoch is None:
+            return pose_spread_deg((), ())
+        since = solar_date(epoch.started_at.timestamp(), longitude=self._site.longitude) + timedelta(days=1)
+        days = self._archive.days(self._camera, since=since, limit=_DAYS_OF_SPREAD)
+        known = [(turn, sigma) for d in days if (turn := d.pose_offset_deg) and (sigma := d.pose_offset_sigma_deg)]
+        return pose_spread_deg([turn for turn, _ in known], [sigma for _, sigma in known])
 
     def _verdict(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
         if current is None:
@@ -156,14 +174,12 @@ class RefitWorker:
         same = current.pose_epoch == task.pose_epoch
         return accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
 
-    def _keep(
-        self, refit: Refit, task: Task, solved: Calibration, current: CalibrationRecord | None
-    ) -> CalibrationRecord:
+    def _keep(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
         now = self._now()
         document = to_document(
             solved,
-            id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{refit.id[:6]}",
+            id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
             camera=self._camera,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
@@ -194,19 +210,6 @@ class RefitWorker:
             )
         )
         _log.log(logging.INFO if state == "accepted" else logging.WARNING, "refit %s: %s", state, message)
-
-    def _show_calibration(self) -> None:
-        if self._archive.current_calibration(self._camera) is not None:
-            self._board.clear_reason("no_calibration")
-            return
-        self._board.set_reason(
-            Reason(
-                code="no_calibration",
-                severity="degraded",
-                text="no calibration is current",
-                remedy="wait for a clear day, or import sightings with `sunarc points import`",
-            )
-        )
 
 
 def _circle(numbers: tuple[float, float, float]) -> ImageCircle:

@@ -1,0 +1,168 @@
+"""How long a nightly refit, the status page and a start take with five years of sightings in the archive.
+
+    python docs/studies/five_years.py --state FOLDER
+
+makes the database (2.5 million sightings, five pose epochs, a verdict and a refused refit every day) in FOLDER unless
+it is there, and prints what each takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fastapi.testclient import TestClient
+
+from sunarc.api import ApiOptions, create_app
+from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, open_archive, upgrade
+from sunarc.board import StatusBoard
+from sunarc.calibration import CalibrationOptions, DayOptions
+from sunarc.clock import SystemClock
+from sunarc.optics import project_fast
+from sunarc.simulation import SGP, true_camera
+from sunarc.sky import sun_angles, sun_directions
+from sunarc.workers import DayJudge, RefitOptions, RefitWorker
+
+_START = datetime(2013, 5, 13, 6, 30, tzinfo=UTC)
+_DAYS = 1826
+_CADENCE_S = 30.0
+_SIGHTINGS = 2_500_000
+_SIGMA_PX = 0.02
+_END = _START + timedelta(days=_DAYS)
+
+
+def main() -> None:
+    """Make the database where it is missing, and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--state", type=Path, required=True)
+    path = parser.parse_args().state / "sunarc.sqlite"
+    if not path.exists():
+        _measured("making the database", lambda: make(path))
+    measure(path)
+
+
+def make(path: Path) -> None:
+    """Write five years into a new database."""
+    upgrade(path)
+    archive = open_archive(path)
+    camera = true_camera()
+    archive.save_camera(
+        CameraRecord(
+            name="roof",
+            latitude=SGP.latitude,
+            longitude=SGP.longitude,
+            altitude=SGP.altitude,
+            width=camera.width,
+            height=camera.height,
+        )
+    )
+    first = archive.epoch_at("roof", _START, reason="installed")
+    rng = np.random.default_rng(5)
+    times = _START.timestamp() + np.arange(0.0, _DAYS * 86_400.0, _CADENCE_S)
+    times = np.concatenate([part[sun_angles(part, SGP).apparent_zenith < 88.0] for part in np.array_split(times, 200)])
+    times = times[np.sort(rng.permutation(times.size)[:_SIGHTINGS])]
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for part in np.array_split(times, 50):
+            pixels = project_fast(camera, sun_directions(part, SGP)) + rng.normal(0.0, _SIGMA_PX, (part.size, 2))
+            connection.executemany(
+                "INSERT INTO sun_point (camera, pose_epoch, time, body, exposure_us, method, accepted, verdict, reason,"
+                " x_px, y_px, sigma_px, clock_error_s)"
+                " VALUES ('roof', ?, ?, 'sun', 20, 'disc', 1, 'clear', '', ?, ?, ?, 0.01)",
+                (
+                    (first.id, round(1e6 * t), x, y, _SIGMA_PX)
+                    for t, (x, y) in zip(part.tolist(), pixels.tolist(), strict=True)
+                ),
+            )
+    for year in range(1, 5):
+        archive.open_epoch("roof", at=_START + timedelta(days=365 * year), reason="moved")
+    _remember_days(archive)
+    archive.close()
+
+
+def _remember_days(archive: Archive) -> None:
+    for number in range(_DAYS):
+        moment = _START + timedelta(days=number + 1)
+        day = (_START + timedelta(days=number)).date()
+        archive.save_day(
+            Day(camera="roof", date=day, verdict="clear", reasons=("all",), n=1300, n_possible=1400, decided_at=moment)
+        )
+        archive.add_event(Event(time=moment, kind="day", severity="info", text=f"{day} was clear", camera="roof"))
+        refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=moment, reason="a day"))
+        archive.finish_refit(refit.id, state="refused", finished_at=moment, message="not better")
+
+
+def measure(path: Path) -> None:
+    """Print what a refit, the pages and a start take."""
+    seconds = _measured("importing the service, in a new process", _import_all)
+    _measured("upgrade and open", lambda: (upgrade(path), open_archive(path).close()))
+    archive = open_archive(path)
+    board = StatusBoard(version="study", started_at=_END, monotonic=SystemClock().monotonic)
+    judge = DayJudge(
+        archive=archive,
+        camera="roof",
+        site=SGP,
+        cadence_s=_CADENCE_S,
+        sun_zenith_deg=88.0,
+        options=DayOptions(),
+        now=lambda: _END,
+        request_refit=lambda reason: Refit(id="x", camera="roof", requested_at=_END, reason=reason),
+    )
+    _measured("the first look for ended days", judge.judge_ended_days)
+    _measured("the next look", judge.judge_ended_days)
+    refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
+    worker = RefitWorker(
+        archive=archive,
+        camera="roof",
+        site=SGP,
+        options=RefitOptions(),
+        calibration=CalibrationOptions(),
+        cadence_s=_CADENCE_S,
+        clock=SystemClock(),
+        now=lambda: _END,
+        board=board,
+    )
+    _measured("a nightly refit", lambda: worker.carry_out(refit, threading.Event(), lambda: None))
+    print(archive.refit(refit.id))
+    app = create_app(
+        archive=archive,
+        camera="roof",
+        site=SGP,
+        status=board.snapshot,
+        request_refit=lambda reason: replace(refit, reason=reason),
+        frame_clock=lambda: _END,
+        latest_image=lambda: None,
+        options=ApiOptions(),
+    )
+    with TestClient(app) as client:
+        for page in ("/v1/status", "/metrics", "/v1/calibration", "/v1/days", "/v1/events", "/v1/sun-points"):
+            _measured(f"GET {page}, first", lambda page=page: client.get(page).raise_for_status())
+            _measured(f"GET {page}, again", lambda page=page: client.get(page).raise_for_status())
+    print(f"size of the database: {path.stat().st_size / 1e6:.0f} MB; imports took {seconds:.2f} s")
+
+
+def _import_all() -> None:
+    subprocess.run([sys.executable, "-c", "import sunarc.__main__, sunarc.app"], check=True)
+
+
+def _measured(what: str, work: Callable[[], Any]) -> float:
+    wall, cpu = time.perf_counter(), time.process_time()
+    work()
+    wall = time.perf_counter() - wall
+    print(f"{what}: {wall:.3f} s, of which {time.process_time() - cpu:.3f} s of this process's own", flush=True)
+    return wall
+
+
+if __name__ == "__main__":
+    main()

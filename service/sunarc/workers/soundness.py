@@ -1,0 +1,85 @@
+"""Whether the record still is what it was: what hands and other versions did to it is noticed, and told once."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from datetime import datetime
+
+from sunarc.archive import Archive, CalibrationRecord, Event
+from sunarc.board import Reason, StatusBoard
+from sunarc.calibration import from_document
+from sunarc.errors import InputError, NotFoundError
+
+_log = logging.getLogger(__name__)
+
+
+class Soundness:
+    """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
+
+    Parameters
+    ----------
+    archive, camera : whose.
+    now : frame time, which dates events.
+    board : where the lack of a calibration that can be used is shown.
+    """
+
+    def __init__(self, *, archive: Archive, camera: str, now: Callable[[], datetime], board: StatusBoard) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._now = now
+        self._board = board
+        self._told: set[tuple[str, str]] = set()
+
+    def look(self) -> None:
+        """Look, show what is wrong on the board, and write an event the first time."""
+        current = self._archive.current_calibration(self._camera)
+        self._show(None if current is not None else _none())
+        if current is None:
+            return
+        try:
+            from_document(current.document)
+        except InputError as error:
+            self._show(_unreadable(current))
+            self._tell("calibration_unreadable", current, f"calibration {current.id} cannot be read: {error}")
+            return
+        try:
+            self._archive.sightings_of(current.id)
+        except NotFoundError:
+            return  # imported, or made before evidence was kept
+        except InputError as error:
+            self._tell("evidence_changed", current, f"the record was changed: {error}")
+
+    def _show(self, reason: Reason | None) -> None:
+        for code in ("no_calibration", "calibration_unreadable"):
+            if reason is None or reason.code != code:
+                self._board.clear_reason(code)
+        if reason is not None:
+            self._board.set_reason(reason)
+
+    def _tell(self, kind: str, record: CalibrationRecord, text: str) -> None:
+        if (kind, record.id) in self._told:
+            return
+        self._told.add((kind, record.id))
+        details = {"calibration": record.id}
+        told = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
+        self._archive.add_event(told)
+        _log.warning("%s", text)
+
+
+def _none() -> Reason:
+    return Reason(
+        code="no_calibration",
+        severity="degraded",
+        text="no calibration is current",
+        remedy="wait for a clear day, or import sightings with `sunarc points import`",
+    )
+
+
+def _unreadable(record: CalibrationRecord) -> Reason:
+    return Reason(
+        code="calibration_unreadable",
+        severity="degraded",
+        text=f"the current calibration {record.id} was written by another version and cannot be used",
+        remedy="install that version, or serve an older one with `sunarc calibrations activate ID`",
+    )
