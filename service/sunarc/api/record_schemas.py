@@ -76,7 +76,7 @@ class Decision(Asked):
 class EventOut(BaseModel):
     """Something that happened."""
 
-    id: int | None
+    id: int | None = Field(description="Its number in the archive.", examples=[17])
     time: Time
     kind: str = Field(examples=["bump"])
     severity: EventSeverity

@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
+from sunarc.api.glossary import explain
 from sunarc.api.problems import Fault, Problem, answers
 from sunarc.api.schemas import BackProjectRequest, ProjectRequest
 
@@ -49,6 +50,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for path in document["paths"].values():
         for operation in path.values():
             _only_problems(operation["responses"])
+    explain(document)
     return document
 
 

@@ -28,7 +28,9 @@ class BackProjectAnswer(BaseModel):
     calibration: str = Field(description="Id of the calibration that answered.")
     zenith_deg: Answers = Field(description="Apparent zenith angle, degrees.", examples=[[0.21, 41.7]])
     azimuth_deg: Answers = Field(description="Degrees clockwise from north.", examples=[[140.2, 262.3]])
-    direction_enu: list[Unit | None] = Field(description="Unit vectors, east-north-up.")
+    direction_enu: list[Unit | None] = Field(
+        description="Unit vectors, east-north-up.", examples=[[[0.0, 0.0, 1.0], [-0.66, -0.09, 0.747]]]
+    )
     sigma_deg: Answers = Field(description="1-sigma per axis on the sphere, degrees.", examples=[[0.002, 0.003]])
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True, True]])
 
@@ -62,7 +64,9 @@ class ProjectRequest(Asked):
     azimuth_deg: list[Number] | None = Field(
         default=None, description="Degrees clockwise from north.", examples=[[262.3]]
     )
-    direction_enu: list[Vector] | None = Field(default=None, description="(n, 3) east-north-up.")
+    direction_enu: list[Vector] | None = Field(
+        default=None, description="(n, 3) east-north-up.", examples=[[[0.0, 0.6, 0.8]]]
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> ProjectRequest:
@@ -97,10 +101,14 @@ class Sun(BaseModel):
     apparent_zenith: float = Field(description="With refraction, degrees.", examples=[18.2])
     zenith: float = Field(description="Without refraction, degrees.", examples=[18.2])
     azimuth: float = Field(description="Degrees clockwise from north.", examples=[178.1])
-    direction_enu: Unit = Field(description="Apparent direction, unit vector, east-north-up.")
+    direction_enu: Unit = Field(
+        description="Apparent direction, unit vector, east-north-up.", examples=[[0.01, -0.312, 0.95]]
+    )
     pixel: Pair | None = Field(description="Expected x, y in px; null when there is none.")
     sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.")
-    inside: bool = Field(description="Whether the expected pixel is within the image and the camera's field.")
+    inside: bool = Field(
+        description="Whether the expected pixel is within the image and the camera's field.", examples=[True]
+    )
     calibration: str | None = Field(description="Id of the calibration that answered.")
 
 
@@ -108,9 +116,9 @@ class SunTrack(BaseModel):
     """The sun's way through one solar day, while it is above the horizon."""
 
     date: SolarDate
-    time: list[Time]
-    apparent_zenith: list[float] = Field(description="Degrees.")
-    azimuth: list[float] = Field(description="Degrees clockwise from north.")
+    time: list[Time] = Field(description="In steps, RFC 3339, UTC.", examples=[["2013-05-13T18:30:00Z"]])
+    apparent_zenith: list[float] = Field(description="With refraction, degrees.", examples=[[18.2, 18.3]])
+    azimuth: list[float] = Field(description="Degrees clockwise from north.", examples=[[178.1, 178.9]])
     pixels: list[Pair | None] = Field(description="Expected x, y in px; null outside the field.")
     calibration: str | None
 
@@ -132,7 +140,7 @@ class SunPointOut(BaseModel):
     time: Time
     body: str
     method: str
-    exposure_us: float = Field(description="0 where it is not known.")
+    exposure_us: float = Field(description="Exposure, µs; 0 where it is not known.")
     pose_epoch: str
     accepted: bool = Field(description="Whether a fit may use it.")
     verdict: str = Field(examples=["clear"])

@@ -1,0 +1,90 @@
+"""docs/metrics.md and deploy/prometheus-rules.yml name what is exported, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import types
+import typing
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from sunarc.board import Notes, Reason
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made
+
+ROOT = Path(__file__).parents[2]
+DOCUMENT = ROOT / "docs" / "metrics.md"
+RULES = ROOT / "deploy" / "prometheus-rules.yml"
+REGENERATE = "SUNARC_WRITE_METRICS=1 pytest tests/api/test_metrics_document.py"
+HEAD = "| metric | labels | kind | what it is |\n|---|---|---|---|\n"
+PROMETHEUS_OWN = {"up"}
+SUFFIXES = ("_total", "_created", "_bucket", "_sum", "_count")
+
+
+def some(kind: Any, noon: datetime) -> Any:  # noqa: ANN401 - of any kind
+    """Return some value of a kind."""
+    if isinstance(kind, types.UnionType):
+        kind = next(one for one in typing.get_args(kind) if one is not type(None))
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        hints = typing.get_type_hints(kind)
+        return kind(**{one.name: some(hints[one.name], noon) for one in dataclasses.fields(kind)})
+    if typing.get_origin(kind) is tuple:
+        return ()
+    return noon if kind is datetime else kind(1)
+
+
+def exported(made: Made) -> dict[str, tuple[str, str, str]]:
+    """Return every family that a service exports of which all is known: labels, kind, help."""
+    made.board.note(**{name: some(kind, made.noon) for name, kind in typing.get_type_hints(Notes).items()})
+    made.board.set_reason(Reason(code="drift", severity="degraded", text="it moved", remedy="wait"))
+    text = made.client.get("/metrics").text
+    helps = dict(re.findall(r"^# HELP (\w+) (.*)$", text, re.MULTILINE))
+    kinds = dict(re.findall(r"^# TYPE (\w+) (\w+)$", text, re.MULTILINE))
+    labels = {name: re.findall(r"(\w+)=", inner) for name, inner in re.findall(r"^(\w+)\{(.*)\} ", text, re.MULTILINE)}
+    return {name: (", ".join(labels.get(name, [])), kinds[name], told) for name, told in helps.items()}
+
+
+def test_every_metric_is_documented_and_no_other(made: Made) -> None:
+    found = exported(made)
+    rows = "".join(f"| `{name}` | {' | '.join(found[name])} |\n" for name in sorted(found))
+    text = DOCUMENT.read_text()
+    before, _, after = text.partition(HEAD)
+    rest = re.sub(r"\A(\|.*\n)*", "", after)
+    wanted = f"{before}{HEAD}{rows}{rest}"
+    if os.environ.get("SUNARC_WRITE_METRICS") == "1":
+        DOCUMENT.write_text(wanted)
+        text = wanted
+    assert len(found) > 15
+    assert text == wanted, f"the metrics have changed; see that this is meant, then run: {REGENERATE}"
+
+
+def rules() -> list[dict[str, Any]]:
+    groups: list[dict[str, Any]] = yaml.safe_load(RULES.read_text())["groups"]
+    return [rule for group in groups for rule in group["rules"]]
+
+
+def test_every_metric_that_a_rule_names_is_exported_with_its_labels(made: Made) -> None:
+    found = exported(made)
+    for rule in rules():
+        named = re.findall(r"\b(sunarc_\w+|up)\b(?:\{([^}]*)\})?", rule["expr"])
+        assert named, rule["alert"]
+        for name, labels in named:
+            known = next((name.removesuffix(s) for s in ("", *SUFFIXES) if name.removesuffix(s) in found), None)
+            assert known or name in PROMETHEUS_OWN, (rule["alert"], name)
+            used = set(re.findall(r"(\w+)\s*[=!]~?", labels)) - {"job"}
+            assert used <= set(found.get(name, ("",))[0].split(", ")), (rule["alert"], name)
+
+
+def test_every_rule_says_what_is_the_matter_and_what_to_do() -> None:
+    names = [rule["alert"] for rule in rules()]
+    assert len(names) == len(set(names)) >= 10
+    for rule in rules():
+        assert set(rule["annotations"]) == {"summary", "remedy"}, rule["alert"]
+        assert rule["labels"]["severity"] in {"critical", "warning", "info"}, rule["alert"]
+        assert re.fullmatch(r"\d+[smhd]", rule.get("for", "0s")), rule["alert"]
