@@ -4,7 +4,8 @@
 
     SunarcError
     ├── InputError             the caller's input is wrong: say which field, and the remedy (exit 2, HTTP 4xx)
-    │   └── NotFoundError      what was asked for is not there (HTTP 404)
+    │   ├── NotFoundError      what was asked for is not there (HTTP 404)
+    │   └── ConflictError      it is there, and its state does not allow it (HTTP 409)
     ├── ConfigurationError     settings or installation are wrong: refuse to start (exit 2)
     │   └── SchemaError        the database is of another revision: run the command that it names
     ├── OutsideError           something outside failed: disk, port, peer (exit 3)
@@ -39,6 +40,10 @@ class InputError(SunarcError):
 
 class NotFoundError(InputError):
     """What was asked for does not exist."""
+
+
+class ConflictError(InputError):
+    """What was asked of something that is not in the state for it."""
 
 
 class ConfigurationError(SunarcError):

@@ -182,8 +182,8 @@ def write_image(folder: Path, name: str = "20130513T183000.000Z_hdr.jpg") -> Pat
 def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make two archives to copy: one that has seen nothing, and one with a history."""
     folder = tmp_path_factory.mktemp("archives")
-    _archive(folder / "empty.sqlite").close()
-    filled = _archive(folder / "filled.sqlite")
+    new_archive(folder / "empty.sqlite").close()
+    filled = new_archive(folder / "filled.sqlite")
     fill(filled)
     filled.close()
     return folder
@@ -226,7 +226,8 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
         archive.close()
 
 
-def _archive(path: Path) -> Archive:
+def new_archive(path: Path) -> Archive:
+    """Return an archive that knows the camera and has seen nothing."""
     upgrade(path)
     archive = open_archive(path)
     archive.save_camera(

@@ -112,8 +112,8 @@ def test_the_current_calibration_is_pinned_and_let_go(made: Made) -> None:
 @pytest.mark.parametrize(
     ("path", "body", "bears", "status"),
     [
-        ("second/activate", {"reason": "x"}, 1, 422),  # is current already
-        ("first/pin", {"reason": "x"}, 1, 422),  # is not current
+        ("second/activate", {"reason": "x"}, 1, 409),  # is current already
+        ("first/pin", {"reason": "x"}, 1, 409),  # is not current
         ("none/activate", {"reason": "x"}, 1, 404),
         ("first/activate", {}, 1, 422),
         ("first/activate", {"reason": ""}, 1, 422),
@@ -131,6 +131,6 @@ def test_a_decision_that_cannot_be_is_refused(
 
 
 def test_a_body_of_another_kind_is_told_so(made: Made) -> None:
-    answer = made.client.post("/v1/back-project", content=b"a=b", headers={"content-type": "text/csv"})
-    problem = check_shape(answer, 415, "/v1/back-project")
+    answer = made.client.post("/v1/project", content=b"a=b", headers={"content-type": "text/csv"})
+    problem = check_shape(answer, 415, "/v1/project")
     assert problem["errors"][0]["remedy"] == "send application/json"

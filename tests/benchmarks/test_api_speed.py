@@ -14,10 +14,10 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 from numpy.typing import NDArray
-from tests.api.conftest import NOON, SITE, _archive, fill
+from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import open_archive
+from sunarc.archive import opennew_archive
 from sunarc.board import StatusBoard
 from sunarc.clock import VirtualClock
 
@@ -40,8 +40,8 @@ def _served(app: FastAPI) -> Iterator[HTTPConnection]:
 @pytest.fixture(scope="module")
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Iterator[HTTPConnection]:
     path = tmp_path_factory.mktemp("served") / "archive.sqlite"
-    _archive(path).close()
-    archive = open_archive(path)
+    new_archive(path).close()
+    archive = opennew_archive(path)
     fill(archive)
     clock = VirtualClock(NOON)
     board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=clock.monotonic)

@@ -10,7 +10,7 @@ from sunarc.api.record_schemas import CalibrationSummary, Decision
 from sunarc.api.served import Served
 from sunarc.api.tokens import changing_needs
 
-_REFUSALS = answers(400, 403, 404, 408, 413, 415, 422)
+_REFUSALS = answers(400, 403, 404, 408, 409, 413, 415, 422)
 
 
 def decision_routes(served: Served) -> APIRouter:

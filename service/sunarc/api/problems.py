@@ -12,8 +12,9 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
-from sunarc.errors import InputError, NotFoundError, OutsideError, SunarcError
+from sunarc.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
 
 MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
@@ -132,6 +133,7 @@ def add_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _unforeseen)
 
 
+_STATUSES = {NotFoundError: HTTPStatus.NOT_FOUND, ConflictError: HTTPStatus.CONFLICT}
 _KINDS = {
     HTTPStatus.BAD_REQUEST: "malformed",
     HTTPStatus.UNAUTHORIZED: "token",
@@ -169,8 +171,16 @@ def _http(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, UnreadError):
         return error.response(request.url.path)
     known = error if isinstance(error, HTTPException) else HTTPException(500)
-    status = HTTPStatus(known.status_code)
-    return problem_response(status, path=request.url.path, detail=str(known.detail), headers=known.headers)
+    status, headers = HTTPStatus(known.status_code), known.headers
+    if status == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers = {"allow": ", ".join(sorted(_methods(request)))}
+    return problem_response(status, path=request.url.path, detail=str(known.detail), headers=headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """Return the methods that the path of a request knows; it may be several routes' together."""
+    routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
+    return {method for route in routes for method in getattr(route, "methods", None) or ()}
 
 
 def _ours(request: Request, error: Exception) -> JSONResponse:
@@ -181,8 +191,7 @@ def _ours(request: Request, error: Exception) -> JSONResponse:
                 error.status, path=path, detail=str(error), errors=[error.fault], headers=error.headers
             )
         case InputError():
-            missing = isinstance(error, NotFoundError)
-            status = HTTPStatus.NOT_FOUND if missing else HTTPStatus.UNPROCESSABLE_ENTITY
+            status = _STATUSES.get(type(error), HTTPStatus.UNPROCESSABLE_ENTITY)
             fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
             return problem_response(status, path=path, detail=str(error), errors=[fault])
         case OutsideError():

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, func, literal, or_, update
 
 from sunarc.archive.tables import UtcTime, calibration
 from sunarc.archive.values import CalibrationRecord, CalibrationState
-from sunarc.errors import InputError
+from sunarc.errors import ConflictError
 
 SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 
@@ -31,9 +31,9 @@ def written(time: datetime) -> str:
     return time.isoformat().replace("+00:00", "Z")
 
 
-def wrong_state(calibration_id: str, state: str, *, remedy: str) -> InputError:
+def wrong_state(calibration_id: str, state: str, *, remedy: str) -> ConflictError:
     """Return the refusal of what a calibration's state does not allow."""
-    return InputError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
+    return ConflictError(field="id", problem=f"calibration {calibration_id} {state}", remedy=remedy)
 
 
 def end_others(connection: Connection, camera: str, at: datetime) -> None:

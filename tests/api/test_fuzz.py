@@ -1,0 +1,26 @@
+"""A short form of `python -m tests.api.fuzz`: do the answers keep to the OpenAPI document?"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+from pathlib import Path
+
+import pytest
+from tests.api.fuzz import command, served
+
+
+@pytest.mark.slow
+def test_every_answer_is_one_that_the_document_describes(tmp_path: Path) -> None:
+    with served(tmp_path) as address:
+        asked = command(address, argparse.Namespace(examples=1, seed=1, only=None))
+        asked += [
+            "--phases",
+            "examples,coverage,fuzzing",
+            "--exclude-path-regex",
+            "^/v1/cameras/.camera./",
+            "--no-color",
+        ]
+        done = subprocess.run(asked, capture_output=True, text=True, timeout=150, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+    assert "generated" in done.stdout
