@@ -131,6 +131,6 @@ def test_a_decision_that_cannot_be_is_refused(
 
 
 def test_a_body_of_another_kind_is_told_so(made: Made) -> None:
-    answer = made.client.post("/v1/project", content=b"a=b", headers={"content-type": "text/csv"})
-    problem = check_shape(answer, 415, "/v1/project")
-    assert problem["errors"][0]["remedy"] == "send application/json"
+    path = "/v1/calibrations/first/activate"
+    answer = made.client.post(path, content=b"a=b", headers={"content-type": "text/csv", **made.bearer})
+    assert check_shape(answer, 415, path)["errors"][0]["remedy"] == "send application/json"

@@ -1,4 +1,4 @@
-"""A short form of `python -m tests.api.fuzz`: do the answers keep to the OpenAPI document?"""
+"""A short form of `python -m tests.api.fuzz`: whether answers keep to the OpenAPI document."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import opennew_archive
+from sunarc.archive import open_archive
 from sunarc.board import StatusBoard
 from sunarc.clock import VirtualClock
 
@@ -41,7 +41,7 @@ def _served(app: FastAPI) -> Iterator[HTTPConnection]:
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Iterator[HTTPConnection]:
     path = tmp_path_factory.mktemp("served") / "archive.sqlite"
     new_archive(path).close()
-    archive = opennew_archive(path)
+    archive = open_archive(path)
     fill(archive)
     clock = VirtualClock(NOON)
     board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=clock.monotonic)
