@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sunarc.detection import Detection, combine
+from sunarc.detection import Detection, beside, combine
 from sunarc.errors import InputError
 
 
@@ -65,3 +67,21 @@ def test_of_none_accepted_the_strongest_tells_why() -> None:
 def test_a_bracket_without_frames_or_shifts_is_refused(count: int, shifts: list[tuple[float, float]] | None) -> None:
     with pytest.raises(InputError, match="detections"):
         combine([sighting(1.0, 1.0, 0.1)] * count, shifts=shifts)
+
+
+def test_a_frame_is_not_believed_where_its_bracket_is_elsewhere() -> None:
+    first, second = sighting(10.0, 5.0, 0.004), sighting(10.6, 5.0, 0.004)
+    assert not beside([first], second, shifts=[(0.0, 0.0)]).accepted
+    assert beside([first], second, shifts=[(0.6, 0.0)]) == second
+    assert beside([first], second, shifts=None) == second
+
+
+def test_frames_nearer_than_a_tenth_of_a_pixel_agree() -> None:
+    assert beside([sighting(10.0, 5.0, 0.003)], sighting(10.06, 5.0, 0.003), shifts=[(0.0, 0.0)]).accepted
+
+
+def test_what_told_more_and_saw_a_covered_disc_is_believed() -> None:
+    covered = replace(sighting(10.0, 5.0, 0.003, accepted=False, snr=900.0), verdict="partly_covered")
+    faint = sighting(10.0, 5.0, 0.01, snr=100.0)
+    assert beside([covered], faint, shifts=None).verdict == "partly_covered"
+    assert beside([faint], sighting(10.0, 5.0, 0.003, snr=900.0), shifts=None).accepted

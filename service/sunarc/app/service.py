@@ -193,6 +193,7 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             report=self.exposures.report,
             board=self.board,
+            cadence_s=self.settings.capture.cadence_s,
         )
 
     def refit_worker(self) -> RefitWorker:

@@ -8,7 +8,7 @@ Appendix A, `blob` and `circles` the bright region's shape, `halo` the light aro
 """
 
 from sunarc.detection.bias import Lens, radial_bias_px
-from sunarc.detection.bracket import combine
+from sunarc.detection.bracket import beside, combine
 from sunarc.detection.brightness import ClearSun, clear_sun
 from sunarc.detection.detect import detect_sun
 from sunarc.detection.options import DiscOptions
@@ -32,6 +32,7 @@ __all__ = [
     "Sensor",
     "Verdict",
     "bayer_of",
+    "beside",
     "clear_sun",
     "combine",
     "detect_sun",

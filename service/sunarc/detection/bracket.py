@@ -12,6 +12,7 @@ from scipy.special import chdtri
 from sunarc.detection.values import Detection, FloatArray
 from sunarc.errors import InputError
 
+_AGREE_PX = 0.1  # nearer to one another frames never disagree: a lens's glare moves a saturated disc a little
 _DOUBT = 1e-4  # probability below which honest frames disagree so much
 
 
@@ -46,6 +47,47 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
     if not believed:
         return max(moved, key=lambda one: -math.inf if one.snr is None else one.snr)
     return _joined(believed)
+
+
+def beside(
+    earlier: Sequence[Detection], latest: Detection, *, shifts: Sequence[tuple[float, float]] | None
+) -> Detection:
+    """Return a frame's detection as the frames before it in its bracket let it be believed.
+
+    Parameters
+    ----------
+    earlier : detections of the same bracket's frames.
+    latest : the one to judge.
+    shifts : how far the sun moved from each earlier frame to this one, px; None where that is not known, and then
+        positions are not compared.
+
+    Returns
+    -------
+    The detection, not accepted where a frame that told more (a larger signal-to-noise) showed the disc partly covered,
+    or where its position and an accepted earlier one disagree beyond chance and 0.1 px.
+    """
+    if not latest.accepted:
+        return latest
+    told = [one for one in earlier if one.verdict == "partly_covered" and (one.snr or 0.0) > (latest.snr or math.inf)]
+    if told:
+        return replace(
+            latest, accepted=False, verdict="partly_covered", reason=f"as its bracket tells: {told[0].reason}"
+        )
+    if shifts is None:
+        return latest
+    for one, (dx, dy) in zip(earlier, shifts, strict=True):
+        there = _moved(one, (-dx, -dy))
+        if there.accepted and _apart_px(there, latest) > _AGREE_PX:
+            joined = combine([there, latest])
+            if not joined.accepted:
+                return replace(latest, accepted=False, verdict=joined.verdict, reason=joined.reason)
+    return latest
+
+
+def _apart_px(one: Detection, other: Detection) -> float:
+    if one.x_px is None or one.y_px is None or other.x_px is None or other.y_px is None:
+        return 0.0
+    return math.hypot(one.x_px - other.x_px, one.y_px - other.y_px)
 
 
 def _moved(detection: Detection, shift: tuple[float, float]) -> Detection:

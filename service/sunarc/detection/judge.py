@@ -99,7 +99,9 @@ def _covered(
 def _uncertain(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:
-    del expectation, sensor
+    del expectation
+    if fit.level < options.min_told_fraction * sensor.full_scale:
+        return "veiled", f"at {fit.level / sensor.full_scale:.3f} of full scale a covered disc would look the same"
     if fit.sigma_px > options.max_sigma_px:
         return "veiled", f"known to {fit.sigma_px:.3f} px only"
     return None

@@ -21,6 +21,7 @@ class DiscOptions:
     solar_radius_deg : the sun's angular radius.
     saturation_fraction : counts from this fraction of full scale on are saturated.
     min_peak_fraction : a fainter disc is not looked for.
+    min_told_fraction : a fainter disc is seen but not believed: a partly covered one would look the same.
     min_snr : a disc with less signal-to-noise is hidden.
     min_radius_px, max_radius_px : semi-axes that a disc without an expectation may have.
     max_ellipticity : 1 - minor/major semi-axis that it may have.
@@ -41,6 +42,7 @@ class DiscOptions:
     solar_radius_deg: float = 0.2666
     saturation_fraction: float = 0.98
     min_peak_fraction: float = 0.01
+    min_told_fraction: float = 0.07
     min_snr: float = 12.0
     min_radius_px: float = 1.2
     max_radius_px: float = 10.0

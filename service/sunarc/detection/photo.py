@@ -22,6 +22,7 @@ _LOOKED_AT = 5
 _LEAST_SHARE = 0.3  # of a circle's angles at which a level set's outline follows it
 _LEAST_SEED_PX = 3.0
 _HALOS = 4
+_ALL_WHITE = 0.98
 _LARGE = 0.02  # of its radius is a large blob's centre off: the lens draws it out unevenly
 _EVEN = 0.03  # scatter of light that is the sun's
 _EIGHT_BITS = 255
@@ -134,6 +135,8 @@ def detect_sun_in_photo(
     peak = float(planes.counts.max()) / full_scale
     if peak < options.min_peak_fraction:
         return _none("hidden", f"the brightest pixel is {peak:.2f} of full scale", exposure_us, peak)
+    if float(np.median(planes.counts[::8, ::8])) >= _ALL_WHITE * full_scale:
+        return _none("saturated", "more than half of the image is saturated", exposure_us, peak)
     seen = _best_blob(planes, peak, expectation, options)
     estimates = _estimates(planes, seen, zenith, options)
     if seen is None or estimates is None:

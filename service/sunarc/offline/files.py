@@ -34,6 +34,8 @@ def read_image(path: Path) -> Image:
     """Read an image file as it is, 8 or 16 bit."""
     encoded = np.frombuffer(read_file(path), dtype=np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    if image is not None and image.ndim == 3 and image.shape[2] == 4:
+        image = image[..., :3]  # what is seen through is of no interest
     if image is not None and image.dtype == np.uint8:
         return image.astype(np.uint8)
     if image is not None and image.dtype == np.uint16:

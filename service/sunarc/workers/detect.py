@@ -5,18 +5,27 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
+from typing import NamedTuple
 
 from sunarc.archive import sun_point_of
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
-from sunarc.detection import Detection, DiscOptions, detect_sun
+from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
 from sunarc.workers.handover import Handover
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _POLL_S = 0.5
+
+
+class _Look(NamedTuple):
+    """A frame of the bracket: when, what was seen, where it was due."""
+
+    time: datetime
+    detection: Detection
+    expectation: Expectation | None
 
 
 class DetectWorker:
@@ -31,6 +40,7 @@ class DetectWorker:
     clock_error_s : bound of the error of a frame's time, seconds.
     report : told of every detection (the exposure controller listens).
     board : told when the sun was last seen.
+    cadence_s : seconds from cycle to cycle; frames nearer than half of it are one bracket.
     """
 
     def __init__(
@@ -45,6 +55,7 @@ class DetectWorker:
         clock_error_s: Callable[[datetime], float],
         report: Callable[[Frame, Detection], None],
         board: StatusBoard,
+        cadence_s: float,
     ) -> None:
         self._frames = frames
         self._keeper = keeper
@@ -55,6 +66,8 @@ class DetectWorker:
         self._clock_error_s = clock_error_s
         self._report = report
         self._board = board
+        self._bracket_of = timedelta(seconds=0.5 * cadence_s)
+        self._bracket: list[_Look] = []
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -71,13 +84,15 @@ class DetectWorker:
 
     def look_at(self, frame: Frame) -> Detection:
         """Detect, store and report one frame."""
+        expectation = self._predictor.expectation(frame.time)
         detection = detect_sun(
             frame.image,
             sensor=sensor_of(frame, self._options),
-            expectation=self._predictor.expectation(frame.time),
+            expectation=expectation,
             options=self._with_brightness(frame.time),
             exposure_us=frame.exposure_us,
         )
+        detection = self._beside_bracket(frame, detection, expectation)
         point = sun_point_of(
             detection,
             camera=self._camera,
@@ -92,8 +107,25 @@ class DetectWorker:
             self._board.note(last_sighting_at=frame.time)
         return detection
 
+    def _beside_bracket(self, frame: Frame, detection: Detection, expectation: Expectation | None) -> Detection:
+        """Return the detection as the cycle's frames before it let it be believed, and keep it for those after."""
+        if self._bracket and not timedelta(0) <= frame.time - self._bracket[0].time < self._bracket_of:
+            self._bracket = []
+        earlier = tuple(self._bracket)
+        self._bracket.append(_Look(frame.time, detection, expectation))
+        shifts = [_shift(look.expectation, expectation) for look in earlier]
+        known = [shift for shift in shifts if shift is not None]
+        return beside(
+            [look.detection for look in earlier], detection, shifts=known if len(known) == len(shifts) else None
+        )
+
     def _with_brightness(self, moment: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""
         if self._disc.clear_level_per_us:
             return self._disc
         return replace(self._disc, clear_level_per_us=self._predictor.clear_level_per_us(moment))
+
+
+def _shift(before: Expectation | None, now: Expectation | None) -> tuple[float, float] | None:
+    """Return how far the sun moved, px; None where that is not known."""
+    return None if before is None or now is None else (now.x_px - before.x_px, now.y_px - before.y_px)
