@@ -105,6 +105,7 @@ class Chain:
             clock_error_s=lambda _: 0.01,
             report=lambda _frame, _detection: None,
             board=board,
+            cadence_s=30.0,
         )
         self.disk = DiskWorker(
             store=self.store,
