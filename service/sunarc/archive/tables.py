@@ -212,6 +212,7 @@ refit = Table(
     Column("calibration", Text, ForeignKey("calibration.id")),
     Column("message", Text, nullable=False),
     Index("ix_refit_camera_requested_at", "camera", "requested_at"),
+    Index("ix_refit_unfinished", "camera", "requested_at", sqlite_where=text("finished_at IS NULL")),
 )
 
 event = Table(
