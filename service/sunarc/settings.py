@@ -15,6 +15,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from sunarc.api import ApiOptions
 from sunarc.archive import DiskOptions
 from sunarc.calibration import CalibrationOptions, DayOptions
+from sunarc.calibration.watching import WatchOptions
 from sunarc.cameras import AravisOptions, ReplayOptions
 from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
@@ -41,6 +42,7 @@ class Settings(BaseSettings):
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
     calibration, refit, days : the fit, when and how it is run, and what makes a day clear.
+    watch : when a change of the camera is believed.
     disk : how much of the disk images may have.
     api : the web server.
     supervisor : when a worker is given up, or taken for stuck.
@@ -62,6 +64,7 @@ class Settings(BaseSettings):
     calibration: CalibrationOptions = CalibrationOptions()
     refit: RefitOptions = RefitOptions()
     days: DayOptions = DayOptions()
+    watch: WatchOptions = WatchOptions()
     disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()
     supervisor: SupervisorOptions = SupervisorOptions()

@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import sunarc
-from sunarc.archive import Archive, CameraRecord, ImageStore, Refit, Reserve
+from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
+from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.settings import Settings
 from sunarc.supervisor import Supervised, Worker
@@ -26,9 +27,11 @@ from sunarc.workers import (
     Handover,
     RefitWorker,
     ReplayWorker,
+    Reposer,
     SightingKeeper,
     SunExposures,
     SunPredictor,
+    WatchWorker,
     image_document,
 )
 
@@ -71,6 +74,7 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(settings.sun_exposure)
+        self.watch = self.watch_worker()
         self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
         self.sun_frames: Handover[Frame] = Handover(capacity=_WAITING_SUN_FRAMES)
         self.days = DayJudge(
@@ -91,6 +95,7 @@ class Service:
             self._supervised("clock", lambda: self.clock_watch),
             self._supervised("disk", self.disk_worker),
             self._supervised("refit", self.refit_worker),
+            self._supervised("watch", lambda: self.watch),
             self._supervised("detect", self.detect_worker),
             self._supervised("compose", self.compose_worker),
             self._supervised(
@@ -191,9 +196,35 @@ class Service:
             options=self.settings.sensor,
             disc=self.settings.detection,
             clock_error_s=self.clock_watch.error_s,
-            report=self.exposures.report,
-            board=self.board,
+            report=self.report,
             cadence_s=self.settings.capture.cadence_s,
+            board=self.board,
+        )
+
+    def report(self, frame: Frame, detection: Detection) -> None:
+        """Tell the exposure controller and the watch what a sun exposure showed."""
+        self.exposures.report(frame, detection)
+        told = detection.accepted or detection.verdict == ELSEWHERE
+        if told and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
+            self.watch.notice(frame.time, x_px=detection.x_px, y_px=detection.y_px, sigma_px=detection.sigma_px)
+
+    def watch_worker(self) -> WatchWorker:
+        """Return the worker that holds sightings to the calibration."""
+        settings = self.settings
+        return WatchWorker(
+            archive=self.archive,
+            camera=settings.name,
+            site=settings.site,
+            options=settings.watch,
+            reposer=Reposer(
+                archive=self.archive,
+                camera=settings.name,
+                site=settings.site,
+                options=settings.calibration,
+                wander_deg=settings.watch.wander_deg,
+                now=self.frame_time.now,
+            ),
+            board=self.board,
         )
 
     def refit_worker(self) -> RefitWorker:

@@ -17,6 +17,7 @@ from sunarc.archive.csv_files import (
     write_columns,
     write_sightings,
 )
+from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
@@ -37,6 +38,8 @@ from sunarc.archive.values import (
 )
 
 __all__ = [
+    "ELSEWHERE",
+    "LENS_CHANGED",
     "Archive",
     "CalibrationRecord",
     "CalibrationState",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sunarc.archive.doubts import Doubts
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.history import History
 from sunarc.archive.journal import Journal
@@ -12,7 +13,7 @@ from sunarc.archive.sightings import Sightings
 from sunarc.archive.used import UsedSightings
 
 
-class Archive(Sightings, History, UsedSightings, Journal):
+class Archive(Sightings, Doubts, History, UsedSightings, Journal):
     """What we remember: values in, values out; one object serves all threads."""
 
 

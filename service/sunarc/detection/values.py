@@ -15,7 +15,16 @@ FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 Method = Literal["disc", "paper"]
 Verdict = Literal[
-    "clear", "veiled", "partly_covered", "hidden", "obstructed", "saturated", "below_horizon", "reflection", "no_frame"
+    "clear",
+    "veiled",
+    "partly_covered",
+    "hidden",
+    "obstructed",
+    "saturated",
+    "below_horizon",
+    "reflection",
+    "elsewhere",
+    "no_frame",
 ]
 Bayer = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 BAYERS: tuple[Bayer, ...] = get_args(Bayer)

@@ -1,8 +1,8 @@
 """Frames from a known truth: the sky, the lens, the sensor, faults; in-process, or served as a GigE Vision camera."""
 
 from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
-from sunarc.simulation.options import WEATHERS, Obstruction, SceneOptions, SensorModel, Weather
-from sunarc.simulation.scene import Scene
+from sunarc.simulation.options import WEATHERS, Bump, Obstruction, SceneOptions, SensorModel, Weather
+from sunarc.simulation.scene import Scene, bumped_camera
 from sunarc.simulation.scene_camera import SceneCamera
 from sunarc.simulation.timeline import Timeline
 from sunarc.simulation.truth import SGP, true_camera
@@ -11,6 +11,7 @@ from sunarc.simulation.truth_document import truth_document
 __all__ = [
     "SGP",
     "WEATHERS",
+    "Bump",
     "ImagerOptions",
     "Obstruction",
     "Scene",
@@ -19,6 +20,7 @@ __all__ = [
     "SensorModel",
     "Timeline",
     "Weather",
+    "bumped_camera",
     "run_imager",
     "scene_of",
     "true_camera",

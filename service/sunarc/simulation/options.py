@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, datetime
 from typing import Literal, get_args
 
 from sunarc.errors import InputError
@@ -26,6 +26,20 @@ class Obstruction:
     azimuth_deg: float
     width_deg: float
     height_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bump:
+    """The camera is turned at a moment, and stays so.
+
+    Attributes
+    ----------
+    at : when, aware.
+    turn_deg : about the axes to the east, to the north and up, right-handed.
+    """
+
+    at: datetime
+    turn_deg: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +89,7 @@ class SceneOptions:
     ghost_strength : of the reflection opposite the sun through the principal point, in units of the disc's.
     field_deg : half the lens's field of view: the image circle.
     obstructions : what stands before the sky.
+    bump : when the camera is turned, if it is.
     """
 
     seed: int = 0
@@ -89,6 +104,7 @@ class SceneOptions:
     ghost_strength: float = 0.0
     field_deg: float = 93.0
     obstructions: tuple[Obstruction, ...] = ()
+    bump: Bump | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no scene."""

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.cameras import Counts
-from sunarc.optics import Camera, project
+from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation.clouds import CloudLayer, cloud_layer
 from sunarc.simulation.disc import Stamp, disc_points, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
-from sunarc.simulation.options import SceneOptions, SensorModel, Weather
+from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
 from sunarc.sky import Site, relative_air_mass, solar_date, sun_angles
 from sunarc.sky.directions import direction_from_angles
 
@@ -48,6 +49,7 @@ class Scene:
         self.site = site
         self.options = options or SceneOptions()
         self.sensor = sensor or SensorModel()
+        self._bumped: Scene | None = None
         self._field = pixel_field(camera, field_deg=self.options.field_deg, obstructions=self.options.obstructions)
         rng = np.random.default_rng([self.options.seed, 11])
         self._noise = rng.standard_normal(_NOISE_LENGTH + camera.width, dtype=np.float32)
@@ -80,6 +82,10 @@ class Scene:
         -------
         (height, width) of the region.
         """
+        if (after := self._after(start_us * 1e-6)) is not None:
+            return after.render(
+                start_us, exposure_us=exposure_us, gain_db=gain_db, full_scale=full_scale, region=region, noise=noise
+            )
         region = region or (0, 0, self.camera.width, self.camera.height)
         light, smear = self._light(start_us * 1e-6 + exposure_us * 0.5e-6, region)
         starts = np.zeros(region[3], dtype=np.int64)
@@ -99,7 +105,18 @@ class Scene:
 
     def sun_pixel(self, unix_s: float) -> FloatArray:
         """Return the (2,) pixel of the sun's centre; NaN where the lens does not see it."""
-        return project(self.camera, self.sun_direction(unix_s))
+        after = self._after(unix_s)
+        return project(self.camera if after is None else after.camera, self.sun_direction(unix_s))
+
+    def _after(self, unix_s: float) -> Scene | None:
+        """Return the scene as the camera sees it once it was bumped; None before, and where it never is."""
+        bump = self.options.bump
+        if bump is None or unix_s < bump.at.timestamp():
+            return None
+        if self._bumped is None:
+            turned = bumped_camera(self.camera, bump)
+            self._bumped = Scene(turned, self.site, options=replace(self.options, bump=None), sensor=self.sensor)
+        return self._bumped
 
     def weather(self, unix_s: float) -> Weather:
         """Return the weather of the solar day of a moment."""
@@ -181,6 +198,12 @@ class Scene:
         inside = (x >= 0) & (y >= 0) & (x < region[2]) & (y < region[3])
         electrons = self._hot_e + self._hot_e_per_us * exposure_us
         light[y[inside], x[inside]] += electrons[inside] / (self.sensor.full_well_e * exposure_us)
+
+
+def bumped_camera(camera: Camera, bump: Bump) -> Camera:
+    """Return the camera after a bump."""
+    back = rotation_matrix(tuple(-math.radians(angle) for angle in bump.turn_deg))
+    return replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ back))
 
 
 def _add(image: NDArray[np.float32], stamp: Stamp, origin: tuple[int, int]) -> None:

@@ -14,8 +14,10 @@ from sunarc.workers.points import points_of
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
 from sunarc.workers.replay import ReplayWorker
+from sunarc.workers.reposer import Reposer
 from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sun_exposures import SunExposures
+from sunarc.workers.watch import WatchWorker
 
 __all__ = [
     "UNKNOWN_ERROR_S",
@@ -32,10 +34,12 @@ __all__ = [
     "RefitOptions",
     "RefitWorker",
     "ReplayWorker",
+    "Reposer",
     "SensorOptions",
     "SightingKeeper",
     "SunExposures",
     "SunPredictor",
+    "WatchWorker",
     "image_document",
     "points_of",
 ]

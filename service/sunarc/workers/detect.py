@@ -18,6 +18,7 @@ from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _POLL_S = 0.5
+_PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
 
 
 class _Look(NamedTuple):
@@ -93,6 +94,7 @@ class DetectWorker:
             exposure_us=frame.exposure_us,
         )
         detection = self._beside_bracket(frame, detection, expectation)
+        detection = self._or_elsewhere(frame, detection, expectation)
         point = sun_point_of(
             detection,
             camera=self._camera,
@@ -118,6 +120,16 @@ class DetectWorker:
         return beside(
             [look.detection for look in earlier], detection, shifts=known if len(known) == len(shifts) else None
         )
+
+    def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
+        """Return what was found, or a clean disc anywhere in a frame that has none where it is due."""
+        if found.accepted or expectation is None or found.verdict not in _PERHAPS_ELSEWHERE:
+            return found
+        sensor, options = sensor_of(frame, self._options), self._with_brightness(frame.time)
+        anywhere = detect_sun(frame.image, sensor=sensor, options=options, exposure_us=frame.exposure_us)
+        if not anywhere.accepted:
+            return found
+        return replace(anywhere, accepted=False, verdict="elsewhere", reason=f"not where it should be: {found.reason}")
 
     def _with_brightness(self, moment: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""

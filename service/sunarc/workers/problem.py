@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import Archive, SunPointColumns
+from sunarc.archive import LENS_CHANGED, Archive, SunPointColumns
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -48,6 +49,12 @@ class Task:
         return replace(solved, evidence=replace(solved.evidence, selection=told))
 
 
+def _since_lens(archive: Archive, camera: str) -> datetime | None:
+    """Return when the lens was last changed; None where it never was."""
+    changed = [epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED]
+    return changed[-1] if changed else None
+
+
 def next_task(
     archive: Archive,
     *,
@@ -60,7 +67,7 @@ def next_task(
 ) -> Task | str:
     """Return what the whole record of a camera asks for; or why there is nothing to solve, in words."""
     sizes = {known.name: (known.width, known.height) for known in archive.cameras()}
-    columns = archive.sun_point_columns(camera)
+    columns = archive.sun_point_columns(camera, since=_since_lens(archive, camera))
     if camera not in sizes or columns.ids.size == 0:
         return "there are no accepted sightings yet"
     left_out = days_left_out({day.date: day.verdict for day in archive.days(camera)})

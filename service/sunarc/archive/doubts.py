@@ -1,0 +1,35 @@
+"""Sightings that are no longer believed, or believed after all."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import update
+
+from sunarc.archive.store import Store, given
+from sunarc.archive.tables import sun_point
+
+ELSEWHERE = "elsewhere"
+"""Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
+LENS_CHANGED = "lens"
+"""Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
+
+
+class Doubts(Store):
+    """The part of the archive that changes its mind on sightings; where the sun was seen is kept as it was."""
+
+    def set_aside(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
+        """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
+        c = sun_point.c
+        wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        change = update(sun_point).where(*wanted, c.accepted.is_(True))
+        with self._writing() as connection:
+            return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
+
+    def admit_elsewhere(self, camera: str, *, since: datetime, reason: str) -> int:
+        """Accept the discs that were seen elsewhere from `since` on, and return how many: the camera has moved."""
+        c = sun_point.c
+        wanted = (c.camera == camera, c.time >= since, c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None))
+        with self._writing() as connection:
+            change = update(sun_point).where(*wanted).values(accepted=True, verdict="clear", reason=reason)
+            return connection.execute(change).rowcount

@@ -1,0 +1,115 @@
+"""A provisional pose for an epoch that has no full fit yet: from its first sightings on, surer with every few more."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import sunarc
+from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
+from sunarc.calibration import Calibration, CalibrationOptions, from_document, repose, to_document
+from sunarc.errors import InputError
+from sunarc.sky import Site
+from sunarc.workers.points import points_of
+
+_log = logging.getLogger(__name__)
+_GROWTH = 1.3
+_FEWEST = 4
+
+
+def is_provisional(calibration: Calibration) -> bool:
+    """Return whether only the pose was fitted, with the lens of an earlier calibration."""
+    return calibration.evidence.options.get("free") == "pose"
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    epoch: str
+    count: int
+
+
+class Reposer:
+    """Poses the camera anew while its epoch has no full fit.
+
+    Parameters
+    ----------
+    archive, camera, site : whose sightings, and where.
+    options : what makes a pose acceptable.
+    wander_deg : 1-sigma by which the mount wanders.
+    now : frame time, which dates calibrations.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        camera: str,
+        site: Site,
+        options: CalibrationOptions,
+        wander_deg: float,
+        now: Callable[[], datetime],
+    ) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._options = options
+        self._wander_deg = wander_deg
+        self._now = now
+        self._tried: _Tried | None = None
+
+    def improve(self) -> bool:
+        """Pose the camera once more where that is due; return whether the answer is served."""
+        epoch = self._archive.current_epoch(self._camera)
+        current = self._archive.current_calibration(self._camera)
+        if epoch is None or current is None or epoch.reason == LENS_CHANGED:
+            return False
+        if current.pose_epoch == epoch.id and not is_provisional(from_document(current.document)):
+            return False
+        lens = self._lens(current)
+        if lens is None:
+            return False
+        columns = self._archive.sun_point_columns(self._camera, pose_epoch=epoch.id)
+        count = int(columns.unix_s.size)
+        done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
+        if count < max(_FEWEST, _GROWTH * done):
+            return False
+        self._tried = _Tried(epoch.id, count)
+        posed = repose(
+            points_of(columns),
+            start=from_document(lens.document),
+            site=self._site,
+            options=self._options,
+            wander_deg=self._wander_deg,
+        )
+        if not posed.verdict.accepted:
+            _log.info("no pose yet: %s", "; ".join(posed.verdict.reasons))
+            return False
+        document = self._document(posed, epoch, count)
+        record = self._archive.add_calibration(document, parent=lens.id, used=columns)
+        return self._archive.activate(record.id, at=epoch.started_at).state == "current"
+
+    def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
+        """Return the full fit whose lens is kept."""
+        record = current
+        while record.parent is not None and is_provisional(from_document(record.document)):
+            try:
+                record = self._archive.calibration(record.parent)
+            except InputError:
+                return None
+        return None if is_provisional(from_document(record.document)) else record
+
+    def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
+        now = self._now()
+        return to_document(
+            posed,
+            id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-pose{count}",
+            camera=self._camera,
+            state="candidate",
+            created_at=now,
+            valid_from=epoch.started_at,
+            valid_until=None,
+            pose_epoch=epoch.id,
+            software_version=sunarc.__version__,
+        )

@@ -1,0 +1,218 @@
+"""Watches every sighting: tells what changed, opens pose epochs, leaves out what is in doubt, poses the camera anew."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from sunarc.archive import ELSEWHERE, LENS_CHANGED, Archive, Event, SunPoint
+from sunarc.board import Reason, StatusBoard
+from sunarc.calibration import Calibration, from_document
+from sunarc.calibration.watching import REMEMBERED, Change, Watch, Watched, WatchOptions, observe
+from sunarc.errors import InputError, OutsideError
+from sunarc.sky import Site, sun_directions
+from sunarc.workers.handover import Handover
+from sunarc.workers.reposer import Reposer, is_provisional
+
+_log = logging.getLogger(__name__)
+_POLL_S = 0.5
+_WAITING = 256
+_MENDED = 4
+"""Sightings in a row that agree again before a fault of the clock, the image or the site is taken for mended."""
+
+
+class WatchWorker:
+    """Holds sightings to the calibration that is served, and acts on what changed.
+
+    Parameters
+    ----------
+    archive, camera, site : whose sightings, and where it is said to stand.
+    options : when a change is believed.
+    reposer : poses the camera anew.
+    board : where a change degrades the service.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        camera: str,
+        site: Site,
+        options: WatchOptions,
+        reposer: Reposer,
+        board: StatusBoard,
+    ) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._options = options
+        self._reposer = reposer
+        self._board = board
+        self._sightings: Handover[Watched] = Handover(capacity=_WAITING)
+        self._watch = Watch()
+        self._known: tuple[str, Calibration] | None = None
+        self._fault: Change | None = None
+        self._agreeing = 0
+
+    def notice(self, moment: datetime, *, x_px: float, y_px: float, sigma_px: float | None) -> None:
+        """Take note of a sighting; never waits."""
+        self._sightings.put(self._watched(moment, x_px, y_px, sigma_px))
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Work until stopped; what was seen before the start is remembered first."""
+        self.remember()
+        while not stop.is_set():
+            heartbeat()
+            self.look(timeout_s=_POLL_S)
+
+    def remember(self) -> None:
+        """Look again at the last sightings of the pose epoch that goes on."""
+        epoch = self._archive.current_epoch(self._camera)
+        if epoch is None:
+            return
+        seen = self._archive.sun_points(self._camera, since=epoch.started_at, newest_first=True, limit=2 * REMEMBERED)
+        told = [point for point in seen if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
+        for point in reversed(told):
+            self._look_at(_of_point(point, self._watched))
+
+    def look(self, *, timeout_s: float = 0.0) -> bool:
+        """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
+        seen = self._sightings.get(timeout_s=timeout_s)
+        if seen is not None:
+            try:
+                self._look_at(seen)
+            except (np.linalg.LinAlgError, InputError, OutsideError) as error:
+                _log.warning("a sighting could not be held to the calibration: %s", error)
+        return seen is not None
+
+    def _look_at(self, seen: Watched) -> None:
+        current = self._current()
+        if current is None or (len(self._watch) and seen.unix_s <= self._watch.unix_s[-1]):
+            return
+        self._watch, change = observe(
+            self._watch,
+            seen,
+            calibration=current,
+            site=self._site,
+            options=self._options,
+            clock_stepped=self._clock_stepped(),
+            posed_from_few=is_provisional(current),
+        )
+        if self._fault is not None:
+            self._wait_for_mending(seen)
+        elif change is not None:
+            self._act(change)
+        if self._reposer.improve():
+            self._show_pose()
+
+    def _act(self, change: Change) -> None:
+        """Tell, and do what the change asks for."""
+        at = _moment(change.at_unix_s)
+        _log.warning("since %s: %s", at.isoformat(), change.text)
+        self._tell(change, at)
+        if change.kind in ("bump", "lens"):
+            self._open_epoch(change, at)
+        else:
+            self._fault, self._agreeing = change, 0
+            self._archive.set_aside(self._camera, since=at, reason=f"{change.kind}: {change.text}")
+
+    def _open_epoch(self, change: Change, at: datetime) -> None:
+        """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
+        doubted = f"in doubt: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
+        after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
+        self._archive.set_aside(self._camera, since=after_last, until=at, reason=doubted)
+        try:
+            self._archive.open_epoch(self._camera, at=at, reason=LENS_CHANGED if change.kind == "lens" else change.kind)
+        except InputError as error:  # the whole epoch is of the new pose or lens
+            _log.info("%s", error)
+        self._archive.admit_elsewhere(self._camera, since=at, reason="the camera had moved")
+        current = self._archive.current_calibration(self._camera)
+        if change.kind == "lens":
+            if current is not None:
+                self._archive.retire(current.id, at=max(at, current.valid_from))
+            self._watch, self._known = Watch(), None
+        else:
+            self._watch = self._watch.since(change.at_unix_s)
+
+    def _wait_for_mending(self, seen: Watched) -> None:
+        """Leave out what comes in while the clock, the image or the site is wrong."""
+        fault = self._fault
+        if fault is None:
+            return
+        self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
+        if self._agreeing >= _MENDED:
+            self._fault = None
+            self._board.clear_reason(_code(fault))
+            return
+        moment = _moment(seen.unix_s)
+        until = moment + timedelta(microseconds=1)
+        self._archive.set_aside(self._camera, since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
+
+    def _tell(self, change: Change, at: datetime) -> None:
+        details = {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
+        event = Event(
+            time=at, kind=change.kind, severity="alarm", text=change.text, camera=self._camera, details=details
+        )
+        self._archive.add_event(event)
+        text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
+        self._board.set_reason(Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy))
+
+    def _show_pose(self) -> None:
+        """Tell how the pose stands; a full fit of the epoch ends the matter."""
+        current = self._current()
+        if current is None:
+            return
+        for kind in ("bump", "lens"):
+            self._board.clear_reason(f"changed_{kind}")
+        if not is_provisional(current):
+            self._board.clear_reason("provisional_pose")
+            return
+        count, sigma = current.evidence.n_used, current.sky_rms_deg
+        said = f"the camera was posed anew from {count} sightings, to {sigma:.3f} degrees"
+        remedy = "wait: it grows surer with every sighting, and is fitted with all others after the day"
+        self._board.set_reason(Reason(code="provisional_pose", severity="degraded", text=said, remedy=remedy))
+
+    def _current(self) -> Calibration | None:
+        """Return what is served, when it speaks of this version's documents."""
+        record = self._archive.current_calibration(self._camera)
+        if record is None:
+            self._known = None
+        elif self._known is None or self._known[0] != record.id:
+            self._known = (record.id, from_document(record.document))
+            self._show_pose()
+        return None if self._known is None else self._known[1]
+
+    def _clock_stepped(self) -> bool:
+        """Return whether the host's clock was set while the sightings in question were made."""
+        if not len(self._watch):
+            return False
+        since = _moment(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
+        return any(event.kind == "clock_step" for event in self._archive.events(self._camera, since=since))
+
+    def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Watched:
+        east, north, up = sun_directions(moment.timestamp(), self._site).tolist()
+        return Watched(
+            unix_s=moment.timestamp(),
+            pixel=(x_px, y_px),
+            direction=(east, north, up),
+            sigma_px=np.nan if sigma_px is None else sigma_px,
+        )
+
+
+def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Watched]) -> Watched:
+    if point.x_px is None or point.y_px is None:
+        raise InputError(field="sighting", problem="without a pixel", remedy="look at accepted ones")
+    return watched(point.time, point.x_px, point.y_px, point.sigma_px)
+
+
+def _moment(unix_s: float) -> datetime:
+    return datetime.fromtimestamp(unix_s, UTC)
+
+
+def _code(change: Change) -> str:
+    return f"changed_{change.kind}"

@@ -1,0 +1,263 @@
+"""What the service does when the camera moves: events, epochs, provisional poses, sightings left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sunarc.archive import CameraRecord, Event, SunPoint, open_archive, upgrade
+from sunarc.board import StatusBoard
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    SunPoints,
+    calibrate,
+    from_document,
+    hemisphere,
+    project_with_covariance,
+    to_document,
+)
+from sunarc.calibration.watching import WatchOptions
+from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.simulation import SGP, true_camera
+from sunarc.sky import sun_angles, sun_directions
+from sunarc.workers import Reposer, WatchWorker
+
+FloatArray = NDArray[np.float64]
+DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()
+NOON = datetime(2013, 5, 14, 18, 30, tzinfo=UTC).timestamp()
+SIZE = (1748, 1748)
+TRUTH = replace(true_camera(), max_angle=2.0)
+
+
+def turned(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
+    matrix = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
+    return replace(camera, rotation_cam_enu=rotation_vector(matrix))
+
+
+@pytest.fixture(scope="module")
+def good() -> Calibration:
+    times = DAY + np.arange(0.0, 86_400.0, 240.0)
+    times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
+    noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
+    points = SunPoints(unix_s=times, pixels=project(TRUTH, sun_directions(times, SGP)) + noise)
+    return calibrate(points, site=SGP, image_size=SIZE)
+
+
+class Imager:
+    """A watch over an archive, shown sightings of a camera that may move."""
+
+    def __init__(self, folder: Path, calibration: Calibration, board: StatusBoard) -> None:
+        upgrade(folder / "sunarc.sqlite")
+        self.archive = open_archive(folder / "sunarc.sqlite")
+        self.board = board
+        self.now = datetime.fromtimestamp(NOON - 3600.0, UTC)
+        self.archive.save_camera(
+            CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
+        )
+        self.archive.epoch_at("roof", datetime.fromtimestamp(DAY, UTC), reason="first frame")
+        document = to_document(
+            calibration,
+            id="full",
+            camera="roof",
+            state="candidate",
+            created_at=self.now,
+            valid_from=datetime.fromtimestamp(DAY, UTC),
+            valid_until=None,
+            pose_epoch="roof-1",
+            software_version="1",
+        )
+        self.archive.activate(self.archive.add_calibration(document).id)
+        self.rng = np.random.default_rng(5)
+        self.watch = self.new_watch()
+
+    def new_watch(self) -> WatchWorker:
+        reposer = Reposer(
+            archive=self.archive,
+            camera="roof",
+            site=SGP,
+            options=CalibrationOptions(level_within_deg=40.0),
+            wander_deg=0.0,
+            now=lambda: self.now,
+        )
+        return WatchWorker(
+            archive=self.archive,
+            camera="roof",
+            site=SGP,
+            options=WatchOptions(),
+            reposer=reposer,
+            board=self.board,
+        )
+
+    def see(self, pixel: FloatArray, unix_s: float, *, verdict: str = "clear") -> None:
+        """Store one sighting and let the watch look at it."""
+        moment = datetime.fromtimestamp(unix_s, UTC)
+        x, y = (float(v) for v in pixel + self.rng.normal(0.0, 0.02, 2))
+        epoch = self.archive.epoch_at("roof", moment, reason="first frame")
+        point = SunPoint(
+            camera="roof",
+            pose_epoch=epoch.id,
+            time=moment,
+            method="disc",
+            accepted=verdict == "clear",
+            verdict=verdict,
+            x_px=x,
+            y_px=y,
+            sigma_px=0.02,
+        )
+        self.archive.add_sun_points([point])
+        self.now = moment
+        self.watch.notice(moment, x_px=x, y_px=y, sigma_px=0.02)
+        while self.watch.look():
+            pass
+
+    def see_many(self, camera: Camera, minutes: range, *, verdict: str = "clear", clock_s: float = 0.0) -> None:
+        for minute in minutes:
+            unix_s = NOON + 60.0 * minute
+            self.see(project(camera, sun_directions(unix_s + clock_s, SGP)), unix_s, verdict=verdict)
+
+    def codes(self) -> set[str]:
+        return {reason.code for reason in self.board.snapshot().reasons}
+
+    def served(self) -> Calibration:
+        record = self.archive.current_calibration("roof")
+        assert record is not None
+        return from_document(record.document)
+
+    def events(self) -> list[Event]:
+        return [event for event in self.archive.events("roof") if event.severity == "alarm"]
+
+
+@pytest.fixture
+def imager(tmp_path: Path, good: Calibration, board: StatusBoard) -> Imager:
+    return Imager(tmp_path, good, board)
+
+
+def off_in_sigmas(found: Calibration, truth: Camera) -> float:
+    sky = hemisphere(300)
+    pixels, covariance = project_with_covariance(replace(found, camera=replace(found.camera, max_angle=2.0)), sky)
+    error = pixels - project(truth, sky)
+    return float(np.sqrt(np.nanmean(np.sum(error**2, axis=-1)) / np.nanmean(np.trace(covariance, axis1=1, axis2=2))))
+
+
+def test_after_a_bump_a_provisional_pose_is_served_within_twenty_sightings(imager: Imager) -> None:
+    moved = turned(TRUTH, (0.12, -0.1, 0.12))
+    imager.see_many(TRUTH, range(-20, 0))
+    imager.see_many(moved, range(10))
+    (event,) = imager.events()
+    assert event.kind == "bump"
+    assert abs(event.time.timestamp() - NOON) <= 120.0
+    assert imager.board.snapshot().health == "degraded"
+    imager.see_many(moved, range(10, 20))
+    first, second = imager.archive.epochs("roof")
+    assert abs(second.started_at.timestamp() - NOON) <= 120.0
+    current = imager.archive.current_calibration("roof")
+    assert current is not None
+    assert (current.pose_epoch, current.valid_from) == (second.id, second.started_at)
+    assert "provisional" in " ".join(current.reasons)
+    assert off_in_sigmas(imager.served(), moved) < 2.0
+    assert "provisional_pose" in imager.codes()
+    assert imager.archive.refits("roof") == ()
+    before = imager.archive.current_calibration("roof", at=datetime.fromtimestamp(NOON - 300.0, UTC))
+    assert before is not None
+    assert before.id == "full"
+    times = imager.archive.sun_point_columns("roof", pose_epoch=second.id).unix_s
+    assert times.min() >= NOON
+    assert imager.archive.sun_point_columns("roof", pose_epoch=first.id).unix_s.max() < NOON
+
+
+def test_a_provisional_pose_grows_surer_and_a_full_fit_ends_it(imager: Imager, good: Calibration) -> None:
+    moved = turned(TRUTH, (0.0, 0.2, 0.0))
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(moved, range(8))
+    early = imager.served().sky_rms_deg
+    imager.see_many(moved, range(8, 40))
+    assert imager.served().sky_rms_deg < 0.5 * early
+    full = to_document(
+        replace(good, camera=replace(moved, max_angle=good.camera.max_angle)),
+        id="later",
+        camera="roof",
+        state="candidate",
+        created_at=imager.now,
+        valid_from=imager.now,
+        valid_until=None,
+        pose_epoch="roof-2",
+        software_version="1",
+    )
+    imager.archive.activate(imager.archive.add_calibration(full).id)
+    imager.see_many(moved, range(40, 44))
+    assert "provisional_pose" not in imager.codes()
+    assert len(imager.events()) == 1
+
+
+def test_a_camera_that_looks_elsewhere_is_followed(imager: Imager) -> None:
+    moved = turned(TRUTH, (12.0, 8.0, -20.0))
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(moved, range(20), verdict="elsewhere")
+    assert [event.kind for event in imager.events()] == ["bump"]
+    assert off_in_sigmas(imager.served(), moved) < 2.0
+    assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size >= 4
+
+
+def test_a_set_clock_leaves_the_calibration_alone_until_it_is_right_again(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-15, 0))
+    step = Event(
+        time=datetime.fromtimestamp(NOON - 10.0, UTC),
+        kind="clock_step",
+        severity="warning",
+        text="set",
+        camera="roof",
+        details={"step_s": 5.0},
+    )
+    imager.archive.add_event(step)
+    imager.see_many(TRUTH, range(10), clock_s=5.0)
+    assert [event.kind for event in imager.events()] == ["clock"]
+    assert "changed_clock" in imager.codes()
+    assert len(imager.archive.epochs("roof")) == 1
+    current = imager.archive.current_calibration("roof")
+    assert current is not None
+    assert current.id == "full"
+    assert imager.archive.sun_point_columns("roof").unix_s.max() < NOON
+    imager.see_many(TRUTH, range(10, 20))
+    assert "changed_clock" not in imager.codes()
+    assert imager.archive.sun_point_columns("roof").unix_s.max() >= NOON + 16 * 60.0
+
+
+def test_a_mirrored_image_moves_nothing(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-15, 0))
+    for minute in range(8):
+        unix_s = NOON + 60.0 * minute
+        x, y = project(TRUTH, sun_directions(unix_s, SGP))
+        imager.see(np.array([SIZE[0] - 1.0 - x, y]), unix_s, verdict="elsewhere")
+    assert [event.kind for event in imager.events()] == ["mirrored"]
+    assert len(imager.archive.epochs("roof")) == 1
+
+
+def test_a_restart_in_the_midst_of_a_bump_finds_it_all_the_same(imager: Imager) -> None:
+    moved = turned(TRUTH, (0.15, 0.1, 0.0))
+    imager.see_many(TRUTH, range(-15, 0))
+    imager.see_many(moved, range(3))
+    assert imager.events() == []
+    imager.watch = imager.new_watch()
+    imager.watch.remember()
+    imager.see_many(moved, range(3, 10))
+    assert [event.kind for event in imager.events()] == ["bump"]
+    imager.watch = imager.new_watch()
+    imager.watch.remember()
+    imager.see_many(moved, range(10, 14))
+    assert [event.kind for event in imager.events()] == ["bump"]
+
+
+def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-5, 5))
+    since, until = (datetime.fromtimestamp(NOON + s, UTC) for s in (-60.0, 90.0))
+    assert imager.archive.set_aside("roof", since=since, until=until, reason="test") == 3
+    assert imager.archive.sun_point_columns("roof").unix_s.size == 7
+    aside = [point for point in imager.archive.sun_points("roof") if point.verdict == "set_aside"]
+    assert [point.reason for point in aside] == ["test"] * 3
