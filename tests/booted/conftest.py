@@ -118,7 +118,11 @@ class Field:
     def wait_for_sightings(self, n: int = 1, *, within_s: float = 120.0) -> int:
         """Wait for `n` further sightings; return how many there are."""
         begun = self.sightings()
-        wait_for(lambda: self.sightings() >= begun + n, within_s=within_s, what=f"{n} sightings", every_s=0.5)
+        try:
+            wait_for(lambda: self.sightings() >= begun + n, within_s=within_s, what=f"{n} sightings", every_s=0.5)
+        except AssertionError:
+            print(self.ask("/v1/status"), self.journal("-n", "30"), sep="\n")  # noqa: T201 - why there was none
+            raise
         return self.sightings()
 
     def sightings(self) -> int:

@@ -66,6 +66,7 @@ def test_a_hung_worker_is_ended_by_the_watchdog_with_its_stack_in_the_journal(
     assert "Watchdog timeout" in told
     assert 'File "/etc/sunarc/hanging.py", line 7 in hang' in told
     field.path(DROP_IN).unlink()
+    field.configure()
     field.do("systemctl", "daemon-reload")
     field.do("systemctl", "restart", "sunarc")
     field.wait_until_ready()
