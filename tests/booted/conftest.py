@@ -26,6 +26,7 @@ import sys, urllib.request as u
 asked = u.Request(sys.argv[1], method=sys.argv[2], headers={"Authorization": "Bearer " + sys.argv[3]})
 print(u.urlopen(asked, timeout=5).read().decode())
 """
+SPEED = 20  # of the camera's clock: a cycle of 30 s takes 1.5 s, which a busy host can keep
 _UP_WITHIN_S = 90.0
 
 
@@ -69,7 +70,7 @@ class Field:
 
     def configure(self, *, more: str = "", **capture: object) -> None:
         """Write settings for the simulated imager."""
-        given = {"speed": 60.0, **capture}
+        given = {"speed": SPEED, **capture}
         lines = "\n".join(f"{name} = {value}" for name, value in given.items())
         self.write(
             "/etc/sunarc/sunarc.toml",
@@ -90,7 +91,7 @@ class Field:
         ]
         with self.log.open("ab") as log:
             self._imager = subprocess.Popen(
-                [*command, "--address", IMAGER_ADDRESS, "--speed", "60", "--start", "2013-05-13T14:00:00Z"],
+                [*command, "--address", IMAGER_ADDRESS, "--speed", str(SPEED), "--start", "2013-05-13T14:00:00Z"],
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
