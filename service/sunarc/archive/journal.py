@@ -84,7 +84,7 @@ class Journal(Store):
             key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
         known = replace(event, id=None if key is None else int(key[0]))
         fields = {"event_id": known.id, "event_kind": known.kind}  # what the journal's line shares with /v1/events
-        _log.log(_LEVELS[known.severity], "%s", known.text, extra=fields)
+        _log.log(_LEVELS[known.severity], "%s: %s", known.kind, known.text, extra=fields)
         return known
 
     def events(

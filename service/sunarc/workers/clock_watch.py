@@ -170,7 +170,6 @@ class ClockWatch:
             except OutsideError as error:
                 _log.warning("a step of the clock is not written down yet: %s", error)
                 return
-            _log.warning("the %s's clock was stepped by %+.3f s", self._whose, step.step_s)
             self._unwritten.popleft()
 
     def _event(self, step: ClockStep) -> Event:

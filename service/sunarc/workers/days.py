@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from dataclasses import asdict
@@ -16,7 +15,6 @@ from sunarc.errors import InputError
 from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
 from sunarc.workers.points import points_of
 
-_log = logging.getLogger(__name__)
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
 
 
@@ -122,7 +120,6 @@ class DayJudge:
         self._archive.add_event(
             Event(time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera, details=details)
         )
-        _log.info("%s", text)
 
 
 def _finite(value: float) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import uuid
 from collections.abc import Callable
@@ -32,7 +31,6 @@ from sunarc.workers.problem import Task, next_task
 from sunarc.workers.solve import SolveFailedError, solve_in_child
 from sunarc.workers.soundness import Soundness
 
-_log = logging.getLogger(__name__)
 _POLL_S = 0.5
 _DAYS_OF_SPREAD = 60
 
@@ -209,7 +207,6 @@ class RefitWorker:
                 details={"refit": refit.id, "calibration": calibration},
             )
         )
-        _log.log(logging.INFO if state == "accepted" else logging.WARNING, "refit %s: %s", state, message)
 
 
 def _circle(numbers: tuple[float, float, float]) -> ImageCircle:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from datetime import datetime
 
@@ -10,8 +9,6 @@ from sunarc.archive import Archive, CalibrationRecord, Event
 from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import from_document
 from sunarc.errors import InputError, NotFoundError
-
-_log = logging.getLogger(__name__)
 
 
 class Soundness:
@@ -64,7 +61,6 @@ class Soundness:
         details = {"calibration": record.id}
         told = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
         self._archive.add_event(told)
-        _log.warning("%s", text)
 
 
 def _none() -> Reason:
