@@ -38,6 +38,7 @@ async function refreshStatus() {
     w.name, judged(w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
   ]), "No worker has started.");
   fillFacts("facts", factsOf(status));
+  fillFacts("more-facts", moreFactsOf(status));
   await showImage(status);
 }
 
@@ -51,6 +52,11 @@ function factsOf(status) {
     "Disk free": status.disk_free_bytes === null ? "not known yet" : bytes(status.disk_free_bytes),
     "Running since": moment(status.started_at),
   };
+  return facts;
+}
+
+function moreFactsOf(status) {
+  const facts = {};
   const told = [...TOLD_ELSEWHERE, "camera", "clock", "last_frame_at", "last_sighting_at", "disk_free_bytes", "started_at"];
   for (const [name, value] of Object.entries(status)) if (!told.includes(name) && value !== null) addFact(facts, name, value);
   return facts;

@@ -1,0 +1,75 @@
+"""Look at the dashboard of a running demo in Chromium: pictures, and how far the drawn sun is from the true one.
+
+    deploy/demo --days 2 --speed 300 --state DIR --port 8080 &
+    .venv/bin/python docs/studies/dashboard.py http://127.0.0.1:8080/ DIR/truth.json --into docs
+
+waits until there is a calibration and the sun is up, writes dashboard.png (and with --all dashboard-dark.png and
+dashboard-phone.png), and prints the distance of the drawn sun from the true camera's, in px, what the console said and
+whom the page asked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import Page, sync_playwright
+
+from sunarc.calibration import from_document
+from sunarc.optics import project
+from sunarc.sky import sun_directions
+
+LOOKS = {"": (1400, 1000, "light"), "-dark": (1400, 1000, "dark"), "-phone": (390, 844, "light")}
+MARKER = """() => {
+  const box = document.querySelector("#overlay path.expected").getBoundingClientRect();
+  const image = document.querySelector("#image");
+  const frame = image.getBoundingClientRect();
+  const x = (box.left + box.width / 2 - frame.left) / frame.width;
+  const y = (box.top + box.height / 2 - frame.top) / frame.height;
+  return [x * image.naturalWidth - 0.5, y * image.naturalHeight - 0.5, document.querySelector("#sky-time").textContent];
+}"""
+
+
+def main() -> None:
+    """Take the pictures and print what was seen."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("url")
+    parser.add_argument("truth", type=Path)
+    parser.add_argument("--into", type=Path, default=Path())
+    parser.add_argument("--all", action="store_true", help="also in dark, and on a phone")
+    options = parser.parse_args()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        for name, (width, height, scheme) in LOOKS.items() if options.all else [("", LOOKS[""])]:
+            page = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme).new_page()
+            said: list[str] = []
+            asked: set[str] = set()
+            page.on("console", lambda message, said=said: said.append(message.text))
+            page.on("request", lambda request, asked=asked: asked.add(request.url.split("/")[2]))
+            page.goto(options.url)
+            for selector in ("#overlay path.expected", "#by-time .x-mark", "#sigma path"):
+                page.wait_for_selector(selector, timeout=900_000, state="attached")
+            page.wait_for_timeout(6000)
+            off = [off_truth_px(page, options.truth) for _ in range(5) if not page.wait_for_timeout(2600)]
+            page.screenshot(path=options.into / f"dashboard{name}.png", full_page=True)
+            print(f"{name or 'desktop'}: drawn sun off the true one by {np.round(off, 2).tolist()} px")
+            print(f"  console: {said}; asked: {asked}")
+        browser.close()
+
+
+def off_truth_px(page: Page, truth: Path) -> float:
+    """Return how far the drawn sun is from where the true camera has it, px."""
+    x, y, time = page.evaluate(MARKER)
+    unix_s = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp() + 0.5
+    true = from_document(json.loads(truth.read_text()))
+    return float(np.hypot(*(project(true.camera, sun_directions(unix_s, true.site)) - (x, y))))
+
+
+if __name__ == "__main__":
+    main()
