@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -244,3 +245,12 @@ def test_the_calibration_that_answers_is_the_one_that_was_activated_last(made: M
     assert ask(made, "/v1/project", HERE)["calibration"] == "second"
     made.archive.retire("second", at=made.noon)
     assert made.client.post("/v1/project", json=HERE).status_code == 404
+
+
+def test_small_questions_are_answered_before_the_calibration_is_ready_however_many(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    made = make(history="filled", max_large_at_once=1)
+    with ThreadPoolExecutor(16) as pool:
+        asked = [
+            pool.submit(made.client.post, "/v1/back-project", json={"pixels": [[871.0, 883.0]]}) for _ in range(16)
+        ]
+    assert {one.result().status_code for one in asked} == {200}

@@ -83,9 +83,11 @@ async def compute(
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
-    at_once = at is None and "camera" not in request.path_params and len(body) <= _SMALL_BYTES
-    if at_once and served.ready.known(served.record_or_none(None)) is not None:
-        return _json(computation, served, request, body, at)
+    if len(body) <= _SMALL_BYTES:
+        ours_now = at is None and "camera" not in request.path_params
+        if ours_now and served.ready.known(served.record_or_none(None)) is not None:
+            return _json(computation, served, request, body, at)
+        return await run_in_threadpool(_json, computation, served, request, body, at)
     with gate.entered():
         return await run_in_threadpool(_json, computation, served, request, body, at)
 
