@@ -151,3 +151,9 @@ def test_long_answers_are_compressed_for_those_who_take_it(made: Made) -> None:
     assert packed.headers["vary"] == "Accept-Encoding"
     assert "content-encoding" not in made.client.get("/healthz", headers={"accept-encoding": "gzip"}).headers
     assert "content-encoding" not in made.client.get("/v1/image/latest", headers={"accept-encoding": "gzip"}).headers
+
+
+def test_a_path_that_knows_several_methods_lists_them_all(made: Made) -> None:
+    for path in ("/v1/refits", "/v1/cameras/roof/refits"):
+        assert made.client.request("DELETE", path).headers["allow"] == "GET, POST"
+    assert made.client.request("DELETE", "/").headers["allow"]

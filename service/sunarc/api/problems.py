@@ -12,7 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
-from starlette.routing import Match
+from starlette.routing import compile_path
 
 from sunarc.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
 
@@ -172,15 +172,16 @@ def _http(request: Request, error: Exception) -> JSONResponse:
         return error.response(request.url.path)
     known = error if isinstance(error, HTTPException) else HTTPException(500)
     status, headers = HTTPStatus(known.status_code), known.headers
-    if status == HTTPStatus.METHOD_NOT_ALLOWED:
-        headers = {"allow": ", ".join(sorted(_methods(request)))}
+    if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _methods(request)):
+        headers = {"allow": ", ".join(sorted(methods))}
     return problem_response(status, path=request.url.path, detail=str(known.detail), headers=headers)
 
 
 def _methods(request: Request) -> set[str]:
-    """Return the methods that the path of a request knows; it may be several routes' together."""
-    routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
-    return {method for route in routes for method in getattr(route, "methods", None) or ()}
+    """Return the methods that the described path of a request knows; it may be several routes' together."""
+    described = request.app.openapi()["paths"].items()
+    found = [operations for path, operations in described if compile_path(path)[0].match(request.url.path)]
+    return {method.upper() for operations in found for method in operations}
 
 
 def _ours(request: Request, error: Exception) -> JSONResponse:
