@@ -109,6 +109,9 @@ def simulate(
     nd_transmission: Annotated[
         float, typer.Option(help="Of a neutral filter before the lens; 0.01 unsaturates.")
     ] = 1.0,
+    ghost: Annotated[float, typer.Option(help="Reflection opposite the sun, over the sun's brightness.")] = 0.0,
+    sun_cover: Annotated[float, typer.Option(help="Share of the sun's diameter behind an edge.")] = 0.0,
+    blooming: Annotated[float, typer.Option(help="Share of a full well's excess that runs along its column.")] = 0.0,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback.
@@ -124,6 +127,9 @@ def simulate(
         lens_seed=lens_seed,
         clouds=clouds,
         nd_transmission=nd_transmission,
+        ghost=ghost,
+        sun_cover=sun_cover,
+        blooming=blooming,
         truth=truth,
     )
 

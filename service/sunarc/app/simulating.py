@@ -7,7 +7,7 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import ImagerOptions, SceneOptions, run_imager
+from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel, run_imager
 from sunarc.sky import Site
 
 
@@ -20,6 +20,9 @@ def simulate(
     lens_seed: int,
     clouds: str,
     nd_transmission: float,
+    ghost: float,
+    sun_cover: float,
+    blooming: float,
     truth: Path | None,
 ) -> None:
     """Run a simulated imager until SIGTERM or SIGINT."""
@@ -30,7 +33,8 @@ def simulate(
         site=site,
         lens_seed=lens_seed,
         clouds=clouds,
-        scene=SceneOptions(nd_transmission=nd_transmission),
+        scene=SceneOptions(nd_transmission=nd_transmission, ghost_strength=ghost, sun_cover=sun_cover),
+        sensor=SensorModel(blooming=blooming),
         truth=truth,
     )
     stop = threading.Event()

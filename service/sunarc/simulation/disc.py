@@ -65,6 +65,13 @@ def disc_points(camera: Camera, sun_enu: FloatArray, *, limb_darkening: float) -
     )
 
 
+def is_covered(direction_enu: FloatArray, sun_enu: FloatArray, *, share: float) -> NDArray[np.bool_]:
+    """Return (n,) which points of the disc are behind an edge that hides this share of its diameter from the left."""
+    rightward = np.array([sun_enu[1], -sun_enu[0], 0.0]) / max(math.hypot(sun_enu[0], sun_enu[1]), 1e-9)
+    along = (direction_enu - sun_enu) @ rightward / SOLAR_RADIUS
+    return np.asarray(along < -1.0 + 2.0 * share) if share > 0.0 else np.zeros(len(direction_enu), dtype=np.bool_)
+
+
 def stamp_of(pixel: FloatArray, weight: FloatArray, *, sigma_px: float) -> Stamp:
     """Return weighted points blurred by a Gaussian and integrated over each pixel; the stamp's sum is the weights'."""
     margin = 6.0 * sigma_px + 1.0

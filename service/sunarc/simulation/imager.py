@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sunarc.cameras import Counts, full_scale_of
 from sunarc.clock import Clock, SystemClock
+from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
 from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
@@ -150,6 +151,7 @@ class _Imager:
     def fill(self, request: Request) -> tuple[Counts, int]:
         """Return a frame's counts and its timestamp in nanoseconds: the simulated start of the exposure."""
         begun = self._clock.monotonic()
+        name = _FORMAT_NAMES[request.pixel_format]
         elapsed_s = begun - self._started_at
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
@@ -159,7 +161,8 @@ class _Imager:
                 start_us,
                 exposure_us=self._light_us(request.exposure_us),
                 gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
-                full_scale=full_scale_of(_FORMAT_NAMES[request.pixel_format]),
+                full_scale=full_scale_of(name),
+                bayer=bayer_of(name),
             ),
             request.region,
         )

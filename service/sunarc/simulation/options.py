@@ -52,6 +52,7 @@ class SensorModel:
     read_noise_e : electrons.
     black_level : of an empty pixel, as a fraction of full scale.
     hot_pixels : number of pixels with strong dark current or a stuck level, anywhere.
+    blooming : share of the charge that a full well cannot hold which runs into its column's neighbours, half each way.
     smear_us_per_row : exposure that every row gets of every other row of its column while the charge is moved.
     """
 
@@ -59,6 +60,7 @@ class SensorModel:
     read_noise_e: float = 12.0
     black_level: float = 32.0 / 4095.0
     hot_pixels: int = 40
+    blooming: float = 0.0
     smear_us_per_row: float = 2e-3
 
     def __post_init__(self) -> None:
@@ -67,6 +69,7 @@ class SensorModel:
         _require(field="read_noise_e", good=self.read_noise_e >= 0.0, remedy="give electrons")
         _require(field="black_level", good=0.0 <= self.black_level < 0.5, remedy="give a fraction of full scale")
         _require(field="hot_pixels", good=self.hot_pixels >= 0, remedy="give a number of pixels")
+        _require(field="blooming", good=0.0 <= self.blooming <= 1.0, remedy="give 0 to 1")
         _require(field="smear_us_per_row", good=self.smear_us_per_row >= 0.0, remedy="give microseconds")
 
 
@@ -87,6 +90,8 @@ class SceneOptions:
     glare_strength : light scattered in the lens 1° from the sun, in units of the disc's.
     sky_strength : brightness of the clear zenith under a high sun, in units of the disc's.
     ghost_strength : of the reflection opposite the sun through the principal point, in units of the disc's.
+    sun_cover : share of the sun's diameter behind an opaque edge that stays with it, from its left limb, seen upright.
+    moon_at : zenith angle and azimuth of a full moon that stays there, degrees; None is no moon.
     field_deg : half the lens's field of view: the image circle.
     obstructions : what stands before the sky.
     bump : when the camera is turned, if it is.
@@ -102,6 +107,8 @@ class SceneOptions:
     glare_strength: float = 2.5e-4
     sky_strength: float = 4e-6
     ghost_strength: float = 0.0
+    sun_cover: float = 0.0
+    moon_at: tuple[float, float] | None = None
     field_deg: float = 93.0
     obstructions: tuple[Obstruction, ...] = ()
     bump: Bump | None = None
@@ -114,6 +121,8 @@ class SceneOptions:
         _require(field="nd_transmission", good=0.0 < self.nd_transmission <= 1.0, remedy="give 0 to 1")
         _require(field="limb_darkening", good=0.0 <= self.limb_darkening <= 1.0, remedy="give 0 to 1")
         _require(field="psf_sigma_px", good=0.05 <= self.psf_sigma_px <= 20.0, remedy="give 0.05 to 20 px")
+        _require(field="ghost_strength", good=self.ghost_strength >= 0.0, remedy="give 0 or more")
+        _require(field="sun_cover", good=0.0 <= self.sun_cover <= 1.0, remedy="give 0 to 1")
         _require(field="field_deg", good=10.0 <= self.field_deg <= 120.0, remedy="give 10 to 120 degrees")
 
 

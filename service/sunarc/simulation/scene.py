@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.cameras import Counts
+from sunarc.detection import Bayer
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.simulation.charge import behind_mosaic, run_over
 from sunarc.simulation.clouds import CloudLayer, cloud_layer
-from sunarc.simulation.disc import Stamp, disc_points, stamp_of
+from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
@@ -24,6 +26,7 @@ Region = tuple[int, int, int, int]
 _NOISE_LENGTH = 1 << 20
 _HEADROOM = 1.15  # a full well holds a little more than full scale, so that what is saturated stays so under noise
 _GLARE_CORE_DEG = 0.5
+_MOON = 2.5e-6  # the full moon's brightness over the sun's
 
 
 class Scene:
@@ -66,6 +69,7 @@ class Scene:
         full_scale: int = 4095,
         region: Region | None = None,
         noise: bool = True,
+        bayer: Bayer | None = None,
     ) -> Counts:
         """Return the counts of one exposure.
 
@@ -77,6 +81,7 @@ class Scene:
         full_scale : the largest count; 255 gives uint8, anything above uint16.
         region : x, y, width, height in px; None is the whole sensor.
         noise : False leaves photon, read noise and hot pixels out.
+        bayer : colours of the sensor's top-left 2×2 pixels; None is mono.
 
         Returns
         -------
@@ -84,10 +89,16 @@ class Scene:
         """
         if (after := self._after(start_us * 1e-6)) is not None:
             return after.render(
-                start_us, exposure_us=exposure_us, gain_db=gain_db, full_scale=full_scale, region=region, noise=noise
+                start_us,
+                exposure_us=exposure_us,
+                gain_db=gain_db,
+                full_scale=full_scale,
+                region=region,
+                noise=noise,
+                bayer=bayer,
             )
         region = region or (0, 0, self.camera.width, self.camera.height)
-        light, smear = self._light(start_us * 1e-6 + exposure_us * 0.5e-6, region)
+        light, smear = self._gathered(start_us * 1e-6 + exposure_us * 0.5e-6, region, exposure_us, bayer)
         starts = np.zeros(region[3], dtype=np.int64)
         if noise:
             self._add_hot_pixels(light, region, exposure_us)
@@ -126,10 +137,27 @@ class Scene:
     def sun_transmittance(self, unix_s: float) -> float:
         """Return how much of the sun's light clouds and obstructions let through, averaged over its disc."""
         layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
-        points = disc_points(self.camera, self.sun_direction(unix_s), limb_darkening=self.options.limb_darkening)
+        sun = self.sun_direction(unix_s)
+        points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return 0.0
-        return float(np.average(self._seen(points.direction_enu, layer), weights=points.weight_px))
+        seen = self._seen(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
+        return float(np.average(seen, weights=points.weight_px))
+
+    def _gathered(
+        self, unix_s: float, region: Region, exposure_us: float, bayer: Bayer | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return `_light` as the wells hold it: behind the mosaic, and run over."""
+        x, y, width, height = region
+        blooms = self.sensor.blooming > 0.0
+        first_row, rows = (0, self.camera.height) if blooms else (y, height)  # charge comes from outside the region too
+        light, smear = self._light(unix_s, (x, first_row, width, rows))
+        if bayer is not None:
+            behind_mosaic(light, bayer, first=(x, first_row))
+        if blooms:
+            run_over(light, _HEADROOM / exposure_us, self.sensor.blooming)
+            light = np.ascontiguousarray(light[y : y + height])
+        return light, smear
 
     def _light(self, unix_s: float, region: Region) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the light of a region in full scales per microsecond, and its smear in electrons, (w,)."""
@@ -140,6 +168,7 @@ class Scene:
         light = np.empty((height, width), dtype=np.float32)
         smear = np.zeros(width, dtype=np.float32)
         stamps, share = self._stamps(sun, layer)
+        stamps += self._moon(layer)
         sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer, light)
         for stamp in stamps:
             _add(light, stamp, (x, y))
@@ -152,7 +181,7 @@ class Scene:
         points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return [], 0.0
-        seen = self._seen(points.direction_enu, layer)
+        seen = self._seen(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
         share = float(np.average(seen, weights=points.weight_px))
         if share <= 0.0:
             return [], 0.0
@@ -163,9 +192,24 @@ class Scene:
             stamps.append(stamp_of(opposite, weight * self.options.ghost_strength, sigma_px=self.options.psf_sigma_px))
         return stamps, share
 
+    def _moon(self, layer: CloudLayer) -> list[Stamp]:
+        """Return the image of the full moon, where there is one: even, and 400 000 times fainter than the sun."""
+        if self.options.moon_at is None:
+            return []
+        zenith, azimuth = self.options.moon_at
+        direction = direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth)
+        points = disc_points(self.camera, direction, limb_darkening=0.0)
+        if points is None:
+            return []
+        weight = points.weight_px * self._seen(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
+        return [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
+
     def _seen(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
         through = np.array([transmittance_towards(*layer, *ray) for ray in direction_enu.astype(np.float32)])
         return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
+
+    def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> NDArray[np.bool_]:
+        return ~is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
 
     def _disc_rate(self, sun_up: float) -> float:
         """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""

@@ -10,6 +10,7 @@ from typing import Literal
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.clock import Clock
+from sunarc.detection import bayer_of
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.simulation.scene import Region, Scene
 
@@ -28,7 +29,7 @@ class SceneCamera:
     scene : what it sees.
     clock : waited on for the length of each exposure; a `VirtualClock` moves on by it.
     now : the time at the start of an exposure, aware; the clock's unless given.
-    pixel_format : "Mono8" … "Mono16".
+    pixel_format : "Mono8" … "Mono16", or Bayer likewise.
     region : x, y, width, height in px; None is the whole sensor.
     gain_db : amplification.
     exposure_bounds_us : shortest and longest exposure.
@@ -91,6 +92,7 @@ class SceneCamera:
             gain_db=self._gain_db,
             full_scale=self._info.full_scale,
             region=self._region,
+            bayer=bayer_of(self._info.pixel_format),
         )
         self._clock.wait(threading.Event(), actual_us * 1e-6)
         image.flags.writeable = False
