@@ -223,13 +223,18 @@ def unproject(calibration: CalibrationFile) -> None:
 
 
 @cli.command()
-def check(config: Config = None, *, as_json: AsJson = False) -> None:
+def check(
+    config: Config = None,
+    *,
+    camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
+    as_json: AsJson = False,
+) -> None:
     """Look at settings, disk, database, port, clock and camera; exit 1 when something would not work.
 
-    Example: sunarc check --config /etc/sunarc/sunarc.toml
+    Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    settings = load_settings(config)
-    findings = list(doctor.examine(settings, clock=SystemClock()))
+    examine = doctor.examine_camera if camera else doctor.examine
+    findings = list(examine(load_settings(config), clock=SystemClock()))
     if as_json:
         print_json([asdict(finding) for finding in findings])
     else:

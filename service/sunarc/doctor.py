@@ -20,6 +20,7 @@ from sunarc.clock import Clock, host_clock_state
 from sunarc.errors import SunarcError
 from sunarc.footing import listen, prepare_state
 from sunarc.settings import Settings
+from sunarc.survey import survey
 
 Outcome = Literal["ok", "warn", "fail"]
 _LEAST_FREE_BYTES = 2_000_000_000
@@ -55,6 +56,17 @@ def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
     yield _looked("port", lambda: _port(settings, running))
     yield _looked("clock", _clock)
     yield _looked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
+
+
+def examine_camera(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
+    """Look at the camera alone, closely; what is told is what `sunarc check --camera` prints."""
+    running = _running(settings)
+    if running is not None:
+        outcome, text = _camera_in_use(running)
+        yield Finding(what="camera", outcome=outcome, text=f"{text}; stop the service to look closer")
+        return
+    for what, outcome, text in survey(settings, clock=clock):
+        yield Finding(what=what, outcome=outcome, text=text)
 
 
 def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:

@@ -145,6 +145,10 @@ class Camera:
             raise GLibError(f"{name} is no {kind}", 3)
         return value
 
+    def feature_bounds(self, name: str, kind: str) -> tuple[float, float]:
+        self.feature(name, kind)
+        return self.bounds[name]
+
     def set_feature(self, name: str, value: object) -> None:
         self.features[name] = float(np.floor(value)) if name == "ExposureTime" else value  # type: ignore[call-overload]
 
@@ -169,7 +173,7 @@ class Camera:
         for kind in ("string", "boolean", "float", "integer"):
             answers[f"get_{kind}"] = partial(self.feature, kind=kind)
             answers[f"set_{kind}"] = self.set_feature
-            answers[f"get_{kind}_bounds"] = self.bounds.__getitem__
+            answers[f"get_{kind}_bounds"] = partial(self.feature_bounds, kind=kind)
             answers[f"get_{kind}_increment"] = self.steps.__getitem__
 
         def call(*arguments: Any) -> Any:  # noqa: ANN401 - a stub of an untyped library

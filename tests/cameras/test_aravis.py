@@ -219,3 +219,76 @@ def test_frame_counts_wrap_as_gige_vision_does() -> None:
     assert not follows(65_535, 0)
     assert not follows(4, 4)
     assert not follows(4, 6)
+
+
+def test_the_exposure_that_a_frame_notes_of_itself_has_to_agree(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.chunks, camera.noted_us = True, 3000.0
+    ours = answering(camera, stub.Buffer(frame_id=1), stub.Buffer(frame_id=2))
+    assert ours.expose(3000.0).exposure_us == 3000.0
+    with pytest.raises(CameraError, match="notes an exposure of 3000 µs, not 12000 µs"):
+        ours.expose(12_000.0)
+
+
+def test_a_camera_that_was_set_by_another_is_lost_and_says_how(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = opened(camera)
+    assert ours.check().temperature_c == 41.5
+    camera.features["GainAuto"] = "Continuous"
+    with pytest.raises(CameraLostError, match="GainAuto is Continuous, not Off"):
+        ours.check()
+
+
+@pytest.mark.parametrize(
+    ("features", "bounds", "asked_us", "written", "had_us"),
+    [
+        ({"ExposureTimeAbs": 100.0}, (10.0, 1e6), 33.3, ("set_float", "ExposureTimeAbs", 33.3), 33.3),
+        (
+            {"ExposureTimeRaw": 7, "ExposureTimeBaseAbs": 20.0},
+            (1, 50_000),
+            3_008.0,
+            ("set_integer", "ExposureTimeRaw", 150),
+            3000.0,
+        ),
+    ],
+)
+def test_exposures_go_by_the_vendors_names_too(  # noqa: PLR0917 - parametrised
+    stub: SimpleNamespace,
+    features: dict[str, Any],
+    bounds: tuple[float, float],
+    asked_us: float,
+    written: tuple[object, ...],
+    had_us: float,
+) -> None:
+    camera = stub.Camera(**features)
+    del camera.features["ExposureTime"]
+    camera.bounds[written[1]] = bounds
+    camera.stream.answers.append(stub.Buffer())
+    assert opened(camera).expose(asked_us).exposure_us == had_us
+    assert written in camera.calls
+
+
+def test_gain_in_raw_steps_is_set_to_its_lowest_and_a_gamma_without_a_switch_to_one(stub: SimpleNamespace) -> None:
+    camera = stub.Camera(GainRaw=36, Gamma=0.45, BlackLevelRaw=16)
+    for name in ("Gain", "GammaEnable"):
+        del camera.features[name]
+    camera.bounds |= {"GainRaw": (4, 400), "BlackLevelRaw": (0, 64)}
+    opened(camera, gain_db=6.0, black_level=8.0)
+    assert (camera.features["GainRaw"], camera.features["Gamma"], camera.features["BlackLevelRaw"]) == (4, 1.0, 8)
+
+
+def test_a_camera_that_cannot_bin_is_not_asked_to(stub: SimpleNamespace) -> None:
+    with pytest.raises(ConfigurationError, match="cannot bin"):
+        opened(stub.Camera(), binning=2)
+
+
+def test_usb_goes_by_the_device_s_id_and_looks_for_nothing_on_the_network(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    aravis, glib = camera.library()
+    switched_off: list[str] = []
+    aravis.disable_interface = switched_off.append
+    ours = AravisCamera(
+        AravisOptions(address="Vendor-1234", transport="usb3"), VirtualClock(NOON), library=(aravis, glib)
+    )
+    ours.connect()
+    assert set(switched_off) == {"GigEVision", "Fake"}

@@ -64,8 +64,9 @@ class Outcome:
 class Imager:
     """The simulated camera's process; its time goes on when it is started again."""
 
-    def __init__(self, folder: Path, clock: SystemClock) -> None:
+    def __init__(self, folder: Path, clock: SystemClock, *, real_exposures: bool = False) -> None:
         self._folder = folder
+        self._settings = imager_settings() | {"real_exposures": real_exposures}
         self._clock = clock
         self._began = clock.monotonic()
         self._process: subprocess.Popen[str] | None = None
@@ -74,7 +75,7 @@ class Imager:
         truth = self._folder / "truth.json"
         truth.unlink(missing_ok=True)
         start = START + timedelta(seconds=self._clock.monotonic() - self._began)
-        arguments = [json.dumps(imager_settings()), start.isoformat(), str(truth), "orders"]
+        arguments = [json.dumps(self._settings), start.isoformat(), str(truth), "orders"]
         self._process = subprocess.Popen([sys.executable, str(IMAGER), *arguments], stdin=subprocess.PIPE, text=True)
         until = self._clock.monotonic() + 90.0
         while not truth.exists() and self._clock.monotonic() < until:
@@ -198,9 +199,9 @@ class Soak:
         self.imager.order("LOSS", 0)
 
     def _wrong_exposure(self) -> None:
-        for _ in range(12):
+        for _ in range(8):  # a frame at a time: what all exposures share cannot be told from their ratios
             self.imager.order("WRONG_EXPOSURE", self.random.choice([25, 400, 1600]))
-            self.wait(self.random.uniform(0.05, 0.5))
+            self.wait(self.random.uniform(0.3, 0.7))
         self.imager.order("WRONG_EXPOSURE", 0)
 
     def _stale_exposure(self) -> None:

@@ -1,12 +1,13 @@
-"""Which camera the settings name."""
+"""Which camera the settings name, and whether it is the one that the archive knows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.cameras import SkyCamera, open_aravis, open_replay
+from sunarc.archive import Archive
+from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
 from sunarc.clock import Clock
-from sunarc.errors import ConfigurationError
+from sunarc.errors import ConfigurationError, InputError
 from sunarc.settings import Settings
 
 
@@ -21,3 +22,26 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
     raise ConfigurationError(
         f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
     )
+
+
+def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> None:
+    """Raise `InputError` when a camera makes other images than those that the archive has of its name.
+
+    What is stored (sightings, poses, calibrations) is in the pixels of those images.
+    """
+    stored = next((camera for camera in archive.cameras() if camera.name == name), None)
+    if stored is None:
+        return
+    remedy = f"set the region, binning and pixel format as they were, or begin anew under another name than {name!r}"
+    if (stored.width, stored.height) != (info.width, info.height):
+        raise InputError(
+            field="camera",
+            problem=f"its images have {info.width}×{info.height} px, those stored {stored.width}×{stored.height}",
+            remedy=remedy,
+        )
+    if stored.pixel_format not in {"", info.pixel_format}:
+        raise InputError(
+            field="camera",
+            problem=f"its images are in {info.pixel_format}, those stored in {stored.pixel_format}",
+            remedy=remedy,
+        )

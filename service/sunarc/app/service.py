@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import sunarc
+from sunarc.app.cameras import require_same_camera
 from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
@@ -120,6 +121,11 @@ class Service:
     def open_and_remember(self) -> SkyCamera:
         """Open the camera and write down what it is; a disk that refuses does not keep it from its work."""
         camera = self._open_camera()
+        try:
+            require_same_camera(self.archive, name=self.settings.name, info=camera.info)
+        except BaseException:
+            camera.close()
+            raise
         info, site = camera.info, self.settings.site
         record = CameraRecord(
             name=self.settings.name,
@@ -130,6 +136,7 @@ class Service:
             height=info.height,
             model=f"{info.vendor} {info.model}".strip(),
             serial=info.serial,
+            pixel_format=info.pixel_format,
         )
         try:
             self.archive.save_camera(record)

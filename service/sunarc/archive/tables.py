@@ -105,6 +105,7 @@ camera = Table(
     Column("height", Integer, nullable=False),
     Column("model", Text, nullable=False),
     Column("serial", Text, nullable=False),
+    Column("pixel_format", Text, nullable=False, server_default=""),
 )
 
 pose_epoch = Table(

@@ -31,6 +31,7 @@ class CameraRecord:
     height: int
     model: str = ""
     serial: str = ""
+    pixel_format: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

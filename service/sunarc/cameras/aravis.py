@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from sunarc.cameras.abilities import abilities_of
 from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
 from sunarc.cameras.exposure import ExposureControl, exposure_control
 from sunarc.cameras.features import Pin, changed_pins, gain_db, pin_settings, serial_of, temperature_c
@@ -137,6 +138,12 @@ class AravisCamera:
             if changed:
                 raise CameraLostError(f"the camera was restarted or set by another program: {'; '.join(changed)}")
             return CameraCondition(temperature_c=temperature_c(self._camera))
+
+    def abilities(self) -> tuple[tuple[str, str], ...]:
+        """Return what the camera says it can do, in words: what, and what there is of it."""
+        with self._translated("asking what the camera can do"):
+            noted = self._chunks is not None
+            return tuple(abilities_of(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
 
     def close(self) -> None:
         """Let go of the camera, so that it can be opened again; harmless when done twice."""

@@ -33,11 +33,21 @@ _CHOICES: tuple[tuple[tuple[str, ...], str], ...] = (
     (("BalanceWhiteAuto",), "Off"),
     (("BlackLevelAuto",), "Off"),
     (("AcquisitionFrameRateAuto",), "Off"),
+    (("AcquisitionFrameRateMode",), "Off"),
     (("AcquisitionMode",), "Continuous"),
 )
 _SWITCHED_OFF = (
     ("GammaEnable", "GammaEnabled"),
     ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"),
+)
+_AS_THEY_ARE: tuple[tuple[str, Kind], ...] = (
+    ("PixelFormat", "string"),
+    ("Width", "integer"),
+    ("Height", "integer"),
+    ("OffsetX", "integer"),
+    ("OffsetY", "integer"),
+    ("TriggerMode", "string"),
+    ("TriggerSource", "string"),
 )
 
 
@@ -63,9 +73,7 @@ def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noq
     _set_region(camera, options.region)
     pins += _set_levels(camera, options)
     camera.set_trigger("Software")  # after everything that deals with the frame rate, which would undo it
-    format_and_region = ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY")
-    trigger = ("TriggerMode", "TriggerSource")
-    return (*pins, *(held(camera, name) for name in (*format_and_region, *trigger) if has(camera, name)))
+    return (*pins, *(_hold(camera, name, kind) for name, kind in _AS_THEY_ARE if has(camera, name)))
 
 
 def changed_pins(camera: Any, pins: tuple[Pin, ...]) -> Iterator[str]:  # noqa: ANN401 - a GObject has no types
@@ -92,8 +100,8 @@ def held(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no type
     kinds: tuple[Kind, ...] = ("float", "integer", "boolean", "string")
     for kind in kinds[:-1]:
         with contextlib.suppress(Exception):  # asked as another kind than it is, a feature is refused
-            return Pin(name=name, kind=kind, value=read(camera, name, kind))
-    return Pin(name=name, kind="string", value=read(camera, name, "string"))
+            return _hold(camera, name, kind)
+    return _hold(camera, name, "string")
 
 
 def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObject has no types
@@ -105,7 +113,7 @@ def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObje
 def write(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - a GObject has no types
     """Set a feature and return what the camera made of it."""
     getattr(camera, f"set_{kind}")(name, value)
-    return Pin(name=name, kind=kind, value=read(camera, name, kind))
+    return _hold(camera, name, kind)
 
 
 def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
@@ -122,6 +130,10 @@ def temperature_c(camera: Any) -> float | None:  # noqa: ANN401 - a GObject has 
 def gain_db(pins: tuple[Pin, ...]) -> float:
     """Return the pinned gain in decibels, 0 where the camera has only a raw one."""
     return next((float(pin.value) for pin in pins if pin.name == "Gain" and pin.kind == "float"), 0.0)
+
+
+def _hold(camera: Any, name: str, kind: Kind) -> Pin:  # noqa: ANN401 - a GObject has no types
+    return Pin(name=name, kind=kind, value=read(camera, name, kind))
 
 
 def _choose(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
@@ -154,7 +166,7 @@ def _set_binning(camera: Any, binning: int) -> Iterator[Pin]:  # noqa: ANN401 - 
 def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 - a GObject has no types
     offered = [str(name) for name in camera.dup_available_pixel_formats_as_strings()]
     if pixel_format not in offered:
-        usable = [name for name in offered if _is_usable(name)]
+        usable = [name for name in offered if is_usable(name)]
         raise InputError(
             field="camera.pixel_format",
             problem=f"the camera has no pixel format {pixel_format}; it offers {', '.join(offered)}",
@@ -163,7 +175,8 @@ def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 -
     camera.set_pixel_format_from_string(pixel_format)
 
 
-def _is_usable(pixel_format: str) -> bool:
+def is_usable(pixel_format: str) -> bool:
+    """Return whether a format is an unpacked one of a single channel."""
     try:
         full_scale_of(pixel_format)
     except InputError:

@@ -10,7 +10,8 @@ from contextlib import closing
 from sunarc.board import CameraStatus, StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
-from sunarc.errors import CameraLostError
+from sunarc.errors import CameraLostError, ConfigurationError, InputError
+from sunarc.workers.capture_report import CaptureReport
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
 
@@ -49,10 +50,13 @@ class ReplayWorker:
         self._board = board
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Play the folder once."""
-        with closing(self._open_camera()) as camera:
-            self._board.note(camera=CameraStatus(name=self._name, connected=True, address=camera.info.address))
-            self._play(camera, stop, heartbeat)
+        """Play the folder once; one that does not fit what is stored is refused, and that is said."""
+        try:
+            with closing(self._open_camera()) as camera:
+                self._board.note(camera=CameraStatus(name=self._name, connected=True, address=camera.info.address))
+                self._play(camera, stop, heartbeat)
+        except (ConfigurationError, InputError) as error:
+            CaptureReport(self._board, name=self._name).refused(error)
         while not stop.is_set():
             heartbeat()
             self._clock.wait(stop, _POLL_S)

@@ -1,0 +1,25 @@
+"""A camera's pixel format is remembered, so that another one is noticed.
+
+Revision ID: 0005
+Revises: 0004
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0005"
+down_revision = "0004"
+branch_labels = None
+depends_on = None
+
+
+def upgrade() -> None:
+    """Until now nobody asked: empty is "not known"."""
+    op.add_column("camera", sa.Column("pixel_format", sa.Text(), nullable=False, server_default=""))
+
+
+def downgrade() -> None:
+    """Forget it."""
+    op.drop_column("camera", "pixel_format")

@@ -1,0 +1,76 @@
+"""What a camera can do, what will be used of it, and whether its frames come: for whoever sets one up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from typing import Literal
+
+from sunarc.app import camera_opener
+from sunarc.cameras import AravisCamera, SkyCamera
+from sunarc.clock import Clock
+from sunarc.errors import CameraError, CameraTimeoutError, SunarcError
+from sunarc.settings import Settings
+
+Look = tuple[str, Literal["ok", "warn", "fail"], str]
+_TRIAL_FRAMES = 12
+_SHORT_US = 100.0
+
+
+def survey(settings: Settings, *, clock: Clock) -> Iterator[Look]:
+    """Open the camera as the service would, and tell one thing after the other: what, outcome, text."""
+    try:
+        camera = camera_opener(settings, clock)()
+    except SunarcError as error:
+        yield "camera", "fail", str(error)
+        return
+    with closing(camera):
+        yield _identity(camera)
+        if isinstance(camera, AravisCamera):
+            yield from ((what, "ok", text) for what, text in camera.abilities())
+            yield from _stream(camera)
+        yield _exposures(camera, settings.capture.hdr_exposures_us)
+        yield _trial(camera, settings.capture.hdr_exposures_us)
+
+
+def _identity(camera: SkyCamera) -> Look:
+    info = camera.info
+    text = f"{info.vendor} {info.model} ({info.serial or 'no serial number'}) at {info.address}"
+    return "camera", "ok", f"{text}: {info.width}x{info.height} px in {info.pixel_format} will be used"
+
+
+def _stream(camera: AravisCamera) -> Iterator[Look]:
+    if camera.link is not None:
+        yield "stream", "ok", camera.link.text
+        yield from (("stream", "warn", text) for text in camera.link.complaints)
+
+
+def _exposures(camera: SkyCamera, wanted_us: Sequence[float]) -> Look:
+    info = camera.info
+    step = f" in steps of {info.exposure_step_us:g}" if info.exposure_step_us > 0.0 else ""
+    text = f"{info.exposure_min_us:g} to {info.exposure_max_us:g} us{step}"
+    beyond = [e for e in wanted_us if not info.exposure_min_us <= e <= info.exposure_max_us]
+    if beyond:
+        listed = ", ".join(f"{e:g}" for e in beyond)
+        return "exposures", "fail", f"{text}; {listed} us is beyond that: change capture.hdr_exposures_us"
+    if info.exposure_min_us > _SHORT_US:
+        return "exposures", "warn", f"{text}; that is long for the sun: see that its disc stays small, or fit a filter"
+    return "exposures", "ok", text
+
+
+def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> Look:
+    """Take some frames, and say how many came whole."""
+    lost, refused, last = 0, 0, ""
+    for number in range(_TRIAL_FRAMES):
+        try:
+            camera.expose(exposures_us[number % len(exposures_us)])
+        except CameraTimeoutError as error:
+            lost, last = lost + 1, str(error)
+        except CameraError as error:
+            refused, last = refused + 1, str(error)
+    whole = _TRIAL_FRAMES - lost - refused
+    text = f"{whole} of {_TRIAL_FRAMES} came whole"
+    if whole == _TRIAL_FRAMES:
+        return "frames", "ok", text
+    remedy = "look at packet size, MTU and net.core.rmem_max" if lost else "see what else sets the camera"
+    return "frames", "warn" if whole else "fail", f"{text}; the last fault: {last}; {remedy}"
