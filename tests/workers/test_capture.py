@@ -286,3 +286,21 @@ def test_no_attempt_begins_that_would_run_into_the_next_slot(
     made.run_until(lambda: len(made.cycles) >= 1)
     starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
     assert starts == pytest.approx([20.0, 80.0])  # 30 s were lost; the slot at 50 s was not begun late
+
+
+def test_a_leap_second_that_the_clock_repeats_makes_no_cycle_of_its_own(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock
+) -> None:
+    made = bench()
+    stepped: list[None] = []
+
+    def reached() -> bool:
+        if clock.monotonic() >= 79.0 and not stepped:  # a second before a slot
+            stepped.append(None)
+            clock.step(-1.0)
+        return len(made.cycles) >= 5
+
+    made.run_until(reached)
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    assert stepped
+    assert all(29.0 <= later - earlier <= 31.5 for earlier, later in pairwise(starts))

@@ -102,7 +102,7 @@ class CaptureWorker:
         self._cycles = cycles
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
-        self._last_slot_s: float | None = None
+        self._served_at_s: float | None = None
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
@@ -132,7 +132,7 @@ class CaptureWorker:
             daylight = self._apparent_zenith() < self._options.daylight_zenith_deg
             every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
             real_every_s = every_s / self._options.speed
-            slot = self._next_slot(every_s=every_s, daylight=daylight)
+            slot = self._next_slot(every_s=every_s)
             lead_s = min(_LEAD_S, _LEAD_SHARE * real_every_s)
             if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot) - lead_s):
                 return
@@ -143,20 +143,28 @@ class CaptureWorker:
             if self._wait(stop, heartbeat, left_s):
                 return
             if daylight:
+                self._serve(real_every_s=real_every_s)
                 self.cycle(camera, slot, within_s=real_every_s - lead_s)
             else:
+                self._served_at_s = None
                 self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
             yield slot
 
-    def _next_slot(self, *, every_s: float, daylight: bool) -> datetime:
-        """Return the next slot, and count those that passed by real time since the last."""
+    def _next_slot(self, *, every_s: float) -> datetime:
+        """Return the next slot that was not served."""
         slot = self._frame_time.next_slot(every_s=every_s)
+        real_every_s = every_s / self._options.speed
         at_s = self._clock.monotonic() + self._frame_time.real_seconds_until(slot)
-        if self._last_slot_s is not None and daylight:
-            passed = round((at_s - self._last_slot_s) * self._options.speed / every_s)
-            self._report.add(missed=max(passed - 1, 0))
-        self._last_slot_s = at_s if daylight else None
+        if self._served_at_s is not None and at_s - self._served_at_s < real_every_s / 2.0:
+            slot += timedelta(seconds=every_s)  # the clock was set back, or repeats a leap second
         return slot
+
+    def _serve(self, *, real_every_s: float) -> None:
+        """Note that a slot is served, and count those that passed since the last."""
+        now_s = self._clock.monotonic()
+        if self._served_at_s is not None:
+            self._report.add(missed=max(round((now_s - self._served_at_s) / real_every_s) - 1, 0))
+        self._served_at_s = now_s
 
     def cycle(self, camera: SkyCamera, slot: datetime, *, within_s: float) -> None:
         """Take the exposures of one slot and hand them over, once the camera says that nothing of it has changed."""
