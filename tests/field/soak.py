@@ -10,6 +10,7 @@ the comparison knows nothing of the adapter. Needs port 3956 of 127.0.0.1 (a net
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import random
@@ -91,6 +92,10 @@ class Imager:
         if self._process is not None:
             self._process.kill()
             self._process.wait(timeout=10)
+            if self._process.stdin is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    self._process.stdin.close()
+            self._process = None
 
 
 def imager_settings() -> dict[str, Any]:
