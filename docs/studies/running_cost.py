@@ -4,14 +4,17 @@
 
 Runs a simulated imager in a process of its own, and the service as `sunarc serve` runs it, at speed 1. After a minute
 of settling it prints, every minute and at the end, the service's processor time per second of real time (in percent
-of one core), its resident memory, and the same by thread.
+of one core) and its resident memory; at the end, how the sun was seen, and what the images take. The calibration that
+it begins with is the true one.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -24,8 +27,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
+from sunarc.archive import CameraRecord, open_archive, upgrade
 from sunarc.clock import SystemClock
-from sunarc.simulation import ImagerOptions, imager, run_imager
+from sunarc.simulation import SGP, ImagerOptions, imager, run_imager
 
 _SIZE = 2048
 _START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
@@ -65,36 +69,45 @@ def main() -> None:
         tempfile.TemporaryDirectory() as folder,
         _running([sys.executable, __file__, "--imager", f"{folder}/truth.json"]),
     ):
-        config = Path(folder) / "sunarc.toml"
+        config, state = Path(folder) / "sunarc.toml", Path(folder) / "state"
         packet_socket = "false" if arguments.udp else "true"
-        config.write_text(
-            _CONFIG.format(state=Path(folder) / "state", cadence=arguments.cadence, packet_socket=packet_socket)
-        )
+        config.write_text(_CONFIG.format(state=state, cadence=arguments.cadence, packet_socket=packet_socket))
         _wait_for(Path(folder) / "truth.json")
+        _calibrate(Path(folder))
         with _running([sys.executable, "-m", "sunarc", "serve", "--config", str(config)]) as service:
             _wait(60.0)
             _measure(service.pid, minutes=arguments.minutes)
-        images = list((Path(folder) / "state" / "images").rglob("*"))
+        images = list((state / "images").rglob("*"))
         files = [path for path in images if path.is_file()]
         kinds = Counter(path.name.split("_")[-1] for path in files)
+        with sqlite3.connect(state / "sunarc.sqlite") as database:
+            print("sightings:", dict(database.execute("SELECT verdict, COUNT(*) FROM sun_point GROUP BY verdict")))
         print("files:", dict(kinds), f"{sum(path.stat().st_size for path in files) / 1e6:.1f} MB")
 
 
+def _calibrate(folder: Path) -> None:
+    """Let the service begin with the true camera as its calibration: the ordinary day."""
+    database = folder / "state" / "sunarc.sqlite"
+    upgrade(database)
+    archive = open_archive(database)
+    record = CameraRecord(
+        name="imager", latitude=SGP.latitude, longitude=SGP.longitude, altitude=SGP.altitude, width=_SIZE, height=_SIZE
+    )
+    archive.save_camera(record)
+    epoch = archive.epoch_at("imager", _START, reason="first frame")
+    document = json.loads((folder / "truth.json").read_text())
+    archive.add_calibration(document | {"camera": "imager", "pose_epoch": epoch.id, "state": "candidate"})
+    archive.activate(document["id"])
+    archive.close()
+
+
 def _measure(pid: int, *, minutes: float) -> None:
-    began, before = _CLOCK.monotonic(), _by_thread(pid)
+    began, before = _CLOCK.monotonic(), _spent_s(pid)
     while _CLOCK.monotonic() - began < minutes * 60.0:
         _wait(min(60.0, began + minutes * 60.0 - _CLOCK.monotonic() + 0.01))
         elapsed_s = _CLOCK.monotonic() - began
-        spent = _by_thread(pid)
-        spent.subtract(before)
-        status = Path(f"/proc/{pid}/status").read_text()
-        resident = {line.split(":")[0]: int(line.split()[1]) / 1024 for line in status.splitlines() if "VmRSS" in line}
-        total = sum(spent.values())
-        print(
-            f"{elapsed_s:6.0f} s  {100.0 * total / elapsed_s:5.2f} % of a core  {resident['VmRSS']:.0f} MiB", flush=True
-        )
-    for name, seconds in spent.most_common(12):
-        print(f"   {name:16s} {100.0 * seconds / elapsed_s:5.2f} %")
+        share = 100.0 * (_spent_s(pid) - before) / elapsed_s
+        print(f"{elapsed_s:6.0f} s  {share:5.2f} % of a core  {_resident_mib(pid):.0f} MiB", flush=True)
 
 
 def _wait(seconds: float) -> None:
@@ -106,14 +119,15 @@ def _wait_for(file: Path) -> None:
         _wait(0.2)
 
 
-def _by_thread(pid: int) -> Counter[str]:
-    """Return the seconds of processor time that each thread has used, by its name."""
-    spent: Counter[str] = Counter()
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        text = (task / "stat").read_text()
-        fields = text[text.rindex(")") + 2 :].split()
-        spent[text[text.index("(") + 1 : text.rindex(")")]] += (int(fields[11]) + int(fields[12])) / _TICKS
-    return spent
+def _spent_s(pid: int) -> float:
+    """Return the processor time that a process and the children it waited for have used, seconds."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(int(ticks) for ticks in fields[11:15]) / _TICKS
+
+
+def _resident_mib(pid: int) -> float:
+    line = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024.0
 
 
 @contextmanager

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sunarc.detection import Detection
 from sunarc.imaging import SunExposureOptions
@@ -9,6 +12,7 @@ from sunarc.workers import SunExposures
 from .conftest import INFO
 
 if TYPE_CHECKING:
+    from sunarc.board import StatusBoard
     from sunarc.clock import VirtualClock
 
     from .conftest import FakeCamera
@@ -49,3 +53,33 @@ def test_a_cycle_that_was_not_looked_at_yet_changes_nothing(camera: FakeCamera, 
     del camera, clock
     exposures = SunExposures(SunExposureOptions())
     assert exposures.choose(INFO) == exposures.choose(INFO)
+
+
+def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
+    camera: FakeCamera, board: StatusBoard
+) -> None:
+    exposures = SunExposures(SunExposureOptions(spoiled_after=5), board=board)
+    burnt = np.zeros((60, 80), np.uint16)
+    burnt[:, 30:40] = 4095  # blooming along the columns
+
+    def cycle(*, accepted: bool) -> list[str]:
+        for exposure_us in exposures.choose(INFO):
+            frame = replace(camera.expose(exposure_us), image=burnt)
+            streak = Detection(method="disc", accepted=False, verdict="hidden", reason="the bright region is no disc")
+            exposures.report(frame, seen(accepted=True, peak=0.9, saturated_px=0) if accepted else streak)
+        return [reason.code for reason in board.snapshot().reasons]
+
+    told = [cycle(accepted=False) for _ in range(10)]
+    assert told[3] == []
+    assert told[-1] == ["sun_too_bright"]
+    assert "neutral filter" in board.snapshot().reasons[0].remedy
+    cycle(accepted=True)
+    assert cycle(accepted=True) == []
+
+
+def test_clouds_are_no_burnt_sun(camera: FakeCamera, board: StatusBoard) -> None:
+    exposures = SunExposures(SunExposureOptions(spoiled_after=5, first_us=5.0), board=board)
+    for _ in range(50):
+        for exposure_us in exposures.choose(INFO):
+            exposures.report(camera.expose(exposure_us), seen(accepted=False, peak=0.0, saturated_px=0))
+    assert board.snapshot().reasons == ()

@@ -74,7 +74,12 @@ class Service:
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self.keeper = SightingKeeper(archive, board=self.board)
-        self.exposures = SunExposures(settings.sun_exposure)
+        self.exposures = SunExposures(
+            settings.sun_exposure,
+            apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
+            clear_level_per_us=self._clear_level_per_us,
+            board=self.board,
+        )
         self.watch = self.watch_worker()
         self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
         self.sun_frames: Handover[Frame] = Handover(capacity=_WAITING_SUN_FRAMES)
@@ -106,6 +111,13 @@ class Service:
 
     def _supervised(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
         return Supervised(name=name, make_worker=make_worker, options=self.settings.supervisor)
+
+    def _clear_level_per_us(self) -> float:
+        """Return how bright the clear sun is; a database that cannot be read does not hold up an exposure."""
+        try:
+            return self.predictor.clear_level_per_us(self.frame_time.now())
+        except OutsideError:
+            return 0.0
 
     def request_refit(self, reason: str) -> Refit:
         """Ask for a refit; the refit worker finds it in the archive."""

@@ -10,6 +10,7 @@ from sunarc.imaging.exposure import (
     Peak,
     SunExposureOptions,
     SunExposureState,
+    SunLook,
     first_sun_exposures,
     next_sun_exposures,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "Peak",
     "SunExposureOptions",
     "SunExposureState",
+    "SunLook",
     "document_of",
     "first_sun_exposures",
     "jpeg_with",

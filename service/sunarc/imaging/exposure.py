@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 from sunarc.errors import InputError
 
+_OPTICAL_DEPTH = 0.3
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunExposureOptions:
@@ -21,6 +23,9 @@ class SunExposureOptions:
     max_change : factor by which an exposure changes at most from one cycle to the next.
     lost_after : cycles without a peak after which the search starts anew.
     steady_after : cycles with the peak in the band, or at a bound, after which one exposure suffices.
+    low_sun_zenith_deg : beyond this apparent zenith angle (dawn, dusk) the light changes so fast that there are always
+        two.
+    spoiled_after : cycles in which even the shortest exposure was burnt beyond use, after which it is said.
     """
 
     target_low: float = 0.4
@@ -30,6 +35,8 @@ class SunExposureOptions:
     max_change: float = 16.0
     lost_after: int = 3
     steady_after: int = 2
+    low_sun_zenith_deg: float = 80.0
+    spoiled_after: int = 20
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -37,7 +44,10 @@ class SunExposureOptions:
             raise InputError(
                 field="SunExposureOptions", problem="the target is no band within 0 … 1", remedy="say 0.4 and 0.8"
             )
-        if min(self.first_us, self.bracket_ratio - 1.0, self.max_change - 1.0) <= 0.0 or self.lost_after < 1:
+        if (
+            min(self.first_us, self.bracket_ratio - 1.0, self.max_change - 1.0) <= 0.0
+            or min(self.lost_after, self.spoiled_after) < 1
+        ):
             raise InputError(
                 field="SunExposureOptions", problem="a factor or time is out of range", remedy="give factors above 1"
             )
@@ -61,11 +71,15 @@ class SunExposureState:
     exposures_us : the exposures to take now, shortest first.
     cycles_steady : how many cycles the peak has been where it should be.
     cycles_lost : how many cycles no sun has been seen.
+    cycles_spoiled : how many cycles the disc was burnt beyond use in the camera's shortest exposure.
+    level_above_air : what the last peak amounts to in 1 µs with no air before it; 0 before the first.
     """
 
     exposures_us: tuple[float, ...]
     cycles_steady: int = 0
     cycles_lost: int = 0
+    cycles_spoiled: int = 0
+    level_above_air: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,52 +90,132 @@ class Peak:
     fraction: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunLook:
+    """What a cycle's sun exposures showed, and what is known of the sun.
+
+    Attributes
+    ----------
+    peaks : of the exposures that tell one; empty where no sun was seen.
+    apparent_zenith : the sun's, degrees.
+    clear_level_per_us : level of the sun in 1 µs under a clear sky, fraction of full scale; 0 where unknown.
+    spoiled : the shortest exposure that the camera can do showed a disc burnt beyond use.
+    """
+
+    peaks: tuple[Peak, ...]
+    apparent_zenith: float = 0.0
+    clear_level_per_us: float = 0.0
+    spoiled: bool = False
+
+
 def first_sun_exposures(options: SunExposureOptions, bounds: ExposureBounds) -> SunExposureState:
     """Return the state to start with: a bracket of two."""
     return SunExposureState(exposures_us=_bracket(options.first_us, options, bounds))
 
 
 def next_sun_exposures(
-    state: SunExposureState, peaks: Sequence[Peak], *, options: SunExposureOptions, bounds: ExposureBounds
+    state: SunExposureState, look: SunLook, *, options: SunExposureOptions, bounds: ExposureBounds
 ) -> SunExposureState:
     """Return the next cycle's sun exposures.
 
     Parameters
     ----------
     state : of the last cycle.
-    peaks : what its exposures showed, believed sightings only; empty where no sun was seen.
+    look : what its exposures showed.
     options, bounds : the aim, and the camera's limits.
 
     Returns
     -------
-    The next state. Without a neutral filter the shortest exposure stays saturated; that counts as steady, for the
-    fit leaves saturated pixels out.
+    The next state: one exposure under a steady sun; two at dawn and dusk, while the sun is sought or has just come
+    back, and behind a veil, where the shorter one is ready for the moment when it is gone. Without a neutral filter the
+    shortest exposure stays saturated; that counts as steady, for the fit leaves saturated pixels out.
     """
-    usable = [peak for peak in peaks if peak.exposure_us > 0.0 and math.isfinite(peak.fraction) and peak.fraction > 0.0]
-    if not usable:
-        return _without_sun(state, options, bounds)
-    wanted = _wanted_us(usable, options, bounds)
-    kept = state.exposures_us[0] if len(state.exposures_us) == 1 else None
-    if kept is not None and any(_good(peak, options, bounds) for peak in usable if peak.exposure_us == kept):
-        wanted = kept
-    steady = state.cycles_steady + 1 if any(_good(peak, options, bounds) for peak in usable) else 0
-    exposures = (wanted,) if steady >= options.steady_after else _bracket(wanted, options, bounds)
-    return SunExposureState(exposures_us=exposures, cycles_steady=steady)
+    peaks = [peak for peak in look.peaks if _finite_positive(peak.exposure_us) and _finite_positive(peak.fraction)]
+    state = replace(state, cycles_spoiled=_count_spoiled(state, look, peaks))
+    if not peaks:
+        return _without_sun(state, look, options, bounds)
+    wanted = _wanted_us(peaks, options, bounds)
+    if len(state.exposures_us) == 1 and _any_good(peaks, options, bounds, exposure_us=state.exposures_us[0]):
+        wanted = state.exposures_us[0]
+    steady = state.cycles_steady + 1 if _any_good(peaks, options, bounds) else 0
+    best = _best(peaks, options)
+    level = best.fraction / best.exposure_us / _transmission(look.apparent_zenith)
+    settled = steady >= options.steady_after and look.apparent_zenith < options.low_sun_zenith_deg
+    return SunExposureState(
+        exposures_us=_beside_the_clear(wanted, look, options, bounds, settled=settled),
+        cycles_steady=steady,
+        cycles_spoiled=state.cycles_spoiled,
+        level_above_air=level,
+    )
 
 
-def _without_sun(state: SunExposureState, options: SunExposureOptions, bounds: ExposureBounds) -> SunExposureState:
+def _count_spoiled(state: SunExposureState, look: SunLook, peaks: Sequence[Peak]) -> int:
+    """Clouds tell nothing; a sun that was seen ends the count."""
+    if look.spoiled:
+        return state.cycles_spoiled + 1
+    return 0 if peaks else state.cycles_spoiled
+
+
+def _without_sun(
+    state: SunExposureState, look: SunLook, options: SunExposureOptions, bounds: ExposureBounds
+) -> SunExposureState:
+    """Keep the exposures for a while, then wait for the sun with those of a clear sky at its present height."""
     lost = state.cycles_lost + 1
-    if lost >= options.lost_after:
-        return replace(first_sun_exposures(options, bounds), cycles_lost=lost)
-    return replace(state, cycles_lost=lost, cycles_steady=0)
+    if lost < options.lost_after:
+        return replace(state, cycles_lost=lost, cycles_steady=0)
+    clear = _clear_us(state, look, options)
+    sought = options.first_us if clear is None else clear
+    return replace(state, exposures_us=_bracket(sought, options, bounds), cycles_lost=lost, cycles_steady=0)
+
+
+def _beside_the_clear(
+    wanted: float, look: SunLook, options: SunExposureOptions, bounds: ExposureBounds, *, settled: bool
+) -> tuple[float, ...]:
+    """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
+    clear = _aim(options) / look.clear_level_per_us if look.clear_level_per_us > 0.0 else math.inf
+    unveiled = _within(clear, bounds)
+    if unveiled * options.bracket_ratio < wanted:
+        return (unveiled, wanted)
+    return (wanted,) if settled else _bracket(wanted, options, bounds)
+
+
+def _clear_us(state: SunExposureState, look: SunLook, options: SunExposureOptions) -> float | None:
+    level = look.clear_level_per_us or state.level_above_air * _transmission(look.apparent_zenith)
+    return _aim(options) / level if level > 0.0 else None
+
+
+def _transmission(apparent_zenith: float) -> float:
+    """Return a clear sky's, by Kasten and Young's (1989) relative air mass; for a first guess only."""
+    zenith = min(max(apparent_zenith, 0.0), 88.0)
+    air_mass = 1.0 / (math.cos(math.radians(zenith)) + 0.50572 * (96.07995 - zenith) ** -1.6364)
+    return math.exp(-_OPTICAL_DEPTH * air_mass)
+
+
+def _finite_positive(value: float) -> bool:
+    return math.isfinite(value) and value > 0.0
+
+
+def _aim(options: SunExposureOptions) -> float:
+    return math.sqrt(options.target_low * options.target_high)
+
+
+def _best(peaks: Sequence[Peak], options: SunExposureOptions) -> Peak:
+    """Return the best exposed one."""
+    return min(peaks, key=lambda peak: (peak.fraction > 1.0, abs(math.log(peak.fraction / _aim(options)))))
 
 
 def _wanted_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
     """Return the exposure that brings the peak to the middle of the band, judged from the best exposed frame."""
-    aim = math.sqrt(options.target_low * options.target_high)
-    best = min(peaks, key=lambda peak: (peak.fraction > 1.0, abs(math.log(peak.fraction / aim))))
-    change = min(max(aim / best.fraction, 1.0 / options.max_change), options.max_change)
+    best = _best(peaks, options)
+    change = min(max(_aim(options) / best.fraction, 1.0 / options.max_change), options.max_change)
     return _within(best.exposure_us * change, bounds)
+
+
+def _any_good(
+    peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds, *, exposure_us: float | None = None
+) -> bool:
+    """Return whether a peak is where it should be, of all exposures or of one."""
+    return any(_good(peak, options, bounds) for peak in peaks if exposure_us in {None, peak.exposure_us})
 
 
 def _good(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bool:
@@ -140,6 +234,8 @@ def _bracket(shorter_us: float, options: SunExposureOptions, bounds: ExposureBou
 
 def _within(exposure_us: float, bounds: ExposureBounds) -> float:
     """Return the nearest exposure that the camera can do."""
-    steps = round((exposure_us - bounds.minimum_us) / bounds.step_us) if bounds.step_us > 0.0 else 0
-    stepped = bounds.minimum_us + steps * bounds.step_us if bounds.step_us > 0.0 else exposure_us
-    return min(max(stepped, bounds.minimum_us), bounds.maximum_us)
+    bounded = min(max(exposure_us, bounds.minimum_us), bounds.maximum_us)
+    if bounds.step_us <= 0.0:
+        return bounded
+    most = math.floor((bounds.maximum_us - bounds.minimum_us) / bounds.step_us + 1e-9)
+    return bounds.minimum_us + min(round((bounded - bounds.minimum_us) / bounds.step_us), most) * bounds.step_us

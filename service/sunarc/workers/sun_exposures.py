@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
+import numpy as np
+
+from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import CameraInfo, Frame
 from sunarc.detection import Detection
 from sunarc.imaging import (
@@ -11,9 +15,15 @@ from sunarc.imaging import (
     Peak,
     SunExposureOptions,
     SunExposureState,
+    SunLook,
     first_sun_exposures,
     next_sun_exposures,
 )
+
+_SATURATED = 0.98
+_BURNT_PX = 30
+_BURNT_LEVEL = 4.0  # of a sun that left a streak and no disc: "much shorter"
+_CODE = "sun_too_bright"
 
 
 class SunExposures:
@@ -22,13 +32,28 @@ class SunExposures:
     Parameters
     ----------
     options : what the controller aims at.
+    apparent_zenith : the sun's now, degrees.
+    clear_level_per_us : the clear sun's level in 1 µs over full scale; 0 while unknown.
+    board : where a sun too bright for the camera is told.
     """
 
-    def __init__(self, options: SunExposureOptions) -> None:
+    def __init__(
+        self,
+        options: SunExposureOptions,
+        *,
+        apparent_zenith: Callable[[], float] = lambda: 0.0,
+        clear_level_per_us: Callable[[], float] = lambda: 0.0,
+        board: StatusBoard | None = None,
+    ) -> None:
         self._options = options
+        self._apparent_zenith = apparent_zenith
+        self._clear_level_per_us = clear_level_per_us
+        self._board = board
         self._lock = threading.Lock()
         self._state: SunExposureState | None = None
+        self._shortest_us = 0.0
         self._seen: list[Peak] = []
+        self._spoiled = False
         self._reported = 0
 
     def choose(self, info: CameraInfo) -> tuple[float, ...]:
@@ -39,18 +64,51 @@ class SunExposures:
         bounds = ExposureBounds(
             minimum_us=info.exposure_min_us, maximum_us=info.exposure_max_us, step_us=info.exposure_step_us
         )
+        zenith, clear_level = self._apparent_zenith(), self._clear_level_per_us()
         with self._lock:
+            look = SunLook(
+                peaks=tuple(self._seen), apparent_zenith=zenith, clear_level_per_us=clear_level, spoiled=self._spoiled
+            )
             if self._state is None:
                 self._state = first_sun_exposures(self._options, bounds)
             elif self._reported:
-                self._state = next_sun_exposures(self._state, self._seen, options=self._options, bounds=bounds)
-            self._seen, self._reported = [], 0
+                self._state = next_sun_exposures(self._state, look, options=self._options, bounds=bounds)
+                self._show(self._state, bounds)
+            self._shortest_us = bounds.minimum_us + bounds.step_us
+            self._seen, self._spoiled, self._reported = [], False, 0
             return self._state.exposures_us
 
     def report(self, frame: Frame, detection: Detection) -> None:
         """Take note of what a sun exposure showed; what is too bright to be believed still says "shorter"."""
         with self._lock:
             self._reported += 1
+            burnt = not detection.accepted and _is_burnt(frame)
             telling = detection.accepted or detection.saturated_px > 0
             if telling and detection.peak_fraction is not None:
                 self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
+            elif burnt:
+                self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=_BURNT_LEVEL))
+            self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
+
+    def _show(self, state: SunExposureState, bounds: ExposureBounds) -> None:
+        if self._board is None:
+            return
+        if state.cycles_spoiled >= self._options.spoiled_after:
+            self._board.set_reason(_too_bright(bounds.minimum_us))
+        elif state.cycles_spoiled == 0:
+            self._board.clear_reason(_CODE)
+
+
+def _is_burnt(frame: Frame) -> bool:
+    """Return whether so much is saturated that only the sun can have done it."""
+    return int(np.count_nonzero(frame.image >= _SATURATED * frame.full_scale)) > _BURNT_PX
+
+
+def _too_bright(shortest_us: float) -> Reason:
+    return Reason(
+        code=_CODE,
+        severity="degraded",
+        text=f"the sun burns out even the camera's shortest exposure ({shortest_us:g} us); its disc is not found",
+        remedy="put a neutral filter (optical density 2 to 3) before the lens, or lower the gain; "
+        "where saturated pixels spill into others, set sensor.blooming",
+    )
