@@ -1,10 +1,10 @@
 """What others see: calibrations, directions, the sun, the record and the service's health over HTTP, and a dashboard.
 
 app.py: `create_app` · served.py: what the routes are handed · calibrations.py, decisions.py, directions.py, maps.py,
-sun.py, record.py, refits.py, cameras.py, health.py: the routes · computing.py, arrays.py: questions of many rows ·
-schemas.py, record_schemas.py, fields.py, pages.py: what is asked and answered · problems.py: every failure as one
-shape · connections.py, boundary.py, limits.py, tokens.py: what every request passes before, from the socket inwards ·
-metrics.py: Prometheus · schema.py, glossary.py: the OpenAPI document · static/: the dashboard.
+geolocation.py, sun.py, record.py, refits.py, cameras.py, health.py: the routes · computing.py, arrays.py: questions of
+many rows · schemas.py, geolocation_schemas.py, record_schemas.py, fields.py, pages.py: what is asked and answered ·
+problems.py: every failure as one shape · connections.py, boundary.py, limits.py, tokens.py: what every request passes
+before, from the socket inwards · metrics.py: Prometheus · schema.py, glossary.py: the OpenAPI document · static/: the dashboard.
 """
 
 from sunarc.api.app import create_app

@@ -21,6 +21,7 @@ from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
 from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
+from sunarc.api.geolocation import geolocation_routes
 from sunarc.api.health import health_routes
 from sunarc.api.limits import Limits
 from sunarc.api.maps import map_routes
@@ -133,6 +134,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
         decision_routes(served),
         direction_routes(served, gate),
         map_routes(served, gate),
+        geolocation_routes(served, gate),
         sun_routes(served),
         overlay_routes(served),
         record_routes(served),

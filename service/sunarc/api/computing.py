@@ -63,13 +63,15 @@ class Computation:
     answer : returns what is told of rows.
     told : names of the answer's columns.
     tell : returns what is told of it as JSON.
+    double : answer in double precision whatever the question has.
     """
 
     read: Callable[[bytes, int], FloatArray]
     columns: tuple[int, ...]
     answer: Callable[[Answering, Rows], Rows]
     told: tuple[str, ...]
-    tell: Callable[[Rows], dict[str, Any]]
+    tell: Callable[[Answering, Rows], dict[str, Any]]
+    double: bool = False
 
 
 async def compute(
@@ -120,7 +122,7 @@ def rows_told(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
 def _json(computation: Computation, served: Served, request: Request, body: bytes, at: datetime | None) -> Response:
     rows = computation.read(body, served.options.max_points)
     answering = _answering(served, request, at)
-    told = {"calibration": answering.record.id} | computation.tell(computation.answer(answering, rows))
+    told = {"calibration": answering.record.id} | computation.tell(answering, computation.answer(answering, rows))
     content = to_json(told, inf_nan_mode="null")
     return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
 
@@ -132,6 +134,7 @@ async def _rows(
         stack.enter_context(gate.entered())
         body = await request.body()
         rows = read_rows(body, columns=computation.columns, most=served.options.max_rows)
+        rows = rows.astype(np.float64) if computation.double else rows
         answering = await run_in_threadpool(_answering, served, request, at)
         return rows_response(
             rows,

@@ -64,7 +64,7 @@ def known_rows(rows: Rows) -> list[Any]:
     return [row if finite else None for row, finite in zip(rows.tolist(), known, strict=True)]
 
 
-def _tell_directions(rows: Rows) -> dict[str, Any]:
+def _tell_directions(_answering: Answering, rows: Rows) -> dict[str, Any]:
     return {
         "zenith_deg": rows[:, 0].tolist(),
         "azimuth_deg": rows[:, 1].tolist(),
@@ -93,7 +93,7 @@ def _project(answering: Answering, vectors: Rows) -> Rows:
         return answering.ready.project(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
-def _tell_pixels(rows: Rows) -> dict[str, Any]:
+def _tell_pixels(_answering: Answering, rows: Rows) -> dict[str, Any]:
     covariance = [None if row is None else [row[:2], row[1:]] for row in known_rows(rows[:, 3:6])]
     return {
         "pixels": known_rows(rows[:, :2]),

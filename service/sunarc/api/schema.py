@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
+from sunarc.api.geolocation_schemas import GeolocateRequest
 from sunarc.api.glossary import explain
 from sunarc.api.problems import Fault, Problem, answers
 from sunarc.api.schemas import BackProjectRequest, ProjectRequest
@@ -24,6 +25,7 @@ _OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
     (Fault, "serialization"),
     (BackProjectRequest, "validation"),
     (ProjectRequest, "validation"),
+    (GeolocateRequest, "validation"),
 )
 """Shapes that no route's signature names."""
 

@@ -1,0 +1,111 @@
+"""Route: where clouds and their shadows are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+
+from sunarc.api.arrays import Gate, Rows, require_few
+from sunarc.api.computing import Answering, Computation, body_of, compute, read_asked, rows_told
+from sunarc.api.directions import known_rows
+from sunarc.api.fields import Time
+from sunarc.api.geolocation_schemas import GeolocateAnswer, GeolocateRequest
+from sunarc.api.problems import answers
+from sunarc.api.served import Served
+from sunarc.geolocation import Located, clouds, shadows
+from sunarc.sky import sun_angles, sun_directions
+
+FloatArray = NDArray[np.float64]
+
+_OF_ONE = (
+    "east_m",
+    "north_m",
+    "up_m",
+    "latitude",
+    "longitude",
+    "altitude",
+    "sigma_m",
+    "cov_ee_m2",
+    "cov_en_m2",
+    "cov_nn_m2",
+)
+LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
+"""Columns of what is told of a cloud and its shadow."""
+
+
+def geolocation_routes(served: Served, gate: Gate) -> APIRouter:
+    """Return the route that tells where clouds are."""
+    routes = APIRouter(tags=["directions"])
+
+    @routes.post(
+        "/geolocate",
+        response_model=GeolocateAnswer,
+        responses=rows_told(LOCATED) | answers(404, 408, 413, 415, 422),
+        openapi_extra=body_of("GeolocateRequest", "(n, 3) x, y in px and the cloud base's height in m."),
+    )
+    async def geolocate(request: Request, at: Time | None = None) -> Response:
+        """Tell where clouds of a given height and their shadows are, now or at the moment `at`, and how sure."""
+        return await compute(_GEOLOCATION, served, gate, request, at)
+
+    return routes
+
+
+def _read(body: bytes, most: int) -> FloatArray:
+    asked = read_asked(GeolocateRequest, body)
+    if asked.points is not None:
+        require_few(len(asked.points), most=most, field="points")
+        return np.array(asked.points, dtype=np.float64).reshape(-1, 3)
+    pixels = np.array(asked.pixels or [], dtype=np.float64).reshape(-1, 2)
+    require_few(len(pixels), most=most, field="pixels")
+    return np.concatenate([pixels, np.full((len(pixels), 1), asked.height_m)], axis=1)
+
+
+def _locate(answering: Answering, points: Rows) -> Rows:
+    site, exact = answering.served.site, np.asarray(points, dtype=np.float64)
+    directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
+    with np.errstate(all="ignore"):  # what has no place is answered with null
+        covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
+        cloud = clouds(directions, height_m=exact[:, 2], covariance=covariance, site=site)
+        shadow = shadows(cloud, sun_directions(answering.moment.timestamp(), site), site)
+        return np.concatenate([_row(cloud), _row(shadow)], axis=1)
+
+
+def _row(found: Located) -> FloatArray:
+    spread = found.covariance_m2
+    sigma = np.sqrt(0.5 * (spread[:, 0, 0] + spread[:, 1, 1]))
+    place = found.place
+    columns = (
+        place.latitude,
+        place.longitude,
+        place.altitude,
+        sigma,
+        spread[:, 0, 0],
+        spread[:, 0, 1],
+        spread[:, 1, 1],
+    )
+    row = np.concatenate([found.position_m, np.stack(columns, axis=-1)], axis=1)
+    row[np.isnan(row[:, 0])] = np.nan
+    return row
+
+
+def _tell(answering: Answering, rows: Rows) -> dict[str, Any]:
+    sun = sun_angles(answering.moment.timestamp(), answering.served.site)
+    return {
+        "time": answering.moment,
+        "sun": {"apparent_zenith": float(sun.apparent_zenith), "azimuth": float(sun.azimuth)},
+        "cloud": _told(rows[:, :10]),
+        "shadow": _told(rows[:, 10:]),
+    }
+
+
+def _told(rows: Rows) -> dict[str, Any]:
+    singles = {name: rows[:, k].tolist() for k, name in enumerate(_OF_ONE[:7])}
+    spread = [None if row is None else [row[:2], row[1:]] for row in known_rows(rows[:, 7:])]
+    return singles | {"covariance_m2": spread}
+
+
+_GEOLOCATION = Computation(read=_read, columns=(3,), answer=_locate, told=LOCATED, tell=_tell, double=True)

@@ -1,0 +1,84 @@
+"""What is asked and answered about clouds and their shadows."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sunarc.api.fields import Answers, Number, Pair, Pixel, Time
+
+Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
+Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x, y in px, cloud base height in m.")]
+
+
+class GeolocateRequest(BaseModel):
+    """Pixels and the height of the cloud base that they see: one for all (height_m), or one each (points)."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "oneOf": [
+                {
+                    "required": ["pixels", "height_m"],
+                    "properties": {
+                        "pixels": {"type": "array"},
+                        "height_m": {"type": "number"},
+                        "points": {"type": "null"},
+                    },
+                },
+                {
+                    "required": ["points"],
+                    "properties": {
+                        "pixels": {"type": "null"},
+                        "height_m": {"type": "null"},
+                        "points": {"type": "array"},
+                    },
+                },
+            ]
+        },
+    )
+
+    pixels: list[Pixel] | None = Field(default=None, description="(n, 2) px.", examples=[[[400.0, 912.5]]])
+    height_m: Height | None = Field(default=None, description="Of all, m.", examples=[1500.0])
+    points: list[Point] | None = Field(
+        default=None, description="(n, 3) px, px, m; no place for a height of 0 or less."
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> GeolocateRequest:
+        if (self.pixels is None, self.height_m is None) == (self.points is not None,) * 2:
+            return self
+        raise ValueError("give pixels and height_m, or points")
+
+
+class SunPlace(BaseModel):
+    """Where the sun stands that casts the shadows."""
+
+    apparent_zenith: float = Field(description="With refraction, degrees.", examples=[18.2])
+    azimuth: float = Field(description="Degrees clockwise from north.", examples=[178.1])
+
+
+class Places(BaseModel):
+    """Where clouds, or shadows, are. null where there is no place."""
+
+    east_m: Answers = Field(description="East of the camera, m.", examples=[[1204.1]])
+    north_m: Answers = Field(description="North of the camera, m.", examples=[[-310.7]])
+    up_m: Answers = Field(description="Above the camera's horizontal plane, m; less than the height far away.")
+    latitude: Answers = Field(description="Degrees, north positive, WGS 84.", examples=[[36.6012]])
+    longitude: Answers = Field(description="Degrees, east positive, WGS 84.", examples=[[-97.4714]])
+    altitude: Answers = Field(description="Metres, on the same scale as the camera's.", examples=[[1818.0]])
+    sigma_m: Answers = Field(description="1-sigma per axis on the ground, by the calibration alone, m.")
+    covariance_m2: list[Annotated[list[Pair], Field(min_length=2, max_length=2)] | None] = Field(
+        description="Covariance of east and north, by the calibration alone, m²."
+    )
+
+
+class GeolocateAnswer(BaseModel):
+    """Where clouds and their shadows are."""
+
+    calibration: str = Field(description="Id of the calibration that answered.")
+    time: Time
+    sun: SunPlace
+    cloud: Places
+    shadow: Places

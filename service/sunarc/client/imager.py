@@ -1,0 +1,188 @@
+"""What can be asked of an imager: directions of pixels, pixels of directions, clouds and shadows, the map, the sun."""
+
+from __future__ import annotations
+
+import io
+import json
+import urllib.parse
+from datetime import datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sunarc.client.transport import Transport
+
+FloatArray = NDArray[np.float64]
+
+_NPY = "application/x-npy"
+
+
+class BackProjection(NamedTuple):
+    """What pixels look at; NaN outside the camera's field.
+
+    zenith_deg, azimuth_deg : (...) degrees, azimuth clockwise from north.
+    direction : (..., 3) unit vectors, east-north-up.
+    sigma_deg : (...) 1-sigma per axis on the sphere.
+    inside : (...) within the image and the field.
+    calibration : id of the calibration that answered.
+    """
+
+    zenith_deg: FloatArray
+    azimuth_deg: FloatArray
+    direction: FloatArray
+    sigma_deg: FloatArray
+    inside: NDArray[np.bool_]
+    calibration: str
+
+
+class Projection(NamedTuple):
+    """Where directions land; NaN beyond the camera's field.
+
+    pixels : (..., 2) x and y in px.
+    sigma_px : (...) 1-sigma per axis.
+    covariance_px2 : (..., 2, 2).
+    inside : (...) within the image and the field.
+    calibration : id of the calibration that answered.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    covariance_px2: FloatArray
+    inside: NDArray[np.bool_]
+    calibration: str
+
+
+class Located(NamedTuple):
+    """Where clouds, or their shadows, are; NaN where there is no place.
+
+    position_m : (..., 3) metres east, north and up of the camera.
+    latitude, longitude, altitude : (...) degrees and metres.
+    sigma_m : (...) 1-sigma per axis on the ground, by the calibration alone.
+    covariance_m2 : (..., 2, 2) of east and north.
+    """
+
+    position_m: FloatArray
+    latitude: FloatArray
+    longitude: FloatArray
+    altitude: FloatArray
+    sigma_m: FloatArray
+    covariance_m2: FloatArray
+
+
+class Imager:
+    """An imager's service. Times are aware datetimes; without one, the answer is for now.
+
+    Parameters
+    ----------
+    address : as "http://imager:8080".
+    camera : of several in one store; the service's own unless given.
+    token : where reading needs one.
+    timeout_s : of one request.
+    retries : how often a request is asked again after 429, 503 or no connection, waiting longer each time.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        camera: str | None = None,
+        token: str | None = None,
+        timeout_s: float = 30.0,
+        retries: int = 4,
+    ) -> None:
+        self._transport = Transport(address, token=token, timeout_s=timeout_s, retries=retries)
+        self._prefix = "/v1" if camera is None else f"/v1/cameras/{urllib.parse.quote(camera, safe='')}"
+
+    def back_project(self, pixels: ArrayLike, *, at: datetime | None = None) -> BackProjection:
+        """Return what pixels (..., 2) look at."""
+        rows, calibration, shape = self._rows("/back-project", pixels, 2, at)
+        zenith, azimuth, east, north, up, sigma, inside = np.moveaxis(rows, -1, 0)
+        direction = np.stack([east, north, up], axis=-1).reshape(*shape, 3)
+        told = (column.reshape(shape) for column in (zenith, azimuth, sigma, inside == 1.0))
+        first, second, third, fourth = told
+        return BackProjection(first, second, direction, third, fourth, calibration)
+
+    def project(self, direction: ArrayLike, *, at: datetime | None = None) -> Projection:
+        """Return where vectors (..., 3), east-north-up, of any length but 0, land."""
+        rows, calibration, shape = self._rows("/project", direction, 3, at)
+        return Projection(
+            pixels=rows[:, :2].reshape(*shape, 2),
+            sigma_px=rows[:, 2].reshape(shape),
+            covariance_px2=rows[:, [3, 4, 4, 5]].reshape(*shape, 2, 2),
+            inside=(rows[:, 6] == 1.0).reshape(shape),
+            calibration=calibration,
+        )
+
+    def geolocate(
+        self, pixels: ArrayLike, *, height_m: ArrayLike, at: datetime | None = None
+    ) -> tuple[Located, Located]:
+        """Return where clouds are that pixels (..., 2) see, and where their shadows are.
+
+        Parameters
+        ----------
+        pixels : (..., 2) px.
+        height_m : (...) or one: of the cloud base above the camera's altitude.
+        at : gives the calibration and the sun.
+        """
+        pixel = np.asarray(pixels, dtype=np.float64)
+        height = np.broadcast_to(np.asarray(height_m, dtype=np.float64), pixel.shape[:-1])
+        points = np.concatenate([pixel, height[..., None]], axis=-1)
+        rows, _, shape = self._rows("/geolocate", points, 3, at)
+        return _located(rows[:, :10], shape), _located(rows[:, 10:], shape)
+
+    def calibration(self, *, at: datetime | None = None) -> dict[str, Any]:
+        """Return the calibration document."""
+        return self._json("/calibration", at)
+
+    def export(self, form: str, *, at: datetime | None = None) -> bytes:
+        """Return the calibration as a file: opencv, ocamcalib, asi-core, mrcal, netcdf or npz."""
+        return self._transport.ask(f"{self._prefix}/calibration", {"format": form, "at": _time(at)})[0]
+
+    def map(self, *, at: datetime | None = None, sun_radius_deg: float | None = None) -> dict[str, NDArray[Any]]:
+        """Return what every pixel sees: zenith, azimuth, direction, sigma and others, by name, (height, width, ...)."""
+        radius = None if sun_radius_deg is None else repr(float(sun_radius_deg))
+        query = {"format": "npz", "at": _time(at), "sun_radius_deg": radius}
+        content, _ = self._transport.ask(f"{self._prefix}/back-projection-map", query)
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+
+    def sun(self, *, at: datetime | None = None) -> dict[str, Any]:
+        """Return where the sun is, and on which pixel."""
+        return self._json("/sun", at)
+
+    def _json(self, path: str, at: datetime | None) -> dict[str, Any]:
+        content, _ = self._transport.ask(f"{self._prefix}{path}", {"at": _time(at)})
+        told: dict[str, Any] = json.loads(content)
+        return told
+
+    def _rows(
+        self, path: str, values: ArrayLike, width: int, at: datetime | None
+    ) -> tuple[FloatArray, str, tuple[int, ...]]:
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim < 1 or array.shape[-1] != width:
+            raise ValueError(f"shape {array.shape}: the last dimension has to be {width}")
+        stream = io.BytesIO()
+        np.save(stream, np.ascontiguousarray(array.reshape(-1, width)), allow_pickle=False)
+        content, headers = self._transport.ask(
+            f"{self._prefix}{path}", {"at": _time(at)}, body=stream.getvalue(), media_type=_NPY
+        )
+        rows = np.load(io.BytesIO(content), allow_pickle=False)
+        return np.asarray(rows, dtype=np.float64), str(headers["Sunarc-Calibration"]), array.shape[:-1]
+
+
+def _located(rows: FloatArray, shape: tuple[int, ...]) -> Located:
+    return Located(
+        position_m=rows[:, :3].reshape(*shape, 3),
+        latitude=rows[:, 3].reshape(shape),
+        longitude=rows[:, 4].reshape(shape),
+        altitude=rows[:, 5].reshape(shape),
+        sigma_m=rows[:, 6].reshape(shape),
+        covariance_m2=rows[:, [7, 8, 8, 9]].reshape(*shape, 2, 2),
+    )
+
+
+def _time(at: datetime | None) -> str | None:
+    if at is not None and at.tzinfo is None:
+        raise ValueError(f"{at} has no time zone")
+    return None if at is None else at.isoformat()

@@ -1,0 +1,101 @@
+"""Requests over HTTP, asked again where the service is busy or not there for a moment."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Mapping
+from typing import Any
+
+_AGAIN = (429, 503)
+_FIRST_WAIT_S = 0.25
+_LONGEST_WAIT_S = 10.0
+
+
+class ImagerError(Exception):
+    """The service did not answer what was asked.
+
+    Attributes
+    ----------
+    status : the HTTP status; None where nothing answered at all.
+    problem : the problem document (RFC 9457): its `detail` says what is wrong, its `errors` where and what to do.
+    """
+
+    def __init__(self, message: str, *, status: int | None, problem: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+        self.problem = dict(problem or {})
+
+
+class Transport:
+    """Asks one service.
+
+    Parameters
+    ----------
+    address : as "http://imager:8080".
+    token : sent with every request.
+    timeout_s : of one request.
+    retries : how often a request is asked again after 429, 503 or no connection.
+    """
+
+    def __init__(self, address: str, *, token: str | None, timeout_s: float, retries: int) -> None:
+        if urllib.parse.urlsplit(address).scheme not in {"http", "https"}:
+            raise ValueError(f"{address!r} is no address; give one as http://imager:8080")
+        self._address = address.rstrip("/")
+        self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+        self._timeout_s = timeout_s
+        self._retries = retries
+
+    def ask(
+        self,
+        path: str,
+        query: Mapping[str, str | None],
+        *,
+        body: bytes | None = None,
+        media_type: str | None = None,
+    ) -> tuple[bytes, Mapping[str, str]]:
+        """Return the content and the headers of an answer; ImagerError where it is a refusal, or there is none."""
+        given = urllib.parse.urlencode({name: value for name, value in query.items() if value is not None})
+        headers = self._headers | ({} if media_type is None else {"Content-Type": media_type})
+        request = urllib.request.Request(  # noqa: S310 - http and https alone
+            f"{self._address}{path}?{given}", data=body, headers=headers
+        )
+        for attempt in range(self._retries + 1):
+            try:
+                return self._asked(request)
+            except ImagerError as error:
+                if attempt == self._retries or error.status not in (None, *_AGAIN):
+                    raise
+                time.sleep(_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
+        raise AssertionError("unreachable")
+
+    def _asked(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
+        try:
+            with urllib.request.urlopen(request, timeout=self._timeout_s) as answer:  # noqa: S310 - http and https alone
+                return answer.read(), answer.headers
+        except urllib.error.HTTPError as error:
+            with error:
+                raise _refusal(error) from None
+        except (OSError, http.client.HTTPException) as error:
+            raise ImagerError(f"{self._address} does not answer: {error}", status=None) from error
+
+
+def _refusal(error: urllib.error.HTTPError) -> ImagerError:
+    try:
+        problem = json.loads(error.read())
+    except ValueError:
+        problem = {}
+    problem = problem if isinstance(problem, dict) else {}
+    refusal = ImagerError(str(problem.get("detail", error.reason)), status=error.code, problem=problem)
+    refusal.problem.setdefault("retry_after_s", error.headers.get("Retry-After"))
+    return refusal
+
+
+def _wait_s(error: ImagerError, attempt: int) -> float:
+    stated = str(error.problem.get("retry_after_s") or "")
+    wait_s = float(stated) if stated.isdecimal() else _FIRST_WAIT_S * 2.0**attempt
+    return min(wait_s, _LONGEST_WAIT_S)

@@ -1,0 +1,114 @@
+"""From view directions and a cloud base height to where the cloud is, and where its shadow falls.
+
+Rays are straight and directions are apparent ones: what refraction bends below the cloud is left out, which moves a
+cloud seen 10 degrees above the horizon by less than 1 % of its distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, Place, place_of
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 5
+_LEVEL = 1e-4
+"""A ray that rises by less than this never leaves the haze, and its length means nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Located:
+    """Points above or on the ground; NaN where there is none.
+
+    Attributes
+    ----------
+    position_m : (n, 3) metres east, north and up of the site; up falls with distance as the Earth curves away.
+    place : latitude, longitude, altitude.
+    covariance_m2 : (n, 3, 3) of the position, from the doubt of the view direction alone.
+    """
+
+    position_m: FloatArray
+    place: Place
+    covariance_m2: FloatArray
+
+
+def clouds(directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArray, site: Site) -> Located:
+    """Return where view directions pass through a cloud base.
+
+    Parameters
+    ----------
+    directions : (n, 3) unit vectors, east-north-up.
+    height_m : (n) or one: of the cloud base above the site's altitude, the same along the curved Earth.
+    covariance : (n, 3, 3) of the unit vectors.
+    site : where the camera stands.
+
+    Returns
+    -------
+    NaN for a direction at or below the horizon, and for a height that is not positive.
+    """
+    height = np.broadcast_to(np.asarray(height_m, dtype=np.float64), directions.shape[:1])
+    with np.errstate(invalid="ignore"):
+        valid = (directions[:, 2] > _LEVEL) & (height > 0.0)
+    direction = np.where(valid[:, None], directions, np.nan)
+    return _through(np.zeros_like(direction), direction, site.altitude + height, covariance, site)
+
+
+def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:
+    """Return where the shadows of clouds fall, on the surface at the site's altitude.
+
+    Parameters
+    ----------
+    cloud : the clouds.
+    sun : (3,) the sun's apparent direction, east-north-up.
+    site : where the camera stands.
+
+    Returns
+    -------
+    NaN where the sun is at or below the horizon, or the sunlight past the cloud misses the ground.
+    """
+    valid = np.full(len(cloud.position_m), sun[2] > _LEVEL)[:, None]
+    ray = np.where(valid, -sun, np.nan)
+    target = np.full(len(cloud.position_m), site.altitude)
+    length, place = _meet(cloud.position_m, ray, target, site)
+    moved = _flattened(ray, place.up)
+    return Located(
+        position_m=cloud.position_m + length[:, None] * ray,
+        place=place,
+        covariance_m2=moved @ cloud.covariance_m2 @ np.swapaxes(moved, -1, -2),
+    )
+
+
+def _through(start: FloatArray, ray: FloatArray, altitude: FloatArray, covariance: FloatArray, site: Site) -> Located:
+    length, place = _meet(start, ray, altitude, site)
+    moved = length[:, None, None] * _flattened(ray, place.up)
+    return Located(
+        position_m=start + length[:, None] * ray,
+        place=place,
+        covariance_m2=moved @ covariance @ np.swapaxes(moved, -1, -2),
+    )
+
+
+def _meet(start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site) -> tuple[FloatArray, Place]:
+    """Return how long rays are until they meet the surface of an altitude, and where: a sphere first, then Newton."""
+    begin = place_of(start, site)
+    rise = np.sum(ray * begin.up, axis=-1)
+    inner, outer = SEMI_MAJOR_M + begin.altitude, SEMI_MAJOR_M + altitude
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt((inner * rise) ** 2 + (outer - inner) * (outer + inner))
+    length = np.where(rise > 0.0, 1.0, -1.0) * root - inner * rise
+    place = begin
+    for _ in range(_ROUNDS):
+        place = place_of(start + length[:, None] * ray, site)
+        length = length - (place.altitude - altitude) / np.sum(ray * place.up, axis=-1)
+    return length, place_of(start + length[:, None] * ray, site)
+
+
+def _flattened(ray: FloatArray, up: FloatArray) -> FloatArray:
+    """Return (n, 3, 3): how a point slides along the surface when its ray is shifted."""
+    slope = np.sum(ray * up, axis=-1)[:, None, None]
+    return np.asarray(np.eye(3) - ray[:, :, None] * up[:, None, :] / slope)

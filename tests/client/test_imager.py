@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+import uvicorn
+from tests.api.conftest import NOON, SITE, _archive, fill
+
+from sunarc.api import ApiOptions, create_app
+from sunarc.archive import open_archive
+from sunarc.board import StatusBoard
+from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
+from sunarc.client import Imager, ImagerError
+from sunarc.clock import VirtualClock
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    path = tmp_path_factory.mktemp("served") / "archive.sqlite"
+    _archive(path).close()
+    archive = open_archive(path)
+    fill(archive)
+    board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
+    app = create_app(
+        archive=archive,
+        camera="roof",
+        site=SITE,
+        status=board.snapshot,
+        request_refit=archive.refit,
+        frame_clock=lambda: NOON,
+        latest_image=lambda: None,
+        options=ApiOptions(),
+    )
+    listening = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", access_log=False))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+    thread.start()
+    yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+    server.should_exit = True
+    thread.join()
+    listening.close()
+    archive.close()
+
+
+@pytest.fixture
+def imager(address: str) -> Imager:
+    return Imager(address)
+
+
+def test_numpy_goes_in_and_comes_out_in_its_own_shape(imager: Imager) -> None:
+    calibration = from_document(imager.calibration())
+    pixels = np.random.default_rng(0).uniform(0.0, 1747.0, (20, 30, 2))
+    told = imager.back_project(pixels)
+    directions, sigma, inside = unproject_with_sigma(calibration, pixels)
+    assert (told.zenith_deg.shape, told.calibration) == ((20, 30), "second")
+    np.testing.assert_allclose(told.direction, directions, atol=1e-9)
+    np.testing.assert_allclose(told.sigma_deg, sigma, rtol=1e-3)
+    np.testing.assert_array_equal(told.inside, inside)
+    back = imager.project(told.direction)
+    np.testing.assert_allclose(back.pixels[inside], pixels[inside], atol=1e-6)
+    covariance = project_with_covariance(calibration, directions)[1]
+    np.testing.assert_allclose(back.covariance_px2[inside], covariance[inside], atol=1e-5)
+    assert imager.back_project([871.0, 700.0]).zenith_deg.shape == ()
+    assert imager.back_project([871.0, 700.0], at=datetime(2013, 5, 10, tzinfo=UTC)).calibration == "first"
+
+
+def test_clouds_and_shadows_are_where_the_geometry_puts_them(imager: Imager) -> None:
+    overhead = imager.project([0.0, 0.0, 1.0]).pixels
+    cloud, shadow = imager.geolocate(np.array([overhead, [640.0, 760.0]]), height_m=[1000.0, 2000.0])
+    np.testing.assert_allclose(cloud.position_m[0], [0.0, 0.0, 1000.0], atol=0.01)
+    np.testing.assert_allclose(cloud.altitude, np.array([1318.0, 2318.0]), atol=0.01)
+    sun = imager.sun()
+    away = np.radians(sun["azimuth"] + 180.0)
+    length = 1000.0 * np.tan(np.radians(sun["apparent_zenith"]))
+    np.testing.assert_allclose(shadow.position_m[0, :2], [length * np.sin(away), length * np.cos(away)], atol=0.5)
+    # overhead, a doubt of an angle moves the cloud by its height times the angle
+    sigma = imager.back_project(overhead).sigma_deg
+    assert float(cloud.sigma_m[0]) == pytest.approx(1000.0 * np.radians(float(sigma)), rel=0.02)
+    night = imager.geolocate(overhead, height_m=1000.0, at=NOON + timedelta(hours=12))[1]
+    assert np.all(np.isnan(night.position_m))
+    below, _ = imager.geolocate([[5.0, 5.0], [overhead[0], overhead[1]]], height_m=[1000.0, -1.0])
+    assert np.all(np.isnan(below.latitude))
+
+
+def test_the_map_and_the_exports_come_as_they_are(imager: Imager) -> None:
+    found = imager.map(sun_radius_deg=5.0)
+    told = imager.back_project([[400.0, 900.0]])
+    assert found["zenith"].shape == (1748, 1748)
+    assert float(found["zenith"][900, 400]) == pytest.approx(float(told.zenith_deg[0]), abs=1e-4)
+    assert 100 < int(found["sun_mask"].sum()) < 20_000
+    assert imager.export("ocamcalib").startswith(b"#polynomial coefficients for the DIRECT mapping")
+
+
+def test_a_refusal_carries_the_problem_document(imager: Imager, address: str) -> None:
+    with pytest.raises(ImagerError) as refused:
+        imager.export("matlab")
+    assert refused.value.status == 422
+    assert refused.value.problem["errors"][0]["field"] == "format"
+    with pytest.raises(ImagerError, match="no camera"):
+        Imager(address, camera="elsewhere").sun()
+    with pytest.raises(ValueError, match="last dimension"):
+        imager.back_project(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="no time zone"):
+        imager.sun(at=datetime(2013, 5, 13))  # noqa: DTZ001 - what is refused
+
+
+class _Busy(BaseHTTPRequestHandler):
+    asked = 0
+
+    def do_GET(self) -> None:
+        type(self).asked += 1
+        if self.path.startswith("/v1/cameras") or type(self).asked > 2:
+            content, status = b'{"azimuth": 1.0}', 200
+        else:
+            content, status = b'{"detail": "busy"}', (429, 503)[type(self).asked % 2]
+        self.send_response(status)
+        self.send_header("Retry-After", "0")
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:  # silent
+        pass
+
+
+def test_a_busy_service_is_asked_again_and_an_absent_one_named() -> None:
+    with HTTPServer(("127.0.0.1", 0), _Busy) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}"
+        assert Imager(address).sun() == {"azimuth": 1.0}
+        assert _Busy.asked == 3
+        server.shutdown()
+        thread.join()
+    with pytest.raises(ImagerError, match="does not answer") as absent:
+        Imager(address, retries=1).sun()
+    assert absent.value.status is None
+
+
+def test_the_client_imports_nothing_else_of_ours() -> None:
+    program = "import sys, json, sunarc.client; print(json.dumps([m for m in sys.modules if m.startswith('sunarc')]))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert all(name == "sunarc" or name.startswith("sunarc.client") for name in json.loads(done.stdout))
+
+
+def test_the_example_draws_the_shadows_way(address: str, tmp_path: Path) -> None:
+    target = Path(os.environ.get("SUNARC_EXAMPLE_PNG", tmp_path / "shadow.png"))
+    script = ROOT / "docs" / "examples" / "follow_a_shadow.py"
+    subprocess.run([sys.executable, script, address, target, "--at", "2013-05-13T18:30:00Z"], check=True)
+    assert target.read_bytes().startswith(b"\x89PNG")
