@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import uvicorn
-from tests.api.conftest import NOON, SITE, _archive, fill
+from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     path = tmp_path_factory.mktemp("served") / "archive.sqlite"
-    _archive(path).close()
+    new_archive(path).close()
     archive = open_archive(path)
     fill(archive)
     board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)

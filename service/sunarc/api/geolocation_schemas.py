@@ -42,7 +42,9 @@ class GeolocateRequest(BaseModel):
     pixels: list[Pixel] | None = Field(default=None, description="(n, 2) px.", examples=[[[400.0, 912.5]]])
     height_m: Height | None = Field(default=None, description="Of all, m.", examples=[1500.0])
     points: list[Point] | None = Field(
-        default=None, description="(n, 3) px, px, m; no place for a height of 0 or less."
+        default=None,
+        description="(n, 3) px, px, metres; no place for a height of 0 or less.",
+        examples=[[[400.0, 912.5, 1500.0]]],
     )
 
     @model_validator(mode="after")
@@ -64,13 +66,18 @@ class Places(BaseModel):
 
     east_m: Answers = Field(description="East of the camera, m.", examples=[[1204.1]])
     north_m: Answers = Field(description="North of the camera, m.", examples=[[-310.7]])
-    up_m: Answers = Field(description="Above the camera's horizontal plane, m; less than the height far away.")
+    up_m: Answers = Field(
+        description="Above the camera's horizontal plane, m; less than the height far away.", examples=[[1499.8]]
+    )
     latitude: Answers = Field(description="Degrees, north positive, WGS 84.", examples=[[36.6012]])
     longitude: Answers = Field(description="Degrees, east positive, WGS 84.", examples=[[-97.4714]])
     altitude: Answers = Field(description="Metres, on the same scale as the camera's.", examples=[[1818.0]])
-    sigma_m: Answers = Field(description="1-sigma per axis on the ground, by the calibration alone, m.")
+    sigma_m: Answers = Field(
+        description="1-sigma per axis on the ground, by the calibration alone, m.", examples=[[0.2]]
+    )
     covariance_m2: list[Annotated[list[Pair], Field(min_length=2, max_length=2)] | None] = Field(
-        description="Covariance of east and north, by the calibration alone, m²."
+        description="Covariance of east and north, by the calibration alone, square metres.",
+        examples=[[[[0.04, 0.0], [0.0, 0.04]]]],
     )
 
 
@@ -79,6 +86,6 @@ class GeolocateAnswer(BaseModel):
 
     calibration: str = Field(description="Id of the calibration that answered.")
     time: Time
-    sun: SunPlace
-    cloud: Places
-    shadow: Places
+    sun: SunPlace = Field(description="Where the sun stands, degrees.")
+    cloud: Places = Field(description="Where the clouds are, metres and degrees.")
+    shadow: Places = Field(description="Where their shadows are, metres and degrees.")
