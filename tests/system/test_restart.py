@@ -80,6 +80,8 @@ def sightings(database: Path) -> list[tuple[int, float]]:
     if not database.exists():
         return []
     with sqlite3.connect(f"file:{database}?mode=ro", uri=True) as connection:
+        if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'sun_point'").fetchall():
+            return []  # the file is there before its tables are
         return connection.execute("SELECT time, exposure_us FROM sun_point ORDER BY time, exposure_us").fetchall()
 
 
