@@ -11,7 +11,7 @@ import pytest
 
 from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.errors import OutsideError
-from sunarc.workers import SightingKeeper
+from sunarc.workers import SightingKeeper, keeping
 
 from .conftest import NOON
 
@@ -64,16 +64,19 @@ def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board
     assert reasons(board) == {}
 
 
-def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(archive: Refusing, board: StatusBoard) -> None:
+def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
+    archive: Refusing, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keeping, "_AT_A_TIME", 20)  # three transactions
     keeper = SightingKeeper(archive, board=board)
     archive.full = True
-    for number in range(450):
+    for number in range(45):
         keeper.keep(sighting(number))
-    assert "450 sightings wait" in reasons(board)["sightings_not_stored"]
+    assert "45 sightings wait" in reasons(board)["sightings_not_stored"]
     assert archive.sun_points("roof") == ()
     archive.full = False
-    keeper.keep(sighting(450))
-    assert [point.x_px for point in archive.sun_points("roof")] == [float(number) for number in range(451)]
+    keeper.keep(sighting(45))
+    assert [point.x_px for point in archive.sun_points("roof")] == [float(number) for number in range(46)]
     assert reasons(board) == {}
     assert keeper.waiting == 0
 
