@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import socket
 import threading
 from collections.abc import Iterator
 from http.client import HTTPConnection
@@ -20,13 +19,15 @@ from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive
 from sunarc.board import StatusBoard
 from sunarc.clock import VirtualClock
+from sunarc.footing import listen
 
 _PIXEL = b'{"pixels": [[871.96, 700.0]]}'
 _AT_ONCE = 200
 
 
 def _served(app: FastAPI) -> Iterator[HTTPConnection]:
-    listening = socket.create_server(("127.0.0.1", 0))
+    listening = listen("127.0.0.1", 0)  # the service's own: its answers are not delayed
+    listening.listen()
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", access_log=False))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
     thread.start()
