@@ -40,7 +40,17 @@ REGION = (300, 1250, 420, 400)  # holds the sun from the start on for two hours,
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 IMAGER = Path(__file__).parent.parent / "simulation" / "imager_process.py"
 THIEF = Path(__file__).with_name("thief.py")
-FAULTS = ("kill", "freeze", "power_cycle", "loss", "wrong_exposure", "stale_exposure", "stolen", "changed")
+FAULTS = (
+    "kill",
+    "freeze",
+    "power_cycle",
+    "loss",
+    "wrong_exposure",
+    "wrong_exposures",
+    "stale_exposure",
+    "stolen",
+    "changed",
+)
 HDR_US = (3_000.0, 12_000.0, 48_000.0)
 _log = logging.getLogger("soak")
 
@@ -166,7 +176,8 @@ class Soak:
         """Wait, and note which slot it is when."""
         until = self.clock.monotonic() + seconds
         while (now := self.clock.monotonic()) < until:
-            self.slots.append((now, int(self.frame_time.now().timestamp() // self.cadence_s)))
+            if self.frame_time.known:
+                self.slots.append((now, int(self.frame_time.now().timestamp() // self.cadence_s)))
             self.clock.wait(self.stop, min(0.2, until - now))
 
     def disturb(self, fault: str) -> None:
@@ -204,10 +215,16 @@ class Soak:
         self.imager.order("LOSS", 0)
 
     def _wrong_exposure(self) -> None:
-        for _ in range(8):  # a frame at a time: what all exposures share cannot be told from their ratios
+        for _ in range(8):
             self.imager.order("WRONG_EXPOSURE", self.random.choice([25, 400, 1600]))
             self.wait(self.random.uniform(0.3, 0.7))
         self.imager.order("WRONG_EXPOSURE", 0)
+
+    def _wrong_exposures(self) -> None:
+        """All frames alike, as their ratios cannot tell: for several cycles, or beginning or ending within one."""
+        self.imager.order("ALL_EXPOSURES", self.random.choice([25, 400, 1600]))
+        self.wait(self.random.uniform(0.2, 5.0))
+        self.imager.order("ALL_EXPOSURES", 0)
 
     def _stale_exposure(self) -> None:
         self.imager.order("STALE_EXPOSURE", 1)
@@ -243,8 +260,9 @@ class Soak:
             slots.setdefault(slot, at)
         quiet = [
             slot
-            for slot, at in sorted(slots.items())[2:-3]
-            if not any(began - self.cadence_s <= at <= ended + 2.0 * self.cadence_s for began, ended in self.disturbed)
+            for slot, at in sorted(slots.items())[:-3]
+            if slot >= min(self.completed)
+            and not any(began - self.cadence_s <= at <= ended + 2.0 * self.cadence_s for began, ended in self.disturbed)
         ]
         missing = [slot for slot in quiet if slot not in self.completed]
         status = self.board.snapshot().capture

@@ -304,3 +304,49 @@ def test_a_leap_second_that_the_clock_repeats_makes_no_cycle_of_its_own(
     starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
     assert stepped
     assert all(29.0 <= later - earlier <= 31.5 for earlier, later in pairwise(starts))
+
+
+def test_normal_exposures_that_leave_the_sun_no_time_are_told_with_the_remedy(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusBoard
+) -> None:
+    made, expose, slow = bench(), camera.expose, [True]
+
+    def exposing(exposure_us: float) -> Frame:
+        clock.advance(9.5 if slow[0] else 0.0)
+        return expose(exposure_us)
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 9)
+    assert reasons(board) == set()
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 10)
+    (reason,) = board.snapshot().reasons
+    assert reason.code == "cycle_too_long"
+    assert "for 10 cycles the normal exposures, 28.6 s in the last one, left no time for the sun's" in reason.text
+    assert "capture.cadence_s" in reason.remedy
+    slow[0] = False
+    made.stop.clear()
+    made.run_until(lambda: len(made.sun_frames) > 0)
+    assert reasons(board) == set()
+
+
+def test_an_exposure_that_fails_in_every_cycle_is_told_for_as_long_as_it_does(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    made, expose, broken = bench(), camera.expose, [True]
+
+    def exposing(exposure_us: float) -> Frame:
+        frame = expose(exposure_us)
+        if broken[0] and exposure_us == HDR[2]:
+            raise CameraTimeoutError("late")
+        return frame
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(camera.exposures) > 11 * len([*HDR, HDR[2], *SUN]))
+    (reason,) = board.snapshot().reasons
+    assert reason.code == "exposures_failing"
+    assert "each of the last 12 cycles" in reason.text
+    broken[0] = False
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) > 0)
+    assert reasons(board) == set()

@@ -1,7 +1,8 @@
 """What to expose for the sun, and what to keep of a cycle: all pure.
 
-Map: `exposure` the sun exposure controller, `brightness` whether frames had their exposures, `hdr` the merge, `preview`
-for people, `metadata` what a file says of itself.
+Map: `exposure` the sun exposure controller, `brightness` whether frames had their exposures beside one another, `level`
+whether a cycle had them beside the one before, `hdr` the merge, `preview` for people, `metadata` what a file says of
+itself.
 """
 
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
@@ -15,20 +16,25 @@ from sunarc.imaging.exposure import (
     next_sun_exposures,
 )
 from sunarc.imaging.hdr import HdrImage, merge_hdr
+from sunarc.imaging.level import MOST_ALL_OVER, Level, factor_all_over, level_of
 from sunarc.imaging.metadata import document_of, jpeg_with, png_with
 from sunarc.imaging.preview import preview
 
 __all__ = [
+    "MOST_ALL_OVER",
     "Exposed",
     "ExposureBounds",
     "HdrImage",
+    "Level",
     "Peak",
     "SunExposureOptions",
     "SunExposureState",
     "SunLook",
     "document_of",
+    "factor_all_over",
     "first_sun_exposures",
     "jpeg_with",
+    "level_of",
     "light_ratio_contradiction",
     "merge_hdr",
     "next_sun_exposures",

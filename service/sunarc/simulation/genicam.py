@@ -5,8 +5,8 @@ Reference: EMVA, "GenICam Standard Features Naming Convention". Addresses up to 
 
 SimDelayMs : every frame comes so much later · SimFreezeMs : the camera is deaf for so long, once
 SimLossPermille : share of the stream's packets that are lost
-SimWrongExposurePercent : of the stated exposure, which the next frame gets · SimStaleExposure : every frame has the
-exposure of the one before · SimClockDriftPpm : the timestamps run fast
+SimWrongExposurePercent : of the stated exposure, which the next frame gets · SimAllExposuresPercent : which every frame
+gets · SimStaleExposure : every frame has the exposure of the one before · SimClockDriftPpm : the timestamps run fast
 SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
 
@@ -21,6 +21,7 @@ BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 
 CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
+ALL_EXPOSURES = 0xB120
 EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
 PIXEL_FORMATS = {
@@ -137,6 +138,7 @@ def _faults() -> list[Feature]:
         _integer("SimLossPermille", LOSS, category, "<Min>0</Min><Max>1000</Max>"),
         _integer("SimFreezeMs", FREEZE, category),
         _integer("SimWrongExposurePercent", WRONG_EXPOSURE, category),
+        _integer("SimAllExposuresPercent", ALL_EXPOSURES, category),
         _integer("SimStaleExposure", STALE_EXPOSURE, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),

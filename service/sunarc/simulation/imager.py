@@ -179,7 +179,7 @@ class _Imager:
 
     def _light_us(self, stated_us: float) -> float:
         """Return how long the frame is exposed: what it states, unless a fault is asked for."""
-        percent = self._camera.read(genicam.WRONG_EXPOSURE) or 100
+        percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
         stale = bool(self._camera.read(genicam.STALE_EXPOSURE)) and self._previous_exposure_us > 0.0
         light_us = self._previous_exposure_us if stale else stated_us * percent / 100.0

@@ -18,6 +18,7 @@ from sunarc.workers.exposing import Exposer, unreachable_exposures
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover
 from sunarc.workers.sun_exposures import SunExposures
+from sunarc.workers.vouching import Taken, Vouching
 
 _HEARTBEAT_S = 1.0
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
@@ -102,6 +103,7 @@ class CaptureWorker:
         self._cycles = cycles
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
+        self._vouching = Vouching(cadence_s=options.cadence_s)
         self._served_at_s: float | None = None
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -172,23 +174,30 @@ class CaptureWorker:
         done_at: list[float] = []
         exposer = self._exposer(camera, deadline_s=began_at + within_s)
         normal = exposer.take_agreeing(
-            self._options.hdr_exposures_us, taken=lambda: done_at.append(self._clock.monotonic())
+            self._options.hdr_exposures_us,
+            taken=lambda: done_at.append(self._clock.monotonic()),
+            doubt_about=self._vouching.contradiction,
         )
         good = [frame for frame in normal if frame is not None]
         if not good:
             raise CameraLostError("no exposure of a whole cycle succeeded")
-        sun = self._sun_frames_beside(good, exposer, camera)
+        overran = not exposer.has_time()
+        taken = Taken(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
-        complete = len(good) == len(normal)
-        if complete:
-            self._cycles.put(good)
-        for frame in sun:
-            self._sun_frames.put(frame)
+        for vouched in self._vouching.vouched(taken):
+            self._hand_over(vouched)
         self._report.cycle(
-            complete=complete,
+            complete=taken.complete,
+            overran=overran,
             jitter_s=None if normal[0] is None else self._late_s(normal[0], slot),
             hdr_s=done_at[-1] - began_at,
         )
+
+    def _hand_over(self, taken: Taken) -> None:
+        if taken.complete:
+            self._cycles.put(taken.good)
+        for frame in taken.sun:
+            self._sun_frames.put(frame)
 
     def _sun_frames_beside(self, normal: Sequence[Frame], exposer: Exposer, camera: SkyCamera) -> list[Frame]:
         """Take the sun exposures of a cycle, while there is time."""
@@ -200,9 +209,7 @@ class CaptureWorker:
 
     def _sign_of_life(self, exposer: Exposer, exposure_us: float) -> None:
         """Take an exposure that only shows that the camera lives, and what time it has."""
-        if exposer.take(exposure_us) is None:
-            self._report.failing()
-        self._report.show()
+        self._report.sign_of_life(came=exposer.take(exposure_us) is not None)
 
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> Exposer:
         return Exposer(

@@ -10,6 +10,9 @@ from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, ConfigurationError, InputError
 
 _log = logging.getLogger(__name__)
+_LASTING = 10  # cycles in a row
+_FAILING = "exposures_failing"
+_OVERRUN = "cycle_too_long"
 
 
 class CaptureReport:
@@ -26,6 +29,8 @@ class CaptureReport:
         self._name = name
         self._camera = CameraStatus(name=name, connected=False)
         self._counts = CaptureStatus()
+        self._incomplete = 0  # cycles in a row
+        self._overrun = 0
 
     def add(self, **counts: int) -> None:
         """Add to counts, by the names of `CaptureStatus`; `show` writes them on the board."""
@@ -35,32 +40,66 @@ class CaptureReport:
         """Write the counts on the board."""
         self._board.note(capture=self._counts)
 
-    def cycle(self, *, complete: bool, jitter_s: float | None, hdr_s: float) -> None:
-        """Take note of a slot's cycle: how late it was triggered, and when its normal exposures were through."""
+    def cycle(self, *, complete: bool, overran: bool, jitter_s: float | None, hdr_s: float) -> None:
+        """Take note of a slot's cycle.
+
+        Parameters
+        ----------
+        complete : whether all of its normal exposures succeeded.
+        overran : whether they left no time for the sun's.
+        jitter_s : how late it was triggered; None where that is unknown.
+        hdr_s : from its beginning to the end of the normal exposures.
+        """
         worst_s = max(self._counts.jitter_max_s or 0.0, jitter_s or 0.0)
         self._counts = replace(self._counts, jitter_s=jitter_s, jitter_max_s=worst_s, hdr_s=hdr_s)
         self.add(cycles=1, complete=int(complete))
         self.show()
-        if not complete:
-            self.failing()
+        self._incomplete = 0 if complete else self._incomplete + 1
+        self._overrun = self._overrun + 1 if overran else 0
+        self._tell_failing()
+        self._tell_overrun(hdr_s)
 
     def frame(self, frame: Frame) -> None:
         """Say that a frame came."""
         self.add(frames=1)
         self._board.note(last_frame_at=frame.time)
-        self._board.clear_reason("exposures_failing")
 
-    def failing(self) -> None:
-        """Say that an exposure was given up."""
+    def sign_of_life(self, *, came: bool) -> None:
+        """Say whether the exposure came that only shows that the camera lives."""
         self.show()
+        self._incomplete = 0 if came else self._incomplete + 1
+        self._overrun = 0
+        self._tell_failing()
+
+    def _tell_failing(self) -> None:
+        if self._incomplete == 0:
+            self._board.clear_reason(_FAILING)
+            return
+        of = "the last cycle" if self._incomplete == 1 else f"each of the last {self._incomplete} cycles"
         self._board.set_reason(
             Reason(
-                code="exposures_failing",
+                code=_FAILING,
                 severity="degraded",
-                text="an exposure of the last cycle failed in every attempt",
-                remedy="check the network between host and camera, and the journal for what was seen",
+                text=f"an exposure of {of} failed in every attempt; there is no composite without it",
+                remedy="check the network between host and camera, and the journal for what was seen; "
+                "sunarc check --camera tries each exposure",
             )
         )
+
+    def _tell_overrun(self, hdr_s: float) -> None:
+        if self._overrun == 0:
+            self._board.clear_reason(_OVERRUN)
+        elif self._overrun >= _LASTING:
+            self._board.set_reason(
+                Reason(
+                    code=_OVERRUN,
+                    severity="degraded",
+                    text=f"for {self._overrun} cycles the normal exposures, {hdr_s:.3g} s in the last one, left no "
+                    "time for the sun's: no calibration comes of this",
+                    remedy="a longer capture.cadence_s, fewer or shorter capture.hdr_exposures_us, a larger "
+                    "camera.packet_size, or a smaller camera.region",
+                )
+            )
 
     def opened(self, info: CameraInfo) -> None:
         """Say that the camera answers."""

@@ -56,7 +56,11 @@ class Exposer:
         return None
 
     def take_agreeing(
-        self, exposures_us: Sequence[float], *, taken: Callable[[], None] = lambda: None
+        self,
+        exposures_us: Sequence[float],
+        *,
+        taken: Callable[[], None] = lambda: None,
+        doubt_about: Callable[[Sequence[Frame]], str | None] = lambda _: None,
     ) -> list[Frame | None]:
         """Return frames whose brightness agrees from neighbour to neighbour; those that failed are None.
 
@@ -64,6 +68,7 @@ class Exposer:
         ----------
         exposures_us : in the order of taking.
         taken : called after each round, before anything is judged.
+        doubt_about : says what else speaks against a round as a whole, one sentence.
 
         Raises
         ------
@@ -77,11 +82,11 @@ class Exposer:
             frames = [self.take(exposure_us) for exposure_us in exposures_us]
             taken()
             good = [frame for frame in frames if frame is not None]
-            doubts = [doubt for pair in pairwise(good) if (doubt := contradiction(*pair)) is not None]
-            if not doubts:
+            doubt = next((d for pair in pairwise(good) if (d := contradiction(*pair)) is not None), doubt_about(good))
+            if doubt is None:
                 return frames
-            self._distrust(doubts[0])
-        raise CameraLostError(f"frames contradict their exposures: {doubts[0]}")
+            self._distrust(doubt)
+        raise CameraLostError(f"frames contradict their exposures: {doubt}")
 
     def take_beside(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
         """Return a frame whose brightness agrees with those of other exposures, or None."""
