@@ -130,6 +130,7 @@ class Soak:
         self.completed: dict[int, float] = {}
         self.disturbed: list[tuple[float, float]] = []
         self.slots: list[tuple[float, int]] = []
+        self.settled_at = 0.0
 
     def worker(self) -> CaptureWorker:
         options = AravisOptions(
@@ -261,7 +262,7 @@ class Soak:
         quiet = [
             slot
             for slot, at in sorted(slots.items())[:-3]
-            if slot >= min(self.completed)
+            if at >= self.settled_at
             and not any(began - self.cadence_s <= at <= ended + 2.0 * self.cadence_s for began, ended in self.disturbed)
         ]
         missing = [slot for slot in quiet if slot not in self.completed]
@@ -302,7 +303,7 @@ def soak(
             faults: list[str] = []
             with run.running():
                 run.wait(20.0 * cadence_s)
-                run.outcome.before = run.footing()
+                run.settled_at, run.outcome.before = clock.monotonic(), run.footing()
                 until = clock.monotonic() + (cycles - 20) * cadence_s
                 while clock.monotonic() < until:
                     run.wait(cadence_s * run.random.uniform(0.5, 1.5) * fault_every)
