@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from sunarc.cameras.link import Link, link_to, route_mtu
+from sunarc.cameras.link import Link, buffer_limit, link_to, route_mtu
 
 WELL = Link(packet_bytes=8000, frame_bytes=8_000_000, mtu=9000, packet_socket=False, buffer_limit_bytes=33_554_432)
 
@@ -36,6 +37,14 @@ def test_packets_larger_than_the_network_takes_are_told() -> None:
 def test_a_route_tells_its_mtu_and_an_impossible_one_nothing() -> None:
     assert (route_mtu("127.0.0.1") or 0) >= 1500
     assert route_mtu("no address") is None
+
+
+def test_the_kernel_s_limit_is_told_without_its_file() -> None:
+    told = Path("/proc/sys/net/core/rmem_max")
+    if not told.exists():  # as in a network namespace, or under the unit's ProcSubset=pid
+        assert 100_000 < buffer_limit() <= 1 << 30
+    else:
+        assert buffer_limit() == int(told.read_text())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become someone without privileges")

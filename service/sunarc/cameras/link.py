@@ -11,7 +11,7 @@ WANTED_BUFFER_BYTES = 32 << 20
 
 _IP_MTU = 14  # linux/in.h
 _CAP_NET_RAW = 13  # linux/capability.h
-_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+_MORE_THAN_ANY_BYTES = 1 << 30
 _SELF = Path("/proc/self/status")
 
 
@@ -25,14 +25,14 @@ class Link:
     frame_bytes : of one frame.
     mtu : of the route to the camera, bytes; None where the kernel does not tell.
     packet_socket : a ring that the kernel fills without a socket's buffer (needs CAP_NET_RAW).
-    buffer_limit_bytes : `net.core.rmem_max`, up to which the kernel grants a UDP socket's buffer; None: not told.
+    buffer_limit_bytes : `net.core.rmem_max`, up to which the kernel grants a UDP socket's buffer.
     """
 
     packet_bytes: int
     frame_bytes: int
     mtu: int | None
     packet_socket: bool
-    buffer_limit_bytes: int | None
+    buffer_limit_bytes: int
 
     @property
     def text(self) -> str:
@@ -55,7 +55,7 @@ class Link:
                 f"camera.packet_size = {self.mtu - self.mtu % 4}, or a larger MTU all the way from the camera"
             )
         limit = self.buffer_limit_bytes
-        if not self.packet_socket and limit is not None and limit < 2 * self.frame_bytes:
+        if not self.packet_socket and limit < 2 * self.frame_bytes:
             wanted = max(WANTED_BUFFER_BYTES, 1 << (2 * self.frame_bytes - 1).bit_length())
             said.append(
                 f"a socket may buffer {_mb(limit)} and a frame has {_mb(self.frame_bytes)}: packets are lost when the "
@@ -71,7 +71,7 @@ def link_to(address: str, *, packet_bytes: int, frame_bytes: int, packet_socket:
         frame_bytes=frame_bytes,
         mtu=route_mtu(address),
         packet_socket=packet_socket and may_open_packet_sockets(),
-        buffer_limit_bytes=_number_in(_RMEM_MAX),
+        buffer_limit_bytes=buffer_limit(),
     )
 
 
@@ -92,11 +92,15 @@ def may_open_packet_sockets() -> bool:
     return False
 
 
-def _number_in(path: Path) -> int | None:
-    with contextlib.suppress(OSError, ValueError):
-        return int(path.read_text(encoding="ascii"))
-    return None
+def buffer_limit() -> int:
+    """Return the largest receive buffer that the kernel grants a socket, bytes: `net.core.rmem_max`.
+
+    A socket of our own is asked, for the unit hides the file that tells it; the kernel answers with twice the number.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _MORE_THAN_ANY_BYTES)
+        return probe.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
-def _mb(size_bytes: int | None) -> str:
-    return "unknown size" if size_bytes is None else f"{size_bytes / 1e6:.3g} MB"
+def _mb(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:.3g} MB"
