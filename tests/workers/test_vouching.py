@@ -80,6 +80,12 @@ def test_a_light_that_stays_changed_is_believed_after_two_minutes(settled: Vouch
     assert settled.vouched(later[1]) == later
 
 
+def test_cycles_that_became_too_far_apart_to_be_compared_are_not_lost() -> None:
+    vouching, cycles = Vouching(cadence_s=60.0), [cycle(at_s=at_s) for at_s in (0.0, 180.0, 360.0, 540.0)]
+    let_go = [one for each in cycles for one in vouching.vouched(each)]
+    assert let_go == cycles
+
+
 def test_where_brightness_tells_nothing_no_cycle_waits(settled: Vouching) -> None:
     dark = Taken(normal=tuple(frame(e, at_s=600.0, factor=0.0) for e in HDR_US), sun=())
     assert settled.vouched(dark) == [dark]

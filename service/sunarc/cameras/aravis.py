@@ -108,6 +108,7 @@ class AravisCamera:
             self._open_stream()
             self._info = self._describe(self._exposure)
             self._camera.start_acquisition()
+            self._warm_up(self._exposure)
         _log.info("opened %s", self._info)
 
     def expose(self, exposure_us: float) -> Frame:
@@ -229,6 +230,16 @@ class AravisCamera:
         _log.info("stream: %s", self.link.text)
         for complaint in self.link.complaints:
             _log.warning("stream: %s", complaint)
+
+    def _warm_up(self, exposure: ExposureControl) -> None:
+        """Take a frame that nobody wants: the library enlarges the socket's buffer only when the first one comes."""
+        exposure.set(self._camera, exposure.minimum_us)
+        self._camera.software_trigger()
+        buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
+        if buffer is None:
+            self._in_doubt = True
+        else:
+            self._stream.push_buffer(buffer)
 
     def _flush(self) -> int:
         """Give frames that nobody waits for back to the stream, and return their number."""

@@ -69,13 +69,16 @@ class Vouching:
         return self._first(taken, seen)
 
     def _first(self, taken: Taken, seen: _Seen) -> list[Taken]:
-        """Hold a cycle back that nothing vouches for; or let it go, together with one that was held back and agrees."""
+        """Hold a cycle back that nothing vouches for; or let it go, together with one that was held back before it.
+
+        Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
+        """
         held, self._held = self._held, (taken, seen)
         self._believed = None
         if held is None:
             return []
         factor = held[1].factor_to(seen)
-        if factor is None or not _is_possible(factor):
+        if factor is not None and not _is_possible(factor):
             _log.warning("a cycle that nothing vouched for was thrown away")
             return []
         self._believed, self._held = seen, None
