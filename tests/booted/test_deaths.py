@@ -34,18 +34,18 @@ def test_twenty_kills_at_random_moments_lose_nothing_and_each_start_is_quick(fie
     waits: list[float] = []
     for _ in range(KILLS):
         field.wait_for_sightings(1)
-        time.sleep(moments.uniform(0.0, 1.5))
+        time.sleep(moments.uniform(0.0, 3.0))
         stored = int(field.sql("SELECT max(id) FROM sun_point"))
-        restarts = field.restarts()
+        restarts, killed = field.restarts(), time.monotonic()
         field.do("systemctl", "kill", "-s", "KILL", "--kill-whom=main", "sunarc")
         wait_for(lambda before=restarts: field.restarts() > before, within_s=30.0, what="the restart")  # type: ignore[misc]
-        waits.append(field.wait_until_ready())
+        field.wait_until_ready()
+        waits.append(time.monotonic() - killed)
         assert int(field.sql(f"SELECT count(*) FROM sun_point WHERE id <= {stored}")) == stored
         field.do("systemctl", "reset-failed", "sunarc")  # twenty in a row would be called hopeless
     assert field.sql("PRAGMA integrity_check") == "ok"
-    print("seconds from restart to ready:", *(f"{wait:.1f}" for wait in waits))  # noqa: T201 - the figure that is asked for
-    assert sorted(waits)[KILLS // 2] <= 5.0
-    assert max(waits) <= 10.0
+    print("seconds from kill to ready:", *(f"{wait:.1f}" for wait in waits))  # noqa: T201 - the figure that is asked for
+    assert max(waits) <= 5.0
 
 
 @pytest.mark.parametrize("worker", ["CaptureWorker", "DetectWorker", "ComposeWorker", "RefitWorker"])

@@ -1,0 +1,96 @@
+"""Every older revision of the database, something in every table: nothing of it is lost on the way there and back."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from datetime import timedelta
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from sunarc.archive import Archive, Day, Event, Refit, SunPoint, check, downgrade, head_revision, open_archive, upgrade
+from sunarc.archive.tables import metadata
+
+from .conftest import NOON
+from .test_calibrations import document
+
+Rows = list[dict[str, object]]
+REVISIONS = [f"{number:04}" for number in range(int(head_revision()), 0, -1)]
+
+
+@pytest.fixture
+def filled(archive: Archive, path: Path) -> Path:
+    """Return a database of the head revision with a row or more in every table."""
+    epoch = archive.epoch_at("roof", NOON, reason="installed").id
+    archive.add_sun_points(
+        SunPoint(camera="roof", pose_epoch=epoch, time=NOON + timedelta(seconds=30 * i), method="disc", accepted=True,
+                 verdict="clear", x_px=500.0 + i, y_px=900.0, sigma_px=0.02)
+        for i in range(100)
+    )  # fmt: skip
+    archive.add_calibration(document("a", pose_epoch=epoch), used=archive.sun_point_columns("roof"))
+    archive.activate("a")
+    archive.pin("a", at=NOON, reason="by hand")
+    archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", reasons=("all seen",), n=100, n_possible=100,
+                         n_cycles=100, decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3)))  # fmt: skip
+    archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
+    archive.close()
+    return path
+
+
+def everything(path: Path) -> dict[str, Rows]:
+    with closing(sqlite3.connect(path)) as connection:
+        connection.row_factory = sqlite3.Row
+        names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
+        return {
+            name: [dict(row) for row in connection.execute(f'SELECT * FROM "{name}" ORDER BY 1')]  # noqa: S608 - its own names
+            for (name,) in names
+            if name != "alembic_version"
+        }
+
+
+def shared(left: dict[str, Rows], right: dict[str, Rows]) -> tuple[dict[str, Rows], dict[str, Rows]]:
+    """Return what both revisions can hold, as either holds it."""
+    columns = {name: left[name][0].keys() & right[name][0].keys() for name in left.keys() & right.keys()}
+    cut = [
+        {name: [{key: row[key] for key in keys} for row in held[name]] for name, keys in columns.items()}
+        for held in (left, right)
+    ]
+    return cut[0], cut[1]
+
+
+def test_every_table_has_a_row_to_lose(filled: Path) -> None:
+    held = everything(filled)
+    assert {name for name, rows in held.items() if rows} == set(metadata.tables)
+
+
+def test_every_step_down_and_up_again_keeps_what_both_revisions_hold(filled: Path) -> None:
+    former = everything(filled)
+    for newer, older in pairwise(REVISIONS):
+        copy = downgrade(filled, older)
+        assert everything(copy) == former, f"the copy that {newer} leaves behind"
+        present = everything(filled)
+        kept, wanted = shared(present, former)
+        assert kept == wanted, f"from {newer} to {older}"
+        former = present
+    upgrade(filled)
+    kept, wanted = shared(everything(filled), former)
+    assert kept == wanted
+    assert check(filled).sound
+
+
+@pytest.mark.parametrize("revision", REVISIONS[1:])
+def test_an_older_database_is_upgraded_at_once_and_serves(filled: Path, revision: str) -> None:
+    downgrade(filled, revision)
+    older = everything(filled)
+    copy = upgrade(filled)
+    assert copy is not None
+    assert everything(copy) == older
+    archive = open_archive(filled)
+    current = archive.current_calibration("roof")
+    assert current is not None
+    assert current.id == "a"
+    assert len(archive.sun_point_columns("roof").ids) == 100
+    archive.close()

@@ -1,0 +1,52 @@
+"""Runs in the machine, as the service's user: fills the archive with what the simulated imager saw on former days.
+
+Usage: python3 -I past.py DAYS A_DAY
+"""
+
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+os.environ["NUMBA_CACHE_DIR"] = "/var/cache/sunarc/numba"
+sys.path.insert(0, "/usr/lib/sunarc/site")
+
+import numpy as np
+
+from sunarc.archive import SunPoint, open_archive
+from sunarc.optics import project
+from sunarc.settings import load_settings
+from sunarc.simulation import true_camera
+from sunarc.sky import sun_angles, sun_directions
+
+SENSOR_PX = 1748
+TODAY = datetime(2013, 5, 13, 6, 30, tzinfo=UTC).timestamp()  # midnight by the sun
+
+days, a_day = int(sys.argv[1]), int(sys.argv[2])
+settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
+archive = open_archive(settings.database)
+binning = SENSOR_PX / archive.cameras()[0].width
+noise = np.random.default_rng(1)
+for day in range(days, 0, -1):
+    times = TODAY - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
+    times = times[sun_angles(times, settings.site).apparent_zenith < 88.0]
+    pixels = project(true_camera(), sun_directions(times, settings.site)) / binning
+    seen = pixels + noise.normal(0.0, 0.02, pixels.shape)
+    begin = datetime.fromtimestamp(times[0], UTC)
+    epoch = archive.epoch_at(settings.name, begin, reason="installed").id
+    archive.add_sun_points(
+        SunPoint(
+            camera=settings.name,
+            pose_epoch=epoch,
+            time=datetime.fromtimestamp(time, UTC),
+            method="disc",
+            accepted=True,
+            verdict="clear",
+            x_px=x,
+            y_px=y,
+            sigma_px=0.02,
+            clock_error_s=0.001,
+        )
+        for time, (x, y) in zip(times.tolist(), seen.tolist(), strict=True)
+    )
+archive.close()
