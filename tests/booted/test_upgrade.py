@@ -18,6 +18,13 @@ pytestmark = [pytest.mark.booted, pytest.mark.timeout(1800)]
 
 DAYS, A_DAY = 365, 1000
 SUNARC = (*AS_SUNARC, "sunarc")
+# The former version stands aside; new files lie beside the old ones; they take their places; the package is set up.
+MOMENTS = (
+    "test -d /usr/lib/sunarc/before",
+    "test -e /usr/lib/sunarc/site/numba/__init__.py.dpkg-new",
+    "test -e /usr/share/doc/sunarc/usb3.conf.dpkg-new -a ! -e /usr/bin/sunarc.dpkg-new",
+    "test ! -d /usr/lib/sunarc/before",
+)
 
 
 def install(field: Field, package: Path) -> float:
@@ -73,3 +80,30 @@ def test_an_older_version_on_a_newer_database_says_what_to_do_and_touches_nothin
     assert "install the version that wrote it, or a newer one" in field.journal()
     assert field.sightings() >= n
     install(field, work / "sunarc.deb")
+
+
+def test_the_power_cut_in_the_middle_of_an_upgrade_leaves_a_version_that_works(
+    new_field: Fields, installed: Path, work: Path
+) -> None:
+    field = new_field(installed)
+    field.configure()
+    field.image()
+    field.machine.boot()
+    field.wait_until_ready()
+    field.wait_for_sightings(1)
+    shutil.copy(work / "sunarc.deb", field.path("/srv/sunarc.deb"))
+    for reached in MOMENTS:
+        n = field.sightings()
+        field.do("systemd-run", "--unit=upgrade", "dpkg", "--install", "/srv/sunarc.deb")
+        field.do("timeout", "300", "sh", "-c", f"until {reached}; do :; done", timeout_s=310.0)
+        field.machine.cut()
+        field.machine.boot()
+        field.wait_until_ready()
+        assert field.sightings() >= n
+        assert field.sql("PRAGMA integrity_check") == "ok"
+    field.do("dpkg", "--configure", "-a")
+    install(field, work / "sunarc.deb")
+    assert not field.path("/usr/lib/sunarc/before").exists()
+    assert field.do("dpkg-query", "-W", "-f", "${db:Status-Status}", "sunarc") == "installed"
+    assert field.do("dpkg", "--verify", "sunarc") == ""
+    field.wait_for_sightings(1)

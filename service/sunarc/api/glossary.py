@@ -117,7 +117,7 @@ _FIELDS: dict[str, tuple[str, Any]] = {
     "until": ("Before then.", _TIME),
     "valid_until": ("Until when it answers; null: until further notice.", _TIME),
     "verdict": ("In a word.", None),
-    "version": ("The software's version.", "0.1.0"),
+    "version": ("The software's version.", "0.2.0"),
     "workers": ("The threads that do the work.", None),
     "x_px": ("To the right, px; null where there is no answer.", 871.96),
     "y_px": ("Down, px; null where there is no answer.", 883.0),
