@@ -51,6 +51,7 @@ FAULTS = (
     "stolen",
     "changed",
 )
+_SETTLING = 8  # slots
 HDR_US = (3_000.0, 12_000.0, 48_000.0)
 _log = logging.getLogger("soak")
 
@@ -181,6 +182,11 @@ class Soak:
                 self.slots.append((now, int(self.frame_time.now().timestamp() // self.cadence_s)))
             self.clock.wait(self.stop, min(0.2, until - now))
 
+    def faults(self) -> Iterator[str]:
+        """Return faults without end, each kind once before any comes again."""
+        while True:
+            yield from self.random.sample(FAULTS, len(FAULTS))
+
     def disturb(self, fault: str) -> None:
         """Do a fault, and wait until a cycle is complete again."""
         began = self.clock.monotonic()
@@ -293,23 +299,23 @@ class Soak:
 def soak(
     *, cycles: int, seed: int, cadence_s: float, fault_every: int, progress: Callable[[str], None] = lambda _: None
 ) -> Outcome:
-    """Run, and return what was found."""
+    """Run for so many slots, and not less than one fault of each kind; return what was found."""
     with TemporaryDirectory(prefix="sunarc-soak-") as folder:
         clock = SystemClock()
         imager = Imager(Path(folder), clock)
         try:
             imager.start()
             run = Soak(imager, cadence_s=cadence_s, seed=seed)
-            faults: list[str] = []
             with run.running():
-                run.wait(20.0 * cadence_s)
+                run.wait(_SETTLING * cadence_s)
                 run.settled_at, run.outcome.before = clock.monotonic(), run.footing()
-                until = clock.monotonic() + (cycles - 20) * cadence_s
-                while clock.monotonic() < until:
+                until = clock.monotonic() + (cycles - _SETTLING) * cadence_s
+                for fault in run.faults():
                     run.wait(cadence_s * run.random.uniform(0.5, 1.5) * fault_every)
-                    faults = faults or run.random.sample(FAULTS, len(FAULTS))
-                    run.disturb(faults.pop())
+                    run.disturb(fault)
                     progress(f"{len(run.completed)} complete, {len(run.outcome.wrong)} wrong, {run.footing()}")
+                    if clock.monotonic() > until and len(run.outcome.faults) == len(FAULTS):
+                        break
                 run.wait(5.0 * cadence_s)
                 run.outcome.after = run.footing()
             return run.tell()

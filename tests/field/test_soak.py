@@ -19,11 +19,12 @@ def test_no_frame_is_kept_under_another_s_exposure_whatever_happens_to_the_camer
         ctypes.CDLL("libaravis-0.8.so.0")
     except OSError:
         pytest.skip("no GigE Vision: Aravis is missing (apt-get install gir1.2-aravis-0.8)")
-    outcome = soak(cycles=100, seed=5, cadence_s=0.8, fault_every=5)
+    outcome = soak(cycles=60, seed=5, cadence_s=0.8, fault_every=3)
     assert outcome.wrong == []
-    assert len(outcome.faults) >= len(FAULTS) - 2
-    assert outcome.frames > 200
-    assert len(outcome.incomplete_undisturbed) <= 3  # a busy machine may stall for a cycle
+    assert set(outcome.faults) == set(FAULTS)
+    assert outcome.frames > 60
+    # a busy machine may stall for some cycles; the long form is run on one that does not
+    assert len(outcome.incomplete_undisturbed) <= 3 + outcome.undisturbed // 5
     assert max(second for each in outcome.recoveries_s.values() for second in each) < 30.0
     assert outcome.after["resident_mb"] < outcome.before["resident_mb"] + 30.0
     # what one opening leaked would be there some ten times; a stream that is just ending has a thread and some sockets

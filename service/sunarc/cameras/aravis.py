@@ -148,7 +148,7 @@ class AravisCamera:
 
     def close(self) -> None:
         """Let go of the camera, so that it can be opened again; harmless when done twice."""
-        if self._camera is not None and not self._lost.is_set():
+        if self._info is not None and not self._lost.is_set():  # else it was never started, or hears nothing
             try:
                 self._camera.stop_acquisition()
             except self._glib.Error as error:
