@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from sunarc.detection import Detection
 from sunarc.imaging import SunExposureOptions
@@ -55,8 +56,9 @@ def test_a_cycle_that_was_not_looked_at_yet_changes_nothing(camera: FakeCamera, 
     assert exposures.choose(INFO) == exposures.choose(INFO)
 
 
+@pytest.mark.parametrize("fitted", [None, 0.016])  # what a disc fitted to a streak says of its peak
 def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
-    camera: FakeCamera, board: StatusBoard
+    camera: FakeCamera, board: StatusBoard, fitted: float | None
 ) -> None:
     exposures = SunExposures(SunExposureOptions(spoiled_after=5), board=board)
     burnt = np.zeros((60, 80), np.uint16)
@@ -65,7 +67,7 @@ def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
     def cycle(*, accepted: bool) -> list[str]:
         for exposure_us in exposures.choose(INFO):
             frame = replace(camera.expose(exposure_us), image=burnt)
-            streak = Detection(method="disc", accepted=False, verdict="hidden", reason="the bright region is no disc")
+            streak = replace(seen(accepted=False, peak=0.0, saturated_px=215), peak_fraction=fitted)
             exposures.report(frame, seen(accepted=True, peak=0.9, saturated_px=0) if accepted else streak)
         return [reason.code for reason in board.snapshot().reasons]
 

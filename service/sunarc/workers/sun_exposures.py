@@ -84,10 +84,11 @@ class SunExposures:
             self._reported += 1
             burnt = not detection.accepted and _is_burnt(frame)
             telling = detection.accepted or detection.saturated_px > 0
-            if telling and detection.peak_fraction is not None:
+            if burnt:  # whatever was fitted to the streak
+                level = max(detection.peak_fraction or 0.0, _BURNT_LEVEL)
+                self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=level))
+            elif telling and detection.peak_fraction is not None:
                 self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
-            elif burnt:
-                self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=_BURNT_LEVEL))
             self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
 
     def _show(self, state: SunExposureState, bounds: ExposureBounds) -> None:
