@@ -139,7 +139,9 @@ class CaptureReport:
     def refused(self, error: ConfigurationError | InputError) -> None:
         """Say that the camera and the settings do not fit; nothing is stored until they do."""
         _log.error("camera refused: %s", error)
-        remedy = error.remedy if isinstance(error, InputError) else "run: sunarc check --camera"
+        text, remedy = str(error), "run: sunarc check --camera"
+        if isinstance(error, InputError):
+            text, remedy = f"{error.field}: {error.problem}", error.remedy
         self._board.note(camera=CameraStatus(name=self._name, connected=False))
         self._board.clear_reason("camera_lost")
-        self._board.set_reason(Reason(code="camera_refused", severity="not_ready", text=str(error), remedy=remedy))
+        self._board.set_reason(Reason(code="camera_refused", severity="not_ready", text=text, remedy=remedy))
