@@ -345,8 +345,23 @@ def test_an_exposure_that_fails_in_every_cycle_is_told_for_as_long_as_it_does(
     made.run_until(lambda: len(camera.exposures) > 11 * len([*HDR, HDR[2], *SUN]))
     (reason,) = board.snapshot().reasons
     assert reason.code == "exposures_failing"
-    assert "each of the last 12 cycles" in reason.text
+    assert reason.text == "the last 12 cycles were not whole, and left no composite: late"
     broken[0] = False
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) > 0)
+    assert reasons(board) == set()
+
+
+def test_a_camera_that_is_lost_in_every_cycle_is_told_between_them_too(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    camera.faults = [CameraTimeoutError("packets were lost")] * 12  # two attempts at three exposures, in two cycles
+    made = bench()
+    made.run_until(lambda: len(camera.exposures) >= 12 and "camera_lost" not in reasons(board))
+    (reason,) = board.snapshot().reasons
+    assert reason.code == "exposures_failing"
+    assert "the last 2 cycles were not whole" in reason.text
+    assert reason.text.endswith("the last time: packets were lost")
     made.stop.clear()
     made.run_until(lambda: len(made.cycles) > 0)
     assert reasons(board) == set()

@@ -180,7 +180,7 @@ class CaptureWorker:
         )
         good = [frame for frame in normal if frame is not None]
         if not good:
-            raise CameraLostError("no exposure of a whole cycle succeeded")
+            raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
         taken = Taken(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sunarc.board import CameraStatus, CaptureStatus, Reason, StatusBoard
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
-from sunarc.errors import CameraError, ConfigurationError, InputError
+from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row
@@ -31,6 +31,12 @@ class CaptureReport:
         self._counts = CaptureStatus()
         self._incomplete = 0  # cycles in a row
         self._overrun = 0
+        self._failure = ""
+
+    @property
+    def failure(self) -> str:
+        """How an exposure failed the last time."""
+        return self._failure
 
     def add(self, **counts: int) -> None:
         """Add to counts, by the names of `CaptureStatus`; `show` writes them on the board."""
@@ -39,6 +45,12 @@ class CaptureReport:
     def show(self) -> None:
         """Write the counts on the board."""
         self._board.note(capture=self._counts)
+
+    def failed(self, error: CameraError) -> None:
+        """Count an attempt at an exposure that came to nothing."""
+        lost = isinstance(error, CameraTimeoutError)
+        self.add(losses=int(lost), refusals=int(not lost))
+        self._failure = str(error)
 
     def cycle(self, *, complete: bool, overran: bool, jitter_s: float | None, hdr_s: float) -> None:
         """Take note of a slot's cycle.
@@ -75,12 +87,12 @@ class CaptureReport:
         if self._incomplete == 0:
             self._board.clear_reason(_FAILING)
             return
-        of = "the last cycle" if self._incomplete == 1 else f"each of the last {self._incomplete} cycles"
+        last = "the last cycle was" if self._incomplete == 1 else f"the last {self._incomplete} cycles were"
         self._board.set_reason(
             Reason(
                 code=_FAILING,
                 severity="degraded",
-                text=f"an exposure of {of} failed in every attempt; there is no composite without it",
+                text=f"{last} not whole, and left no composite: {self._failure}",
                 remedy="check the network between host and camera, and the journal for what was seen; "
                 "sunarc check --camera tries each exposure",
             )
@@ -125,8 +137,12 @@ class CaptureReport:
     def lost(self, error: CameraError) -> None:
         """Say that the camera is gone."""
         _log.warning("camera lost: %s", error)
+        if self._camera.connected:  # it costs a cycle, and is told until one is whole, though the camera comes back
+            self._incomplete, self._failure = self._incomplete + 1, str(error)
+            self._tell_failing()
         self.show()
-        self._board.note(camera=CameraStatus(name=self._name, connected=False))
+        self._camera = CameraStatus(name=self._name, connected=False)
+        self._board.note(camera=self._camera)
         self._board.set_reason(
             Reason(
                 code="camera_lost",
@@ -142,6 +158,7 @@ class CaptureReport:
         text, remedy = str(error), "run: sunarc check --camera"
         if isinstance(error, InputError):
             text, remedy = f"{error.field}: {error.problem}", error.remedy
-        self._board.note(camera=CameraStatus(name=self._name, connected=False))
+        self._camera = CameraStatus(name=self._name, connected=False)
+        self._board.note(camera=self._camera)
         self._board.clear_reason("camera_lost")
         self._board.set_reason(Reason(code="camera_refused", severity="not_ready", text=text, remedy=remedy))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from sunarc.cameras import CameraInfo, Frame, SkyCamera
-from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.errors import CameraError, CameraLostError
 from sunarc.imaging import Exposed, light_ratio_contradiction
 from sunarc.workers.capture_report import CaptureReport
 
@@ -46,9 +46,8 @@ class Exposer:
             except CameraLostError:
                 raise
             except CameraError as error:
-                lost = isinstance(error, CameraTimeoutError)
-                self.report.add(losses=int(lost), refusals=int(not lost))
                 _log.warning("exposure of %g us failed: %s", exposure_us, error)
+                self.report.failed(error)
             else:
                 self.received(frame)
                 return frame
