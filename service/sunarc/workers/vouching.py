@@ -37,11 +37,12 @@ class Vouching:
 
     Parameters
     ----------
-    cadence_s : seconds between cycles; beyond `COMPARABLE_S` nothing is compared and nothing held back.
+    cadence_s : seconds between cycles; beyond half of `COMPARABLE_S`, where one that is missed leaves the others too
+        far apart, nothing is compared and nothing held back.
     """
 
     def __init__(self, *, cadence_s: float) -> None:
-        self._comparing = cadence_s <= COMPARABLE_S
+        self._comparing = cadence_s <= COMPARABLE_S / 2.0
         self._believed: _Seen | None = None
         self._held: tuple[Taken, _Seen] | None = None
 
