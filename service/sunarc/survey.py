@@ -48,10 +48,10 @@ def _stream(camera: AravisCamera) -> Iterator[Look]:
 def _exposures(camera: SkyCamera, wanted_us: Sequence[float]) -> Look:
     info = camera.info
     step = f" in steps of {info.exposure_step_us:g}" if info.exposure_step_us > 0.0 else ""
-    text = f"{info.exposure_min_us:g} to {info.exposure_max_us:g} us{step}"
+    text = f"{info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} us{step}"
     beyond = [e for e in wanted_us if not info.exposure_min_us <= e <= info.exposure_max_us]
     if beyond:
-        listed = ", ".join(f"{e:g}" for e in beyond)
+        listed = ", ".join(f"{e:.8g}" for e in beyond)
         return "exposures", "fail", f"{text}; {listed} us is beyond that: change capture.hdr_exposures_us"
     if info.exposure_min_us > _SHORT_US:
         return "exposures", "warn", f"{text}; that is long for the sun: see that its disc stays small, or fit a filter"

@@ -121,8 +121,8 @@ def unreachable_exposures(exposures_us: Sequence[float], info: CameraInfo) -> st
     beyond = [e for e in exposures_us if not info.exposure_min_us <= e <= info.exposure_max_us]
     if not beyond:
         return None
-    listed = ", ".join(f"{e:g}" for e in beyond)
-    return f"{listed} µs is beyond the camera's {info.exposure_min_us:g} to {info.exposure_max_us:g} µs"
+    listed = ", ".join(f"{e:.8g}" for e in beyond)
+    return f"{listed} µs is beyond the camera's {info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} µs"
 
 
 def _exposed(frame: Frame) -> Exposed:
