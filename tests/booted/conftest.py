@@ -28,7 +28,7 @@ print(u.urlopen(asked, timeout=5).read().decode())
 """
 SPEED = 10  # of the camera's clock: a cycle of 30 s takes 3 s, which a busy host can keep
 AS_SUNARC = ("setpriv", "--reuid=sunarc", "--regid=sunarc", "--clear-groups")
-_UP_WITHIN_S = 90.0
+_UP_WITHIN_S = 180.0  # by a busy host
 
 
 @pytest.fixture(scope="session")

@@ -54,7 +54,14 @@ def test_four_cuts_during_a_refit(field_computer: Field) -> None:
         wait_for(lambda: "running" in states(), within_s=60.0, what="the refit to run", every_s=0.05)
         time.sleep(moments.uniform(0.0, 3.0))
         survive(field, stored=stored(field))
-        wait_for(lambda: not {"requested", "running"} & set(states()), within_s=120.0, what="the refit's end")
+        wait_for(lambda: not {"requested", "running"} & set(states()), within_s=300.0, what="the refit's end")
+    field.ask("/v1/refits", method="POST")
+    wait_for(lambda: not {"requested", "running"} & set(states()), within_s=300.0, what="the refit's end")
+    assert field.sql("SELECT state FROM refit ORDER BY requested_at DESC LIMIT 1") in {
+        "accepted",
+        "marginal",
+        "refused",
+    }
 
 
 def test_three_cuts_during_a_migration(field_computer: Field) -> None:

@@ -1,0 +1,28 @@
+"""The process that a solve gets: where the unit refuses what it asks for, it solves all the same."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+
+import numpy as np
+import pytest
+
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints
+from sunarc.sky import Site
+from sunarc.workers.solve import Problem, _solve
+
+
+def refuse(increment: int) -> int:
+    raise PermissionError(1, f"Operation not permitted: {increment}")
+
+
+def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "nice", refuse)  # as the filter of deploy/sunarc.service does
+    receiving, sending = multiprocessing.Pipe(duplex=False)
+    nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
+    problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    _solve(sending, problem)
+    assert receiving.poll(1.0)
+    assert isinstance(receiving.recv(), Calibration)  # refused, and told why; without it, a broken pipe
