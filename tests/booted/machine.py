@@ -23,6 +23,8 @@ PACKAGES = (
 IMAGER_ADDRESS = "192.168.77.2"
 HOST_ADDRESS = "192.168.77.1"
 
+_ENVIRONMENT = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "LANG": "C.UTF-8"}  # none of the host's
+
 # A private mount namespace with cgroup v2 alone, then nspawn without a registration that needs the host's D-Bus.
 _BOOT = """
 set -eu
@@ -111,7 +113,7 @@ class Machine:
     def call(self, *command: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
         """Run a command in the machine and return how it went."""
         entered = ["nsenter", "-t", self._leader, "-m", "-u", "-i", "-n", "-p", "-C", "--", *command]
-        return subprocess.run(entered, capture_output=True, text=True, check=False, timeout=timeout_s)
+        return subprocess.run(entered, env=_ENVIRONMENT, capture_output=True, text=True, check=False, timeout=timeout_s)
 
     def __call__(self, *command: str, timeout_s: float = 120.0) -> str:
         """Run a command in the machine and return what it prints; a failure is the test's."""
