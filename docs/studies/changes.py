@@ -119,6 +119,20 @@ def other_lens(rng: np.random.Generator, times: FloatArray) -> FloatArray:
     return project(replace(true_camera(int(rng.integers(1, 1000))), max_angle=2.5), sun_directions(times, SGP))
 
 
+def refocused(rng: np.random.Generator, times: FloatArray) -> FloatArray:
+    """Return the pixels of the same lens, refocused: an image larger or smaller by 0.3 to 2 %."""
+    focal = _TRUTH.focal_length_px[0] * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.003, 0.02))
+    return project(replace(_TRUTH, focal_length_px=(focal, focal)), sun_directions(times, SGP))
+
+
+def shifted(rng: np.random.Generator, times: FloatArray) -> FloatArray:
+    """Return the pixels of a sensor that slid by 2 to 20 px behind its lens."""
+    way, (x, y) = rng.uniform(0.0, 2.0 * np.pi), _TRUTH.principal_point_px
+    by = rng.uniform(2.0, 20.0)
+    moved = replace(_TRUTH, principal_point_px=(x + by * np.cos(way), y + by * np.sin(way)))
+    return project(moved, sun_directions(times, SGP))
+
+
 CHANGES = {
     "bump 0.02 degrees": bump(0.02),
     "bump 0.2 degrees": bump(0.2),
@@ -126,6 +140,8 @@ CHANGES = {
     "clock 5 s": clock(5.0),
     "mirrored": mirrored,
     "lens": other_lens,
+    "refocus": refocused,
+    "shift": shifted,
 }
 
 

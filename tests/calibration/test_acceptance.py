@@ -55,6 +55,12 @@ def test_less_sure_on_the_same_days_is_not_served(calibrated: Calibration) -> No
     assert "less sure of the sky" in far.reasons[0]
 
 
+def test_the_same_fit_once_more_says_nothing_new(calibrated: Calibration) -> None:
+    again = accept(calibrated, calibrated)
+    assert (again.accepted, again.marginal) == (False, True)
+    assert "nothing new" in again.reasons[0]
+
+
 def test_a_fit_that_knows_more_may_find_the_current_one_too_sure(calibrated: Calibration) -> None:
     assert accept(knowing(calibrated, "2013-05-20", sky=3.0), calibrated).accepted
     assert not accept(knowing(calibrated, "2013-05-20", sky=20.0), calibrated).accepted

@@ -158,6 +158,32 @@ def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated
     assert second.kind == "lens"
 
 
+@pytest.mark.parametrize("grown", [0.99, 1.01])
+def test_a_refocused_lens_is_named_with_how_much_the_image_grew(
+    calibrated: Calibration, camera: Camera, grown: float
+) -> None:
+    focal = grown * camera.focal_length_px[0]
+    refocused = replace(camera, focal_length_px=(focal, focal))
+    times, pixels = sightings(camera, lambda _, t: project(refocused, sun_directions(t, SGP)), false=0.0, seed=10)
+    number, change = watched(calibrated, times, pixels)
+    assert change is not None
+    assert (change.kind, change.unit) == ("refocus", "%")
+    assert number - BEFORE <= 10
+    assert change.size == pytest.approx(100.0 * (grown - 1.0), abs=4.0 * change.size_sigma)
+
+
+def test_a_sensor_that_shifts_is_a_bump_that_may_be_a_shift_while_both_look_alike(
+    calibrated: Calibration, camera: Camera
+) -> None:
+    x, y = camera.principal_point_px
+    shifted = replace(camera, principal_point_px=(x + 4.0, y - 3.0))
+    times, pixels = sightings(camera, lambda _, t: project(shifted, sun_directions(t, SGP)), false=0.0, seed=11)
+    _, change = watched(calibrated, times, pixels)
+    assert change is not None
+    assert change.kind == "shift" or "shift" in change.perhaps
+    assert "sensor" in change.text
+
+
 def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibration, camera: Camera) -> None:
     other = replace(turned(camera, (1.0, 2.0, 30.0)), focal_length_px=(585.0, 585.0), principal_point_px=(890.0, 860.0))
     times = NOON + 360.0 * np.arange(-10, 30)

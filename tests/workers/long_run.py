@@ -256,11 +256,13 @@ def main() -> None:
     parser.add_argument("--days", type=int, default=60)
     parser.add_argument("--then-cloud", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--lens", type=int, default=0, help="of which true lens; 0 is the paper's")
     parser.add_argument("--cadence", type=float, default=120.0)
     chosen = parser.parse_args()
     nights: list[Night] = []
     with tempfile.TemporaryDirectory() as folder:
-        run = LongRun(Path(folder), cadence_s=chosen.cadence, seed=chosen.seed)
+        camera = true_camera(chosen.lens)
+        run = LongRun(Path(folder), cadence_s=chosen.cadence, seed=chosen.seed, camera=camera)
         weather = [*mixed(chosen.days, seed=chosen.seed + 1), *[HEAVY] * chosen.then_cloud]
         for number, of_day in enumerate(weather):
             night = run.day(FIRST_DAY + timedelta(days=number), of_day, always_refit=of_day is HEAVY)

@@ -134,7 +134,7 @@ def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
     first = carry_out("a", good)
     assert first.calibration is not None
     archive.pin(first.calibration, at=NOW, reason="a campaign")
-    second = carry_out("b", good)
+    second = carry_out("b", replace(good, sky_rms_deg=0.9 * good.sky_rms_deg))
     assert second.state == "accepted"
     assert "the current one is pinned" in second.message
     current = archive.current_calibration("roof")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime
 
-from sqlalchemy import ColumnElement, func, select, update
+from sqlalchemy import ColumnElement, func, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
@@ -16,6 +16,22 @@ from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.errors import InputError
 from sunarc.sky import day_bounds_unix_s, solar_date
+
+_FIRST_OF_EACH_DAY = text(
+    """
+    WITH RECURSIVE first(time) AS (
+        SELECT min(time) FROM sun_point WHERE camera = :camera AND time >= :since
+        UNION ALL
+        SELECT (
+            SELECT min(time) FROM sun_point
+            WHERE camera = :camera AND time >= ((first.time + :ahead) / :day + 1) * :day - :ahead
+        )
+        FROM first WHERE first.time IS NOT NULL
+    )
+    SELECT time FROM first WHERE time IS NOT NULL
+    """
+)
+"""One step in the index a day; five years take milliseconds."""
 
 
 class Sightings(Store):
@@ -142,17 +158,15 @@ class Sightings(Store):
 
     def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
         """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""
-        c = sun_point.c
-        found: list[date] = []
-        moment = None if since is None else _day_start(since, longitude)
+        values = {
+            "camera": camera,
+            "since": 0 if since is None else round(1e6 * day_bounds_unix_s(since, longitude=longitude)[0]),
+            "day": 86_400_000_000,
+            "ahead": round(longitude * 240e6),
+        }
         with self._reading() as connection:
-            while True:  # one step in the index per day
-                rest = _wanted(camera, since=moment)
-                time = connection.scalar(select(func.min(c.time)).where(*rest))
-                if time is None:
-                    return tuple(found)
-                found.append(solar_date(time.timestamp(), longitude=longitude))
-                moment = _day_start(found[-1] + timedelta(days=1), longitude)
+            times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
+        return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
 
 
 def _wanted(
@@ -171,7 +185,3 @@ def _wanted(
         (c.accepted.__eq__, accepted),
         (c.pose_epoch.__eq__, pose_epoch),
     )
-
-
-def _day_start(day: date, longitude: float) -> datetime:
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=day_bounds_unix_s(day, longitude=longitude)[0])

@@ -33,6 +33,8 @@ _FORETOLD = (2.0, 4.0)
 _PROOF = 100.0
 """By how much the sightings since must be met better, as a difference of chi-squares."""
 _OUTLIER = 9.0
+_NEW = 1e-3
+"""Change of the camera or of what is stated, as a share of what is stated, below which a fit says nothing new."""
 
 
 def accept(
@@ -47,7 +49,8 @@ def accept(
     It may where its own verdict allows, where it foretells days left out about as well as it says, where it is not less
     sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the two agree
     within what they say of themselves: so the error served does not rise by more than twice what is stated. A larger
-    change needs proof: that the sightings since are met far better.
+    change needs proof: that the sightings since are met far better. One that says the same again is marginal: the
+    current one stays.
 
     Parameters
     ----------
@@ -100,6 +103,8 @@ def _compared(
         return [(["the other handedness than the current one: the setting was changed, or the image flipped"], [])]
     if not same_pose:
         return []
+    if _says_the_same(candidate, current):
+        return [([], [f"nothing new: the camera and its uncertainty are those of the current one, to {_NEW:.1%}"])]
     refusals, doubts = _change(candidate, current)
     if doubts and _met_better(candidate, current, unseen):
         doubts = []
@@ -119,6 +124,15 @@ def _knows_more(candidate: Calibration, current: Calibration) -> bool:
     """Return whether a fit rests on days that the current one does not know, and on about as much beside."""
     new, old = candidate.evidence, current.evidence
     return bool(set(new.days) - set(old.days)) and new.n_used > 0.8 * old.n_used
+
+
+def _says_the_same(candidate: Calibration, current: Calibration) -> bool:
+    new, old = candidate.evidence, current.evidence
+    if (new.days, new.n_used, candidate.method) != (old.days, old.n_used, current.method):
+        return False
+    apart, _, stated = _over_the_sky(candidate, current)
+    moved = float(np.sum(apart**2)) <= _NEW**2 * float(np.sum(np.trace(stated, axis1=1, axis2=2)))
+    return moved and math.isclose(candidate.sky_rms_deg, current.sky_rms_deg, rel_tol=_NEW)
 
 
 def _change(candidate: Calibration, current: Calibration) -> _Found:

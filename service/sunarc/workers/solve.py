@@ -102,4 +102,5 @@ def _solve(sending: Connection[object, object], problem: Problem) -> None:
         )
     except Exception as error:  # noqa: BLE001 - the parent tells it; the process ends anyway
         answer = f"{type(error).__name__}: {error}"
-    sending.send(answer)
+    with suppress(BrokenPipeError):  # the service was killed meanwhile; its next start asks anew
+        sending.send(answer)

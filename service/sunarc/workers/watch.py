@@ -13,7 +13,7 @@ import numpy as np
 from sunarc.archive import ELSEWHERE, LENS_CHANGED, Archive, Event, SunPoint
 from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import Calibration, from_document
-from sunarc.calibration.watching import REMEMBERED, Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.watching import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import InputError, OutsideError
 from sunarc.sky import Site, sun_directions
 from sunarc.workers.handover import Handover
@@ -115,7 +115,7 @@ class WatchWorker:
         at = _moment(change.at_unix_s)
         _log.warning("since %s: %s", at.isoformat(), change.text)
         self._tell(change, at)
-        if change.kind in ("bump", "lens"):
+        if change.kind == "bump" or change.kind in LENS_KINDS:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
@@ -127,12 +127,13 @@ class WatchWorker:
         after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
         self._archive.set_aside(self._camera, since=after_last, until=at, reason=doubted)
         try:
-            self._archive.open_epoch(self._camera, at=at, reason=LENS_CHANGED if change.kind == "lens" else change.kind)
+            reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
+            self._archive.open_epoch(self._camera, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
         self._archive.admit_elsewhere(self._camera, since=at, reason="the camera had moved")
         current = self._archive.current_calibration(self._camera)
-        if change.kind == "lens":
+        if change.kind in LENS_KINDS:
             if current is not None:
                 self._archive.retire(current.id, at=max(at, current.valid_from))
             self._watch, self._known = Watch(), None
@@ -167,7 +168,7 @@ class WatchWorker:
         current = self._current()
         if current is None:
             return
-        for kind in ("bump", "lens"):
+        for kind in ("bump", *LENS_KINDS):
             self._board.clear_reason(f"changed_{kind}")
         if not is_provisional(current):
             self._board.clear_reason("provisional_pose")

@@ -5,6 +5,6 @@ Map: `values` what is told, remembered and found · `window` sightings held to a
 """
 
 from sunarc.calibration.watching.observe import REMEMBERED, observe
-from sunarc.calibration.watching.values import Change, ChangeKind, Watch, Watched, WatchOptions
+from sunarc.calibration.watching.values import LENS_KINDS, Change, ChangeKind, Watch, Watched, WatchOptions
 
-__all__ = ["REMEMBERED", "Change", "ChangeKind", "Watch", "WatchOptions", "Watched", "observe"]
+__all__ = ["LENS_KINDS", "REMEMBERED", "Change", "ChangeKind", "Watch", "WatchOptions", "Watched", "observe"]

@@ -37,6 +37,8 @@ _CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
 _LARGEST_SPREAD_PX2 = 1.0
 _LONG, _ROUGH_PX = 10, 5.0
 _FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.05, 0.03, 0.02
+_OF_LENS: dict[ChangeKind, tuple[int, ...]] = {"refocus": (0,), "shift": (3, 4), "lens": (0, 3, 4, 11, 12)}
+"""Which of the camera's parameters may be others after a change of the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,7 +106,9 @@ def explain(
     if chosen.agreeing < int(nothing.believed[chosen.of.first :].sum()):
         return None
     alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
-    return told(window, chosen.of, chosen.held, gain=gain, alike=alike)
+    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > chosen.evidence - _CLEARER}
+    perhaps = tuple(sorted(near)) if chosen.of.kind == "bump" else ()
+    return told(window, chosen.of, chosen.held, gain=gain, alike=alike, perhaps=perhaps)
 
 
 def _best_turn(window: Window, *, small: bool, least: int) -> list[Weighed]:
@@ -139,7 +143,7 @@ def _weigh(window: Window, explanation: Explanation) -> Weighed:
     covariance = errors_at(window, at) + free @ free.T
     seen = Sightings(residual=residual, variance=window.seen.variance, false_density=window.seen.false_density)
     off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
-    rough = _FAR_PX if explanation.kind == "lens" else _CLOSE_PX
+    rough = _FAR_PX if explanation.kind in _OF_LENS else _CLOSE_PX
     close = off < _CLOSE * np.sqrt(seen.variance[explanation.first :]) + rough
     believed = np.concatenate([window.watch.trusted[before], close])
     return Weighed(of=explanation, held=held_to(covariance, seen, believed))
@@ -180,10 +184,12 @@ def _turning(window: Window, first: int, turn: FloatArray, freedom: FloatArray, 
 
 def _rivals(window: Window, best: Weighed, site: Site, *, posed_from_few: bool) -> list[Weighed]:
     """Return the other explanations of what the best turn explains."""
+    still = _turning(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
     others = [_clock(window, best, site), *_flips(window, site, best.of.first), _other_lens(window, best.of)]
-    if posed_from_few and best.of.first > 0:
-        whole = _turn_from(window, 0, least=_FEW)
-        others += [] if whole is None else [_other_lens(window, whole.of)]
+    others += [_other_lens(window, still, kind=kind) for kind in ("refocus", "shift")]
+    whole = _turn_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
+    if whole is not None:
+        others += [_other_lens(window, whole.of, kind=kind) for kind in _OF_LENS]
     return [_weigh(window, other) for other in others]
 
 
@@ -226,8 +232,8 @@ def _flips(window: Window, site: Site, first: int) -> list[Explanation]:
     ]
 
 
-def _other_lens(window: Window, turn: Explanation) -> Explanation:
-    """Return a turn with a lens of which little is known."""
+def _other_lens(window: Window, turn: Explanation, *, kind: ChangeKind = "lens") -> Explanation:
+    """Return a turn with a lens of which little is known, or of which only the focus or the place is another."""
     names = list(window.belief.chosen)
     camera, size = window.camera, window.belief.mean.size
     spread = {
@@ -237,13 +243,13 @@ def _other_lens(window: Window, turn: Explanation) -> Explanation:
         11: _RADIAL,
         12: _RADIAL,
     }
-    columns = np.zeros((size, len(spread)))
-    for column, (index, sigma) in enumerate(spread.items()):
+    columns = np.zeros((size, len(_OF_LENS[kind])))
+    for column, index in enumerate(_OF_LENS[kind]):
         if index in names:
-            columns[names.index(index), column] = sigma
-    if 0 in names and 1 in names:
-        columns[names.index(1), 0] = columns[names.index(0), 0]
-    return replace(turn, kind="lens", free=np.concatenate([turn.free, columns], axis=1))
+            columns[names.index(index), column] = spread[index]
+        if index == 0 and 0 in names and 1 in names:
+            columns[names.index(1), column] = spread[index]
+    return replace(turn, kind=kind, free=np.concatenate([turn.free, columns], axis=1))
 
 
 def _lens_alone(window: Window) -> list[Weighed]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.posing.condition import Held, Sightings, conditioned
 from sunarc.calibration.posing.seen import finite
-from sunarc.calibration.posing.stated import predicted
+from sunarc.calibration.posing.stated import Stated, predicted
 from sunarc.calibration.watching.values import Change, ChangeKind
 from sunarc.calibration.watching.window import Window
 
@@ -20,17 +21,46 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _SECOND_RAD = 7.292e-5
+_FOCAL, _CENTER = 0, (3, 4)
+"""Where the camera's parameters hold the focal length and the principal point."""
+_UNITS: dict[ChangeKind, str] = {"clock": "s", "refocus": "%", "shift": "px"}
+_PERHAPS: dict[ChangeKind, str] = {
+    "lens": "another lens",
+    "refocus": "a refocused lens",
+    "shift": "a sensor that shifted behind the lens",
+}
 
 REMEDIES: dict[ChangeKind, str] = {
     "bump": "nothing, if the camera stays as it is: it is posed anew by itself; otherwise look at its mount",
     "clock": "let a time service set the host's clock; the calibration is kept, sightings meanwhile are left out",
     "lens": "nothing, if a lens was changed or focused: it is calibrated anew from the next clear days",
+    "refocus": "fix the focus ring; the camera is calibrated anew from the next clear days",
+    "shift": "look at what holds lens and sensor together; the camera is calibrated anew from the next clear days",
     "mirrored": "set the camera's image back as it was (reverse X, reverse Y); sightings meanwhile are left out",
     "site": "correct the sign of site.latitude or site.longitude in the settings; sightings meanwhile are left out",
 }
 
 
-def told(window: Window, explanation: Explanation, held: Held, *, gain: float, alike: list[int]) -> Change:
+_WHAT: dict[ChangeKind, str] = {
+    "bump": "the camera turned by {size:.3f} ± {sigma:.3f} degrees",
+    "clock": "the clock that dates the frames jumped by {size:+.2f} ± {sigma:.2f} s",
+    "refocus": "the focus is another one: the image grew by {size:+.2f} ± {sigma:.2f} %",
+    "shift": "the sensor shifted behind the lens by {size:.2f} ± {sigma:.2f} px",
+    "lens": "the lens is not what it was: another one, or refocused and shifted against the sensor",
+    "mirrored": "the image is mirrored against what it was",
+    "site": "the sun is where it would be at a site with the opposite latitude or longitude",
+}
+
+
+def told(
+    window: Window,
+    explanation: Explanation,
+    held: Held,
+    *,
+    gain: float,
+    alike: list[int],
+    perhaps: tuple[ChangeKind, ...] = (),
+) -> Change:
     """Return the change that an explanation amounts to.
 
     Parameters
@@ -38,12 +68,14 @@ def told(window: Window, explanation: Explanation, held: Held, *, gain: float, a
     window, explanation, held : the sightings, what explains them, and what they say of it.
     gain : powers of e by which it is better than none.
     alike : first sightings after a change that explain nearly as well.
+    perhaps : other kinds that do.
     """
     first, times = explanation.first, window.watch.unix_s
     sure = first + int(np.argmax(held.believed[first:]))
     early, late = min([first, *alike]), max([sure, *alike])
     size, sigma = _size(window, explanation, held)
     agreeing = int(held.believed[first:].sum())
+    what = _WHAT[explanation.kind].format(size=size, sigma=sigma)
     of = len(window.watch) - first
     return Change(
         kind=explanation.kind,
@@ -52,46 +84,49 @@ def told(window: Window, explanation: Explanation, held: Held, *, gain: float, a
         latest_unix_s=float(times[late]),
         size=size,
         size_sigma=sigma,
-        unit="s" if explanation.kind == "clock" else "degrees",
+        unit=_UNITS.get(explanation.kind, "degrees"),
         gain=gain,
         agreeing=agreeing,
         of=of,
-        text=f"{_what(explanation.kind, size, sigma)}; {agreeing} of {of} sightings since agree",
+        perhaps=", ".join(perhaps),
+        text=f"{what}{_or(perhaps)}; {agreeing} of {of} sightings since agree",
         remedy=REMEDIES[explanation.kind],
     )
 
 
-def _what(kind: ChangeKind, size: float, sigma: float) -> str:
-    if kind == "bump":
-        return f"the camera turned by {size:.3f} ± {sigma:.3f} degrees"
-    if kind == "clock":
-        return f"the clock that dates the frames jumped by {size:+.2f} ± {sigma:.2f} s"
-    if kind == "lens":
-        return "the lens is not what it was: another one, or refocused, or shifted against the sensor"
-    if kind == "mirrored":
-        return "the image is mirrored against what it was"
-    return "the sun is where it would be at a site with the opposite latitude or longitude"
+def _or(perhaps: tuple[ChangeKind, ...]) -> str:
+    return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: it looks alike so far)" if perhaps else ""
 
 
 def _size(window: Window, explanation: Explanation, held: Held) -> tuple[float, float]:
-    """Return how far the camera turned in degrees, or the clock jumped in seconds, with its 1-sigma."""
-    if explanation.kind not in ("bump", "clock"):
+    """Return how large a change is, in its unit, with its 1-sigma; 0 where that has no meaning."""
+    names, turn = list(window.belief.chosen), window.belief.turn
+    if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {_FOCAL, *_CENTER} <= set(names):
         return 0.0, 0.0
-    axes = explanation.free[window.belief.turn]
-    scale = float(np.linalg.norm(axes[:, 0]))
-    base = -explanation.mean[window.belief.turn]
+    after = _after(window, explanation, held)
+    change = after.mean.copy()
+    change[turn] -= explanation.mean[turn]
+    axis, unit = np.zeros(change.size), 1.0
+    if explanation.kind == "clock":
+        axis, unit = explanation.free[:, 0] / np.linalg.norm(explanation.free[:, 0]), -1.0 / _SECOND_RAD
+    elif explanation.kind == "refocus":
+        axis[names.index(_FOCAL)], unit = 1.0, 100.0 / window.camera.focal_length_px[0]
+    else:
+        of = turn if explanation.kind == "bump" else [names.index(i) for i in _CENTER]
+        axis[of] = change[of] / max(float(np.linalg.norm(change[of])), 1e-12)
+        unit = math.degrees(1.0) if explanation.kind == "bump" else 1.0
+    sigma = math.sqrt(max(float(axis @ after.covariance @ axis), 0.0))
+    return unit * float(axis @ change), abs(unit) * sigma
+
+
+def _after(window: Window, explanation: Explanation, held: Held) -> Stated:
+    """Return what is believed of the explanation's camera after the sightings that agree with it."""
+    free = explanation.free
+    before = replace(window.belief, mean=explanation.mean, covariance=window.belief.covariance + free @ free.T)
     at = predicted(window.belief, explanation.camera, explanation.directions)
     believed = held.believed[explanation.first :]
     noise = window.seen.variance[explanation.first :][believed]
     seen = Sightings(
         residual=finite(explanation.pixels - at.pixels)[believed], variance=noise, false_density=0.0 * noise
     )
-    after = conditioned(window.belief.turned_freely(-base, sigma_rad=scale), at.select(believed), seen)
-    turn = base + after.mean[window.belief.turn]
-    covariance = after.covariance[np.ix_(window.belief.turn, window.belief.turn)]
-    if explanation.kind == "clock":
-        pole = axes[:, 0] / scale
-        return float(turn @ pole) / -_SECOND_RAD, math.sqrt(float(pole @ covariance @ pole)) / _SECOND_RAD
-    length = float(np.linalg.norm(turn))
-    along = turn / max(length, 1e-12)
-    return math.degrees(length), math.degrees(math.sqrt(max(float(along @ covariance @ along), 0.0)))
+    return conditioned(before, at.select(believed), seen)

@@ -14,7 +14,9 @@ from sunarc.errors import InputError
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-ChangeKind = Literal["bump", "clock", "lens", "mirrored", "site"]
+ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
+LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
+"""Kinds after which nothing from before says anything of the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,9 +134,11 @@ class Change:
     kind : what it looks like.
     at_unix_s : of the first sighting after it.
     earliest_unix_s, latest_unix_s : the last sighting surely before it, the first surely after it.
-    size, size_sigma, unit : how large it is: degrees of a turn, seconds of a clock; 0 where that has no meaning.
+    size, size_sigma, unit : how large it is: degrees of a turn, seconds of a clock, px of a shifted sensor, % of the
+        focal length; 0 where that has no meaning.
     gain : by how many powers of e it explains the sightings better than no change.
     agreeing, of : sightings since that agree on it.
+    perhaps : kinds that explain it about as well so far, where it is called a bump.
     text, remedy : for people.
     """
 
@@ -148,5 +152,6 @@ class Change:
     gain: float
     agreeing: int
     of: int
+    perhaps: str
     text: str
     remedy: str
