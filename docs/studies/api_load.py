@@ -2,14 +2,17 @@
 
     .venv/bin/python docs/studies/api_load.py http://127.0.0.1:8080/ --clients 64 --seconds 60
 
-A third of the requests each is a pixel back-projected, the status, and the current calibration; one more client asks
-/healthz all the while, and /metrics tells the jitter of the capture cycles before and under the load.
+Each client keeps one connection and asks again half a second after its answer (`--pause 0`: at once, which shows what
+the service can do at most). A third of the requests each is a pixel back-projected, the status, and the current
+calibration; one more client asks /healthz all the while, and /metrics tells the jitter of the capture cycles before and
+under the load. The load steps back behind the service, as if it came from another machine.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import re
 import urllib.request
 from collections import Counter
@@ -24,7 +27,7 @@ QUESTIONS = (
     ("GET", "/v1/calibration", b""),
 )
 HEALTH = (("GET", "/healthz", b""),)
-PAUSE_S = 0.05
+HEALTH_PAUSE_S = 0.05
 JITTER = re.compile(r"^sunarc_capture_jitter_seconds (\S+)$", re.MULTILINE)
 
 
@@ -34,12 +37,14 @@ async def main() -> None:
     parser.add_argument("url")
     parser.add_argument("--clients", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--pause", type=float, default=0.5, help="seconds from an answer to a client's next question")
     options = parser.parse_args()
+    os.nice(5)
     before = await jitters(options.url, options.seconds / 2)
     end = asyncio.get_running_loop().time() + options.seconds
     *load, health, under = await asyncio.gather(
-        *(client(options.url, QUESTIONS, end, 0.0) for _ in range(options.clients)),
-        client(options.url, HEALTH, end, PAUSE_S),
+        *(client(options.url, QUESTIONS, end, options.pause) for _ in range(options.clients)),
+        client(options.url, HEALTH, end, HEALTH_PAUSE_S),
         jitters(options.url, options.seconds),
     )
     latencies = [value for answered, _ in load for value in answered]
@@ -65,6 +70,7 @@ async def client(
     """Ask again and again on one connection; return the latencies and how often each status came."""
     place = urlsplit(url)
     loop, latencies, statuses = asyncio.get_running_loop(), [], Counter[str]()
+    await asyncio.sleep(pause_s * np.random.default_rng().random())  # they do not begin together
     reader, writer = await asyncio.open_connection(place.hostname, place.port)
     asked = 0
     while loop.time() < end:

@@ -83,9 +83,11 @@ def calibration(camera: Camera = LENS) -> Calibration:
     )
 
 
-def document(name: str, *, accepted: bool = True, valid_from: datetime = NOON - timedelta(days=1)) -> dict[str, Any]:
+def document(
+    name: str, *, accepted: bool = True, valid_from: datetime = NOON - timedelta(days=1), camera: Camera = LENS
+) -> dict[str, Any]:
     """Return a calibration document."""
-    solved = calibration()
+    solved = calibration(camera)
     if not accepted:
         solved = replace(solved, verdict=Verdict(accepted=False, reasons=("held-out days disagree by 0.4 px",)))
     return to_document(
@@ -101,13 +103,13 @@ def document(name: str, *, accepted: bool = True, valid_from: datetime = NOON - 
     )
 
 
-def sightings(until: datetime, *, every_s: float = 300.0) -> Iterator[SunPoint]:
+def sightings(until: datetime, *, every_s: float = 300.0, camera: Camera = LENS) -> Iterator[SunPoint]:
     """Return a day of looks at the sun: seen with 0.03 px of noise, hidden by a cloud for a while."""
     first, last = datetime(2013, 5, 13, 11, 30, tzinfo=UTC).timestamp(), until.timestamp()
     unix_s = np.arange(first, last + 1.0, every_s)
     unix_s = unix_s[sun_angles(unix_s, SITE).apparent_zenith < 88.0]
     noise = np.random.default_rng(7).normal(0.0, 0.03, (len(unix_s), 2))
-    pixels = project(LENS, sun_directions(unix_s, SITE)) + noise
+    pixels = project(camera, sun_directions(unix_s, SITE)) + noise
     for moment, (x, y) in zip(unix_s.tolist(), pixels.tolist(), strict=True):
         time = datetime.fromtimestamp(moment, UTC)
         cloud = datetime(2013, 5, 13, 15, tzinfo=UTC) <= time < datetime(2013, 5, 13, 16, tzinfo=UTC)
@@ -226,7 +228,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
         archive.close()
 
 
-def new_archive(path: Path) -> Archive:
+def new_archive(path: Path, camera: Camera = LENS) -> Archive:
     """Return an archive that knows the camera and has seen nothing."""
     upgrade(path)
     archive = open_archive(path)
@@ -236,8 +238,8 @@ def new_archive(path: Path) -> Archive:
             latitude=SITE.latitude,
             longitude=SITE.longitude,
             altitude=SITE.altitude,
-            width=LENS.width,
-            height=LENS.height,
+            width=camera.width,
+            height=camera.height,
         )
     )
     archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
@@ -274,13 +276,14 @@ def made(make: Make, tmp_path: Path) -> Made:
     return made
 
 
-def fill(archive: Archive) -> None:
+def fill(archive: Archive, camera: Camera = LENS) -> None:
     """Write a history into an archive."""
-    archive.add_sun_points(sightings(NOON))
-    archive.add_calibration(document("first", valid_from=NOON - timedelta(days=9)))
+    archive.add_sun_points(sightings(NOON, camera=camera))
+    archive.add_calibration(document("first", valid_from=NOON - timedelta(days=9), camera=camera))
     archive.activate("first")
-    archive.add_calibration(document("refused", accepted=False, valid_from=NOON - timedelta(days=2)), parent="first")
-    archive.add_calibration(document("second"), parent="first")
+    refused = document("refused", accepted=False, valid_from=NOON - timedelta(days=2), camera=camera)
+    archive.add_calibration(refused, parent="first")
+    archive.add_calibration(document("second", camera=camera), parent="first")
     archive.activate("second")
     for day, verdict in ((11, "cloudy"), (12, "clear")):
         archive.save_day(

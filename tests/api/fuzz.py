@@ -3,23 +3,26 @@
     .venv/bin/python -m tests.api.fuzz --examples 300
 
 serves an archive with a history, hands its document to schemathesis with all checks, and ends with its exit code.
-`--only PATH` asks one path alone; `--seed N` draws others.
+`--only PATH` asks one path alone; `--seed N` draws others. The camera is a small one: a map of a large one costs more
+than a thousand other questions.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
 import uvicorn
-from tests.api.conftest import NOON, SITE, TOKEN, fill, new_archive, write_image
+from tests.api.conftest import LENS, NOON, SITE, TOKEN, fill, new_archive, write_image
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Refit
@@ -27,6 +30,7 @@ from sunarc.board import StatusBoard
 from sunarc.clock import VirtualClock
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
+SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))
 
 
 def main() -> int:
@@ -37,7 +41,7 @@ def main() -> int:
     parser.add_argument("--only", metavar="PATH", help="one path alone, as in the document")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as address:
-        return subprocess.run(command(address, options), check=False, cwd=folder).returncode
+        return subprocess.run(command(address, options), check=False, cwd=folder, env=environment()).returncode
 
 
 def command(address: str, options: argparse.Namespace) -> list[str]:
@@ -50,11 +54,16 @@ def command(address: str, options: argparse.Namespace) -> list[str]:
     ]
 
 
+def environment() -> dict[str, str]:
+    """Return what schemathesis runs in."""
+    return {**os.environ, "SCHEMATHESIS_HOOKS": str(Path(__file__).with_name("schemathesis_hooks.py"))}
+
+
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
     """Serve an archive with a history on a free port; a refit that is asked for is written down."""
-    archive = new_archive(folder / "filled.sqlite")
-    fill(archive)
+    archive = new_archive(folder / "filled.sqlite", SMALL)
+    fill(archive, SMALL)
     image = write_image(folder)
     (folder / "token").write_text(TOKEN)
     count = iter(range(10**9))

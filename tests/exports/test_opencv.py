@@ -4,6 +4,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from tests.exports.conftest import FloatArray, worst_stated_px
 
 from sunarc.exports import export
@@ -36,6 +37,18 @@ def test_opencvs_own_projection_agrees_to_the_stated_error(document: dict[str, A
     assert (matrix[0, 0] < 0.0) == camera.mirrored
     assert exported.error in storage.getNode("fit_error").string()
     assert "90 degrees" in storage.getNode("limit").string()
+
+
+def test_readers_of_yaml_other_than_opencv_read_it_too(document: dict[str, Any]) -> None:
+    reader = type("Reader", (yaml.SafeLoader,), {})
+    reader.add_constructor(
+        "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+    )
+    document = document | {"id": "the roof's"}
+    content = export(document, "opencv").content
+    found = yaml.load(content, reader)  # noqa: S506 - a safe one
+    assert found["calibration"] == "the roof's" == read(content)[3].getNode("calibration").string()
+    assert found["camera_matrix"]["data"] == read(content)[0].ravel().tolist()
 
 
 def test_opencvs_own_undistortion_finds_the_direction(straight: dict[str, Any]) -> None:

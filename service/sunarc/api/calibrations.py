@@ -130,7 +130,10 @@ def _exported(wanted: Format, record: CalibrationRecord) -> Exported:
 
 
 def _export(
-    record: CalibrationRecord, made: dict[Format, Kept[Exported]], wanted: Format, if_none_match: str | None
+    record: CalibrationRecord,
+    made: dict[Format, Kept[CalibrationRecord, Exported]],
+    wanted: Format,
+    if_none_match: str | None,
 ) -> Response:
     tag = f'"{tag_of(record)}-{wanted}"'
     headers = {"etag": tag, "cache-control": "no-cache"}

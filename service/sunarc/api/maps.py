@@ -1,16 +1,14 @@
-"""Routes: the map of what every pixel sees, made once for each calibration."""
+"""Routes: the map of what every pixel sees, made once and kept in a file."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-import os
+import mmap
 import tempfile
-import weakref
-from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
 from typing import Annotated, Any
 
 import cv2
@@ -20,7 +18,7 @@ from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
 import sunarc
-from sunarc.api.arrays import Gate, PartsResponse
+from sunarc.api.arrays import BytesResponse, Gate
 from sunarc.api.calibrations import matches
 from sunarc.api.fields import Time
 from sunarc.api.problems import answers
@@ -31,8 +29,7 @@ from sunarc.errors import OutsideError
 from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_table, netcdf_bytes, npz_bytes
 from sunarc.sky import sun_directions
 
-_MOST_FILES = 2
-_PART_BYTES = 4_000_000
+_MOST_FILES = 4
 _MAP: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
@@ -50,7 +47,7 @@ Radius = Annotated[
 def map_routes(served: Served, gate: Gate) -> APIRouter:
     """Return the route that tells what every pixel sees."""
     routes = APIRouter(tags=["directions"])
-    kept = {name: Kept(partial(_file, served, name), most=_MOST_FILES) for name in MAP_FORMATS}
+    kept = Kept(_file, key=_tag, most=_MOST_FILES)
 
     @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
     async def back_projection_map(
@@ -62,18 +59,15 @@ def map_routes(served: Served, gate: Gate) -> APIRouter:
     ) -> Response:
         """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
         chosen, record = await run_in_threadpool(_chosen, served, request, at)
-        moment = at or chosen.frame_clock()
-        tag = _tag(chosen, record, wanted, None if sun_radius_deg is None else (moment, sun_radius_deg))
+        sun = None if sun_radius_deg is None else (at or chosen.frame_clock(), sun_radius_deg)
+        asked = _Map(served=chosen, record=record, format=wanted, sun=sun)
+        tag = await run_in_threadpool(_tag, asked)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
         if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
         with ExitStack() as stack:
             stack.enter_context(gate.entered())
-            if sun_radius_deg is None:
-                file = await run_in_threadpool(kept[wanted].get, record)
-            else:
-                mask = partial(_sun_mask, chosen, moment, sun_radius_deg)
-                file = await run_in_threadpool(_file, chosen, wanted, record, mask)
+            file = await run_in_threadpool(kept.get, asked)
             return file.sent(MEDIA_TYPES[wanted], headers, stack.pop_all())
 
     return routes
@@ -82,6 +76,24 @@ def map_routes(served: Served, gate: Gate) -> APIRouter:
 def _chosen(served: Served, request: Request, at: datetime | None) -> tuple[Served, CalibrationRecord]:
     chosen = served.of(request)
     return chosen, chosen.record(at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Map:
+    """A map that is asked for.
+
+    Attributes
+    ----------
+    served : of the camera.
+    record : its calibration.
+    format : of the file.
+    sun : the moment and the radius in degrees of a mask round the sun; None: without.
+    """
+
+    served: Served
+    record: CalibrationRecord
+    format: MapFormat
+    sun: tuple[datetime, float] | None
 
 
 class _MapFile:
@@ -96,35 +108,28 @@ class _MapFile:
         with tempfile.TemporaryFile() as file:
             file.write(content)
             file.flush()
-            self._descriptor = os.dup(file.fileno())
-        weakref.finalize(self, os.close, self._descriptor)
-        self._size = len(content)
+            self._bytes = mmap.mmap(file.fileno(), len(content), access=mmap.ACCESS_READ)
 
-    def sent(self, media_type: str, headers: dict[str, str], held: ExitStack) -> PartsResponse:
+    def sent(self, media_type: str, headers: dict[str, str], held: ExitStack) -> BytesResponse:
         """Return the answer that sends it."""
-        parts = [partial(self._part, begin) for begin in range(0, self._size, _PART_BYTES)]
-        return PartsResponse(parts, length=self._size, media_type=media_type, headers=headers, held=held)
-
-    def _part(self, begin: int) -> bytes:
-        return os.pread(self._descriptor, min(_PART_BYTES, self._size - begin), begin)
+        return BytesResponse(self._bytes, media_type=media_type, headers=headers, held=held)
 
 
-def _file(
-    served: Served,
-    wanted: MapFormat,
-    record: CalibrationRecord,
-    mask: Callable[[BackProjectionMap], Mapping[str, Variable]] | None = None,
-) -> _MapFile:
-    found = back_projection_map(served.ready.get(record))
-    masks = dict(_obstructions(served, record, found)) | (dict(mask(found)) if mask else {})
-    table = map_table(found, record.document, masks=masks)
-    return _MapFile(netcdf_bytes(table) if wanted == "netcdf" else npz_bytes(table))
+def _file(asked: _Map) -> _MapFile:
+    found = back_projection_map(asked.served.ready.get(asked.record))
+    masks = _obstructions(asked.served, asked.record, found)
+    if asked.sun is not None:
+        masks |= _sun_mask(asked.served, *asked.sun, found)
+    table = map_table(found, asked.record.document, masks=masks)
+    return _MapFile(netcdf_bytes(table) if asked.format == "netcdf" else npz_bytes(table))
 
 
-def _tag(served: Served, record: CalibrationRecord, wanted: MapFormat, sun: tuple[datetime, float] | None) -> str:
+def _tag(asked: _Map) -> str:
+    """Return what changes with a map: its calibration, its masks, and what writes it."""
+    served, record = asked.served, asked.record
     path = served.options.obstruction_mask if record.camera == served.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
-    parts = (record.id, sunarc.__version__, wanted, sun, path, changed)
+    parts = (record.id, sunarc.__version__, asked.format, asked.sun, path, changed)
     return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
 
 

@@ -21,41 +21,40 @@ from sunarc.sky import Site
 
 _MOST_KEPT = 8
 
+Asked = TypeVar("Asked")
 Value = TypeVar("Value")
 
 
-class Kept(Generic[Value]):
-    """What was made of the calibrations that were asked for lately: made once, however many ask at the same time.
+def _id(record: CalibrationRecord) -> str:
+    return record.id  # a model never changes under one id
+
+
+class Kept(Generic[Asked, Value]):
+    """What was made of what was asked for lately: made once, however many ask at the same time.
 
     Parameters
     ----------
     make : makes it.
+    key : what makes it another one.
     most : so many are kept.
-    key : what makes it another one; a model never changes under one id.
     """
 
-    def __init__(
-        self,
-        make: Callable[[CalibrationRecord], Value],
-        *,
-        most: int = _MOST_KEPT,
-        key: Callable[[CalibrationRecord], str] = lambda record: record.id,
-    ) -> None:
+    def __init__(self, make: Callable[[Asked], Value], *, key: Callable[[Asked], str], most: int = _MOST_KEPT) -> None:
         self._make, self._most, self._key = make, most, key
         self._turn = threading.Lock()
         self._kept: OrderedDict[str, Value] = OrderedDict()
 
-    def known(self, record: CalibrationRecord | None) -> Value | None:
+    def known(self, asked: Asked | None) -> Value | None:
         """Return what is there already, at once."""
-        return None if record is None else self._kept.get(self._key(record))
+        return None if asked is None else self._kept.get(self._key(asked))
 
-    def get(self, record: CalibrationRecord) -> Value:
-        """Return what is made of a record; it may have to be made."""
-        key = self._key(record)
+    def get(self, asked: Asked) -> Value:
+        """Return what is asked for; it may have to be made."""
+        key = self._key(asked)
         with self._turn:
             found = self._kept.get(key)
             if found is None:
-                found = self._kept[key] = self._make(record)
+                found = self._kept[key] = self._make(asked)
             self._kept.move_to_end(key)
             while len(self._kept) > self._most:
                 self._kept.popitem(last=False)
@@ -105,8 +104,8 @@ class Served:
     options: ApiOptions
     token: bytes | None = field(repr=False)
     current: CurrentRecords
-    parsed: Kept[Calibration] = field(default_factory=lambda: Kept(_parse))
-    ready: Kept[Lookup] = field(default_factory=lambda: Kept(_make_ready))
+    parsed: Kept[CalibrationRecord, Calibration] = field(default_factory=lambda: Kept(_parse, key=_id))
+    ready: Kept[CalibrationRecord, Lookup] = field(default_factory=lambda: Kept(_make_ready, key=_id))
 
     def of(self, request: Request) -> Served:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""

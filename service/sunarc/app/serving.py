@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import signal
 import socket
@@ -52,6 +53,8 @@ def serve(settings: Settings) -> int:
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
         stack.enter_context(_scheduled(service))
+        gc.collect()
+        gc.freeze()  # else looking through all modules again holds every thread up for a tenth of a second
         server.run(sockets=[listening])
         notifier.stopping()
     return 3 if supervisor.failed.is_set() else 0

@@ -76,7 +76,8 @@ def opencv_yaml(model: FisheyeModel, *, width: int, height: int, notes: dict[str
     storage.write("camera_matrix", model.matrix)
     storage.write("distortion_coefficients", model.distortion[:, None])
     storage.write("rotation_cam_enu", model.rotation)
-    return str(storage.releaseAndGetString()).encode()
+    text = str(storage.releaseAndGetString())
+    return text.replace("\\'", "'").encode()  # OpenCV escapes an apostrophe, which YAML does not know
 
 
 def _projected(parameters: FloatArray, sky: Sky) -> FloatArray:
