@@ -3,8 +3,8 @@
     .venv/bin/python docs/studies/map_speed.py
 
 serves a made camera of 1748 x 1748 pixels from a process of its own, as the service does, and asks over loopback. Told
-are the time to the first byte and to the last one, the medians of the kept ones, and how far the map is from
-/v1/back-project at 20 000 pixels.
+are the time to the first byte and to the last one, the medians of the kept ones, the same for as many bytes that a
+bare socket sends, and how far the map is from /v1/back-project at 20 000 pixels.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import multiprocessing
 import socket
 import tempfile
+import threading
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +34,7 @@ from sunarc.clock import VirtualClock
 from sunarc.footing import listen
 
 MAP = "/v1/back-projection-map"
+MAP_BYTES = 73_400_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,18 +57,19 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         server = multiprocessing.get_context("spawn").Process(target=serve, args=(Path(folder), theirs), daemon=True)
         server.start()
-        port = int(ours.recv())
+        port, bare = ours.recv()
         ask(port, "/v1/back-project", body=b'{"pixels": [[872, 700]]}')  # the calibration is ready, as in a service
-        report(port, options.times)
+        report(port, bare, options.times)
         server.terminate()
         server.join()
 
 
-def report(port: int, times: int) -> None:
+def report(port: int, bare: int, times: int) -> None:
     """Print what was measured."""
     first = ask(port, MAP)
     print(f"first: {told([first])}, {len(first.body) / 1e6:.1f} MB")
     print(f"kept: {told([ask(port, MAP) for _ in range(times)])}")
+    print(f"as many bytes from a bare socket: {told([ask(bare, MAP) for _ in range(times)])}")
     print(f"not modified: {told([ask(port, MAP, tag=first.tag) for _ in range(times)])}")
     masked = f"{MAP}?at=2013-05-13T18:30:00Z&sun_radius_deg=10"
     print(f"with a sun mask, first: {told([ask(port, masked)])}")
@@ -122,6 +125,18 @@ def ask(port: int, path: str, *, body: bytes = b"", tag: str = "") -> Answer:
     )
 
 
+def serve_bytes(listening: socket.socket, count: int) -> None:
+    """Answer whatever is asked with so many bytes."""
+    answer = b"HTTP/1.1 200 OK\r\ncontent-length: %d\r\n\r\n" % count
+    content = bytes(count)
+    while True:
+        connection, _ = listening.accept()
+        with connection:
+            connection.recv(65_536)
+            connection.sendall(answer)
+            connection.sendall(content)
+
+
 def serve(folder: Path, told_to: Connection) -> None:
     """Serve a made camera until the process is ended."""
     archive = new_archive(folder / "archive.sqlite")
@@ -139,7 +154,9 @@ def serve(folder: Path, told_to: Connection) -> None:
     )
     listening = listen("127.0.0.1", 0)
     listening.listen()
-    told_to.send(listening.getsockname()[1])
+    bare = socket.create_server(("127.0.0.1", 0))
+    threading.Thread(target=serve_bytes, args=(bare, MAP_BYTES), daemon=True).start()
+    told_to.send((listening.getsockname()[1], bare.getsockname()[1]))
     config = uvicorn.Config(app, http=partial(BoundedConnection, options), log_level="error", access_log=False)
     uvicorn.Server(config).run(sockets=[listening])
 

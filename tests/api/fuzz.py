@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Refit
 from sunarc.board import StatusBoard
 from sunarc.clock import VirtualClock
+from sunarc.footing import listen
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))
@@ -81,7 +81,8 @@ def served(folder: Path) -> Iterator[str]:
         latest_image=lambda: image,
         options=ApiOptions(token_file=folder / "token"),
     )
-    with socket.create_server(("127.0.0.1", 0)) as listening:
+    with listen("127.0.0.1", 0) as listening:  # the service's own: its answers are not delayed
+        listening.listen()
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
         thread = Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
