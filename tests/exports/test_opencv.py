@@ -40,7 +40,7 @@ def test_opencvs_own_projection_agrees_to_the_stated_error(document: dict[str, A
 
 
 def test_readers_of_yaml_other_than_opencv_read_it_too(document: dict[str, Any]) -> None:
-    reader = type("Reader", (yaml.SafeLoader,), {})
+    reader: Any = type("Reader", (yaml.SafeLoader,), {})
     reader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
     )
