@@ -17,7 +17,7 @@ from sunarc import __version__, app, doctor, offline
 from sunarc.archive import parse_time
 from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
-from sunarc.errors import ConfigurationError, InputError, SunarcError
+from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.journal import start_log
 from sunarc.offline.calibrate_command_line import calibrate
 from sunarc.offline.command_line import Config, db_cli, points_cli
@@ -70,6 +70,8 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(3)
+    except PermissionError as error:
+        _fail(OutsideError(f"{error.filename} is not for this user; ask as root, or as the service's user"), 3)
 
 
 def _fail(error: Exception, code: int) -> None:

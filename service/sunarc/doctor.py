@@ -74,6 +74,8 @@ def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:
         outcome, text = look()
     except SunarcError as error:
         outcome, text = "fail", str(error)
+    except PermissionError as error:
+        outcome, text = "fail", f"{error.filename} is not for this user; look as root, or as the service's user"
     return Finding(what=what, outcome=outcome, text=text)
 
 

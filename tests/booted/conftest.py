@@ -69,14 +69,15 @@ class Field:
         self.path(name).write_text(text)
         self.path(name).chmod(mode)
 
-    def configure(self, *, more: str = "", **capture: object) -> None:
-        """Write settings for the simulated imager."""
+    def configure(self, *, more: str = "", binning: int | None = 2, **capture: object) -> None:
+        """Write settings for the simulated imager; small frames keep a busy host from losing them."""
         given = {"speed": SPEED, **capture}
         lines = "\n".join(f"{name} = {value}" for name, value in given.items())
+        binned = "" if binning is None else f"binning = {binning}\n"
         self.write(
             "/etc/sunarc/sunarc.toml",
             f'name = "roof"\n[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n'
-            f'[camera]\naddress = "{IMAGER_ADDRESS}"\npacket_size = 8000\nbinning = 2\ntimestamps = "camera"\n'
+            f'[camera]\naddress = "{IMAGER_ADDRESS}"\npacket_size = 8000\n{binned}timestamps = "camera"\n'
             f"[capture]\n{lines}\n{more}",
         )
 

@@ -43,7 +43,7 @@ def test_a_year_of_data_is_upgraded_within_a_minute_and_can_go_back(
     new_field: Fields, installed_before: Path, work: Path
 ) -> None:
     field = new_field(installed_before)
-    field.configure()
+    field.configure(binning=None)  # which the version before did not know
     field.image()
     field.machine.boot()
     field.wait_until_ready()

@@ -4,8 +4,10 @@ import json
 import os
 import socket
 import threading
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import pytest
@@ -104,3 +106,29 @@ def test_a_missing_camera_section_is_named(sunarc: Sunarc, config: Path) -> None
     config.write_text(config.read_text().replace('source = "replay"\n', ""))
     _, found = findings(sunarc, config)
     assert "setting camera is missing" in found["camera"][1]
+
+
+@pytest.fixture
+def forbidden(config: Path) -> Iterator[Path]:
+    """Return settings whose state another user keeps to itself; who runs the tests is root, and could look at all."""
+    with TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        state, theirs = Path(folder) / "state", Path(folder) / "sunarc.toml"
+        state.mkdir(mode=0o700)
+        theirs.write_text(config.read_text().replace(f"{config.parent}/state", str(state)))
+        os.seteuid(65534)
+        yield theirs
+        os.seteuid(0)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_what_another_user_keeps_to_itself_is_a_finding_or_a_line_and_no_traceback(
+    sunarc: Sunarc, forbidden: Path
+) -> None:
+    _, found = findings(sunarc, forbidden)
+    assert found["database"][0] == "fail"
+    assert "sunarc.sqlite is not for this user" in found["database"][1]
+    answer = sunarc("db", "check", "--state", str(forbidden.parent / "state"))
+    assert answer.code == 3
+    assert answer.err.endswith("sunarc.sqlite is not for this user; ask as root, or as the service's user\n")
+    assert answer.err.count("\n") == 1
