@@ -94,7 +94,7 @@ class Machine:
     _nspawn: subprocess.Popen[bytes] | None = field(default=None, init=False)
     _leader: str = field(default="", init=False)
 
-    def boot(self, *, within_s: float = 60.0) -> float:
+    def boot(self, *, within_s: float = 180.0) -> float:
         """Switch on and wait until systemd has come up; return the seconds that took."""
         begun = time.monotonic()
         command = ["unshare", "--mount", "--propagation", "private", "bash", "-c", _BOOT, "bash"]
