@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -51,7 +51,7 @@ class Scene:
 
 def disc_image(scene: Scene, cover: FloatArray | None = None) -> FloatArray:
     """Return the noiseless light of the disc, of unit central brightness, in full scales of `peak` 1."""
-    half, over = 16, scene.over
+    half, over = 12, scene.over
     cx, cy = round(scene.x), round(scene.y)
     steps = (np.arange((2 * half + 1) * over) - ((2 * half + 1) * over - 1) / 2) / over
     gx, gy = np.meshgrid(steps - (scene.x - cx), steps - (scene.y - cy))
@@ -63,7 +63,8 @@ def disc_image(scene: Scene, cover: FloatArray | None = None) -> FloatArray:
     fine = share * (1 - scene.limb * (1 - np.sqrt(np.clip(1 - square, 0, 1))))
     if cover is not None:
         fine = fine * cover_on(cover, u, v)
-    fine = gaussian_filter(fine, scene.psf_px * over, mode="constant", truncate=8)
+    taps, width = 2 * math.ceil(8 * scene.psf_px * over) + 1, scene.psf_px * over
+    fine = np.asarray(cv2.GaussianBlur(fine, (taps, taps), width, borderType=cv2.BORDER_CONSTANT), dtype=np.float64)
     small = fine.reshape(2 * half + 1, over, 2 * half + 1, over).mean(axis=(1, 3))
     image = np.zeros((scene.shape[0] + 2 * half, scene.shape[1] + 2 * half))
     image[cy : cy + 2 * half + 1, cx : cx + 2 * half + 1] = small

@@ -1,13 +1,22 @@
-"""Frames without a sun: night, overcast, hot pixels, bright cloud edges, the moon."""
+"""Frames without a sun: night, overcast, hot pixels, bright cloud edges, the moon.
+
+    python -m tests.detection.sunless --frames 10000
+
+looks at so many, each with a prediction and without, and prints how many of each kind were accepted.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from tests.detection.rendering import FloatArray, Image, Scene, disc_image, equisolid_stretch, read_out
+
+from sunarc.detection import Expectation, Sensor, detect_sun
 
 KINDS = ("night", "overcast", "hot", "cloud_edge", "glint_blobs", "moon", "long_moon")
 SUN_PER_US = 3.0  # full scales of a bare camera
@@ -73,3 +82,33 @@ def _with_hot_pixels(image: Image, scene: Scene, rng: np.random.Generator) -> Im
         if rng.random() < 0.2:
             out[y, min(x + 1, scene.shape[1] - 1)] = rng.integers(1, 2**scene.bits)
     return out
+
+
+def accepted_of(kind: str, rng: np.random.Generator) -> tuple[bool, bool]:
+    """Return whether a frame of a kind was accepted with default options, without a prediction and with one."""
+    exposure_us = exposure_us_of(kind, rng)
+    image = sunless(kind, rng, exposure_us=exposure_us)
+    sensor = Sensor.from_full_well(full_scale=255 if image.dtype == np.uint8 else 4095)
+    x, y = rng.uniform(20, 108, 2)
+    expected = Expectation(x_px=x, y_px=y, uncertainty_px=3.0, stretch_px_per_rad=equisolid_stretch())
+    unasked, asked = (
+        detect_sun(image, sensor=sensor, expectation=told, exposure_us=exposure_us).accepted
+        for told in (None, expected)
+    )
+    return unasked, asked
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=700)
+    frames, rng = parser.parse_args().frames, np.random.default_rng(20)
+    for index, kind in enumerate(KINDS):
+        count = len(range(index, frames, len(KINDS)))
+        accepted = np.array([accepted_of(kind, rng) for _ in range(count)]).sum(axis=0)
+        sys.stdout.write(
+            f"{kind:12} {count} frames, accepted {accepted[0]} without a prediction, {accepted[1]} with one\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

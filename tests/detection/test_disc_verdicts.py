@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
-from tests.detection.sunless import KINDS, SUN_PER_US, exposure_us_of, sunless
+from tests.detection.sunless import KINDS, accepted_of
 
 from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
 from sunarc.errors import InputError
@@ -48,19 +48,17 @@ def test_clear_discs_are_rarely_refused() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_sun_is_found_where_there_is_none(kind: str) -> None:
-    rng, accepted = np.random.default_rng(3), 0
-    for _ in range(40):
-        exposure_us = exposure_us_of(kind, rng)
-        image = sunless(kind, rng, exposure_us=exposure_us)
-        sensor = Sensor.from_full_well(full_scale=255 if image.dtype == np.uint8 else 4095)
-        x, y = rng.uniform(20, 108, 2)
-        expected = Expectation(x_px=x, y_px=y, uncertainty_px=3.0, stretch_px_per_rad=STRETCH)
-        options = DiscOptions(clear_level_per_us=SUN_PER_US if kind == "long_moon" else 0.0)
-        for told in (None, expected):
-            accepted += detect_sun(
-                image, sensor=sensor, expectation=told, options=options, exposure_us=exposure_us
-            ).accepted
-    assert accepted == 0
+    rng = np.random.default_rng(3)
+    assert not any(any(accepted_of(kind, rng)) for _ in range(25))
+
+
+def test_a_sun_as_faint_as_a_moon_is_believed_where_a_filter_is_told_of() -> None:
+    image, exposure_us = render(Scene(stretch=STRETCH), np.random.default_rng(0)), 30_000.0
+    told = [DiscOptions(faintest_level_per_us=1e-6), DiscOptions(clear_level_per_us=3e-5)]
+    accepted = [detect_sun(image, sensor=SENSOR, options=o, exposure_us=exposure_us).accepted for o in told]
+    unaware = detect_sun(image, sensor=SENSOR, exposure_us=exposure_us)
+    assert (accepted, unaware.accepted, unaware.verdict) == ([True, True], False, "hidden")
+    assert "filter" in unaware.reason
 
 
 @pytest.mark.parametrize("level", [0, 4095])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ def looked(scene: Scene, **sensor: object) -> tuple[bool, str, float]:
     return found.accepted, found.verdict, float(off)
 
 
+@lru_cache
 def scene_of(options: SceneOptions | None = None, **sensor: float) -> Scene:
     return Scene(true_camera(), SGP, options=options, sensor=SensorModel(**sensor))  # type: ignore[arg-type]
 

@@ -13,7 +13,7 @@ from sunarc.detection.judge import detection_of, is_flat, verdict_of
 from sunarc.detection.model import Prior
 from sunarc.detection.obstruction import obstructed_reason
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.search import Spot, brightest_spots, symmetric_root
+from sunarc.detection.search import Spot, brightest_spots, semi_axes, symmetric_root
 from sunarc.detection.template import sun_sources
 from sunarc.detection.values import Detection, Expectation, FloatArray, Image, Sensor, Verdict
 from sunarc.detection.window import Window, cut
@@ -41,7 +41,8 @@ def detect_sun(
     sensor : full scale, noise, colours.
     expectation : where to look; without one the whole frame is searched, and the disc's size is free.
     options : the search's and the verdict's.
-    exposure_us : told on in the answer, and with `clear_level_per_us` what the sun's brightness is judged by.
+    exposure_us : told on in the answer, and what the disc's brightness is judged by: against `clear_level_per_us`, or
+        without that (and without an expectation) against `faintest_level_per_us`.
 
     Returns
     -------
@@ -63,6 +64,8 @@ def detect_sun(
         found = _search(image, sensor=sensor, options=options)
     else:
         found = _look(image, sensor=sensor, expectation=expectation, options=options)
+    if clear is None and expectation is None and exposure_us is not None:
+        found = _not_faint(found, options, exposure_us)
     return replace(_no_moon(found, clear, options), exposure_us=exposure_us)
 
 
@@ -81,6 +84,15 @@ def _no_moon(found: Detection, clear: float | None, options: DiscOptions) -> Det
     return replace(found, accepted=False, verdict="hidden", reason=reason)
 
 
+def _not_faint(found: Detection, options: DiscOptions, exposure_us: float) -> Detection:
+    """Return what was found, disbelieved where no camera without a dense filter would see the sun so faint."""
+    if not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_level_per_us * exposure_us:
+        return found
+    level = (found.peak_fraction or 0.0) / max(exposure_us, 1e-9)
+    reason = f"{level:.1e} of full scale in 1 µs: the moon, a lamp, or the sun behind a filter that is not told of"
+    return replace(found, accepted=False, verdict="hidden", reason=reason)
+
+
 def _none(verdict: Verdict, reason: str) -> Detection:
     return Detection(method="disc", accepted=False, verdict=verdict, reason=reason)
 
@@ -91,7 +103,7 @@ def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: Di
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
         return _none("hidden", "the sun is outside the image")
     axes = _expected_axes(expectation, options)
-    size = 2.0 * (options.max_radius_px if axes is None else _major(axes))
+    size = 2.0 * (options.max_radius_px if axes is None else semi_axes(axes)[1])
     reach = 2.0 + 5.0 * expectation.uncertainty_px + size
     found = _look_within(reach, image, axes, sensor=sensor, expectation=expectation, options=options)
     if found.verdict == "hidden":
@@ -154,10 +166,6 @@ def _expected_axes(expectation: Expectation, options: DiscOptions) -> FloatArray
     return symmetric_root(stretch @ stretch.T)
 
 
-def _major(axes: FloatArray) -> float:
-    return float(np.linalg.eigvalsh(axes)[-1])
-
-
 def _dark(part: Image, sensor: Sensor, options: DiscOptions) -> Detection:
     top = float(part.max()) if part.size else 0.0
     peak = max(top - sensor.black_level, 0.0) / sensor.full_scale
@@ -177,7 +185,7 @@ def _fitted(
     """Fit and judge the disc at a spot; `axes` None: the disc's shape is fitted too."""
     shapes = _first_shapes(spot, axes, sensor, options)
     start = shapes[0][1]
-    half = math.ceil(max(_major(start), spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
+    half = math.ceil(max(semi_axes(start)[1], spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
     if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
         return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
     at = (spot.x, spot.y)
@@ -185,7 +193,7 @@ def _fitted(
     if _all_saturated(window):
         reason = f"{window.saturated_px} pixels around the sun are saturated"
         return replace(_none("saturated", reason), saturated_px=window.saturated_px, peak_fraction=1.0)
-    radius_px = math.sqrt(np.linalg.det(start))
+    radius_px = math.sqrt(math.prod(semi_axes(start)))
     fit = _fit(window, at, shapes, radius_px=radius_px, free=axes is None, sensor=sensor, options=options)
     if fit is None:
         return _none("hidden", "too few pixels for a fit")

@@ -87,14 +87,30 @@ def smear_column(value_row: FloatArray, sum_row: FloatArray) -> float | None:
     return float(column) if product[column] > _SMEAR_STANDS_OUT * scale else None
 
 
-def forstner(value: Plane, *, sigma: float) -> tuple[float, float]:
-    """Return x, y of the largest minor eigenvalue of the window's gradient matrix (Förstner and Gülch 1987)."""
+def forstner(value: Plane, *, sigma: float, within: tuple[slice, slice] | None = None) -> tuple[float, float]:
+    """Return x, y of the largest minor eigenvalue of the window's gradient matrix (Förstner and Gülch 1987).
+
+    within : rows and columns among which it is looked for; None is all.
+    """
     dx = cv2.Sobel(value, cv2.CV_32F, 1, 0, ksize=3)
     dy = cv2.Sobel(value, cv2.CV_32F, 0, 1, ksize=3)
     size = 2 * math.ceil(3.75 * sigma) + 1
-    xx, xy, yy = (
-        np.asarray(cv2.GaussianBlur(product, (size, size), sigma, borderType=cv2.BORDER_CONSTANT))
-        for product in (dx * dx, dx * dy, dy * dy)
-    )
+    products = (dx * dx, dx * dy, dy * dy)
+    if within is None:
+        xx, xy, yy = (
+            np.asarray(cv2.GaussianBlur(product, (size, size), sigma, borderType=cv2.BORDER_CONSTANT))
+            for product in products
+        )
+    else:
+        down, across = (_blur(n, part, size, sigma) for n, part in zip(value.shape, within, strict=True))
+        xx, xy, yy = (down @ np.asarray(product) @ across.T for product in products)
     minor = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    return peak_of(np.asarray(minor, dtype=np.float32))
+    x, y = peak_of(np.asarray(minor, dtype=np.float32))
+    return (x, y) if within is None else (x + within[1].start, y + within[0].start)
+
+
+def _blur(length: int, places: slice, size: int, sigma: float) -> Plane:
+    """Return the matrix (places, length) that blurs a row of this length, and keeps some places only."""
+    kernel = np.asarray(cv2.getGaussianKernel(size, sigma, cv2.CV_32F)).ravel()
+    tap = np.arange(length) - np.arange(places.start, places.stop)[:, None] + size // 2
+    return np.where((tap >= 0) & (tap < size), kernel[np.clip(tap, 0, size - 1)], np.float32(0.0))

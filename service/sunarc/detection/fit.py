@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import template
+from sunarc.detection import kernels
 from sunarc.detection.model import (
     PSF,
     WINGS,
@@ -18,11 +18,14 @@ from sunarc.detection.model import (
     Problem,
     State,
     evaluate,
+    inverse,
     make_problem,
     normal_equations,
+    unevenness,
     with_levels,
     without,
 )
+from sunarc.detection.search import median_of
 from sunarc.detection.template import SunSources
 from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
@@ -93,7 +96,7 @@ def fit_disc(
     """
     position = np.array([start[0] - window.first[0], start[1] - window.first[1]])
     starts = [np.array([*position, math.log(psf), 0.0, s[0, 0], s[0, 1], s[1, 1]]) for psf, s in shapes]
-    problem = make_problem(window, usable=window.usable, origin=position, sensor=sensor, sources=sources, prior=prior)
+    problem = make_problem(window, origin=position, sensor=sensor, sources=sources, prior=prior)
     if problem.counts.size < 30 + 4 * window.colours:
         return None
     state, evaluation, converged = _from_best(problem, starts)
@@ -134,12 +137,13 @@ def _chi2(evaluation: Evaluation) -> float:
 
 def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     nonlinear, colours = state.nonlinear.copy(), problem.window.colours
-    free = problem.prior.free
+    free, middle = problem.prior.free, problem.prior.log_psf
     count = len(free)
-    nonlinear[free] += np.clip(step[:count], -2.0, 2.0)
-    nonlinear[PSF] = np.clip(nonlinear[PSF], problem.prior.log_psf - 1.5, problem.prior.log_psf + 1.5)
-    nonlinear[WINGS] = np.clip(nonlinear[WINGS], 0.0, 0.3)
-    flux, background, around = np.split(step[count:], [colours, 2 * colours])
+    nonlinear[free] += np.minimum(np.maximum(step[:count], -2.0), 2.0)
+    nonlinear[PSF] = min(max(nonlinear[PSF], middle - 1.5), middle + 1.5)
+    nonlinear[WINGS] = min(max(nonlinear[WINGS], 0.0), 0.3)
+    flux, background = step[count : count + colours], step[count + colours : count + 2 * colours]
+    around = step[count + 2 * colours :]
     return State(nonlinear, state.flux + flux, state.background + background, state.around + around)
 
 
@@ -149,8 +153,9 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
     settled = math.inf if problem.window.saturated_px else _SETTLED
     for _ in range(_STEPS):
         matrix, gradient = normal_equations(problem, state, evaluation)
-        scale = np.maximum(np.diag(matrix), 1e-12)
-        step = np.asarray(np.linalg.solve(matrix + np.diag(scale * damping + 1e-12), gradient), dtype=np.float64)
+        diagonal = matrix.ravel()[:: gradient.size + 1]
+        diagonal += np.maximum(diagonal, 1e-12) * damping + 1e-12
+        step = np.asarray(np.linalg.solve(matrix, gradient), dtype=np.float64)
         following = _stepped(problem, state, step)
         tried = evaluate(problem, following)
         moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
@@ -170,20 +175,22 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
 def _outliers(evaluation: Evaluation) -> NDArray[np.bool_]:
     """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
-    typical = 1.4826 * float(np.median(deviation))
+    if float(deviation.max()) <= _OUTLIER:
+        return np.zeros(deviation.size, np.bool_)
+    typical = 1.4826 * median_of(deviation)
     bad = deviation > max(_OUTLIER * max(1.0, typical), 0.5 * float(deviation.max()))
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
 
 def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converged: bool) -> DiscFit:
     matrix, _ = normal_equations(problem, state, evaluation)
-    covariance = _inverse(matrix)
+    covariance = inverse(matrix)
     count = evaluation.residual.size
     chi2 = _chi2(evaluation)
     first_flux = matrix.shape[0] - state.around.size - 2 * problem.window.colours
     levels = state.flux / max(abs(float(np.linalg.det(state.stretch))), 1e-9)
     best = int(np.argmax(levels))
-    flux_sigma = math.sqrt(max(float(_inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
+    flux_sigma = math.sqrt(max(float(inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
     level = float(levels[best]) / (math.pi * problem.sources.core.mean_level)
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
     top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
@@ -198,17 +205,10 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
         snr=float(state.flux[best]) / flux_sigma,
         chi2=chi2,
         residual=math.sqrt(max(excess, 0.0)) / top,
-        uneven=_uneven(problem, state, evaluation) / max(chi2, 1.0),
+        uneven=unevenness(problem, state, evaluation) / max(chi2, 1.0),
         used_px=count,
         converged=converged,
     )
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a normal matrix; what the data do not tell becomes a large finite variance."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-    scaled = matrix / np.outer(scale, scale) + 1e-11 * np.eye(scale.size)
-    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
 
 
 def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
@@ -216,18 +216,7 @@ def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
     """
-    tells = covariance[:2] @ (evaluation.jacobian * evaluation.weight[:, None]).T
-    weight = np.sum(tells**2, axis=0) / evaluation.weight
-    leverage = np.sum((evaluation.jacobian @ covariance) * evaluation.jacobian, axis=1) * evaluation.weight
-    square = evaluation.weight * evaluation.residual**2 / np.maximum(1.0 - leverage, 0.05)
-    total = max(float(weight.sum()), 1e-300)
-    freedom = max(total**2 / max(float(weight @ weight), 1e-300), 4.0)
-    return float(weight @ square) / total * freedom / (freedom - 2.0)
-
-
-def _uneven(problem: Problem, state: State, evaluation: Evaluation) -> float:
-    planes = evaluation.planes[template.SLOPE_U : template.BY_S11]
-    uneven = state.flux[problem.colour][:, None] * planes.T
-    wider = evaluation._replace(jacobian=np.concatenate([evaluation.jacobian, uneven], axis=1))
-    matrix, gradient = normal_equations(problem, state, wider)
-    return float(np.dot(gradient, _inverse(matrix) @ gradient))
+    sums = kernels.told(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    total, squares, misfit = np.maximum(sums, 1e-300).tolist()
+    freedom = max(total**2 / squares, 4.0)
+    return float(misfit / total * freedom / (freedom - 2.0))

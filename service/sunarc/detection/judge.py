@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sunarc.detection.fit import DiscFit
 from sunarc.detection.options import DiscOptions
+from sunarc.detection.search import semi_axes
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
@@ -48,8 +47,7 @@ def _no_disc(
 
 
 def _odd_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
-    minor, major = np.abs(np.linalg.eigvalsh(fit.stretch))
-    minor, major = min(minor, major), max(minor, major)
+    minor, major = semi_axes(fit.stretch)
     if not options.min_radius_px <= minor <= major <= options.max_radius_px:
         return "hidden", f"no disc of the sun's size: semi-axes {minor:.2f} and {major:.2f} px"
     if 1.0 - minor / major > options.max_ellipticity:
@@ -119,7 +117,7 @@ def _veil(fit: DiscFit, expectation: Expectation | None, options: DiscOptions, s
 def detection_of(fit: DiscFit, verdict: tuple[Verdict, bool, str], *, sensor: Sensor, saturated_px: int) -> Detection:
     """Return the detection that a judged fit amounts to."""
     name, accepted, reason = verdict
-    axes = np.sort(np.abs(np.linalg.eigvalsh(fit.stretch)))
+    minor, major = semi_axes(fit.stretch)
     if accepted and saturated_px:
         reason += f", {saturated_px} saturated pixels left out"
     return Detection(
@@ -132,8 +130,8 @@ def detection_of(fit: DiscFit, verdict: tuple[Verdict, bool, str], *, sensor: Se
         sigma_px=fit.sigma_px,
         peak_fraction=(fit.level + max(fit.background, 0.0)) / sensor.full_scale,
         background_fraction=fit.background / sensor.full_scale,
-        radius_px=float(math.sqrt(axes[0] * axes[1])),
-        ellipticity=float(1.0 - axes[0] / max(axes[1], 1e-9)),
+        radius_px=math.sqrt(minor * major),
+        ellipticity=1.0 - minor / max(major, 1e-9),
         residual_chi2=fit.chi2,
         snr=fit.snr,
         saturated_px=saturated_px,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import template
+from sunarc.detection import kernels, template
 from sunarc.detection.template import Sources, SunSources
 from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
@@ -21,11 +21,11 @@ PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 """Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""
 
 
-_STEPPED = 0.1  # counts²
 _GLARE_CORE = 2.0  # solar radii within which scattered light is flat
 
-_BY_WINGS, _SMEAR, _GLARE = 11, 12, 13  # planes after the template's own
-_MOVED = [template.BY_X, template.BY_Y, template.BY_PSF, _BY_WINGS, template.BY_S11, template.BY_S12, template.BY_S22]
+_BY_WINGS = 11  # the plane after the template's own
+_MOVED = (template.BY_X, template.BY_Y, template.BY_PSF, _BY_WINGS, template.BY_S11, template.BY_S12, template.BY_S22)
+_UNEVEN = (template.SLOPE_U, template.SLOPE_V, template.BEND_UU, template.BEND_UV)
 
 
 class Prior(NamedTuple):
@@ -62,7 +62,11 @@ class State(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), planes (14, n)."""
+    """The model at a state, over the used pixels: residual (n,), weight (n,), Jacobian (n, p), the disc's planes.
+
+    cost : twice the negative log likelihood, with the prior. The Jacobian's columns are the free nonlinear parameters,
+    flux and background of each colour, slope in x and y, smear and glare.
+    """
 
     cost: float
     residual: FloatArray
@@ -72,13 +76,12 @@ class Evaluation(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is fitted: of the used pixels flat position, counts, colour, column, and offset (n, 2) from the origin."""
+    """What is fitted: of the used pixels flat position, counts, colour, and offset (n, 2) from the origin."""
 
     window: Window
     pixel: NDArray[np.intp]
     counts: FloatArray
     colour: NDArray[np.intp]
-    column: NDArray[np.intp]
     offset: FloatArray
     origin: FloatArray
     sensor: Sensor
@@ -86,15 +89,13 @@ class Problem(NamedTuple):
     prior: Prior
 
 
-def make_problem(
-    window: Window, *, usable: NDArray[np.bool_], origin: FloatArray, sensor: Sensor, sources: SunSources, prior: Prior
-) -> Problem:
+def make_problem(window: Window, *, origin: FloatArray, sensor: Sensor, sources: SunSources, prior: Prior) -> Problem:
     """Gather the usable pixels; `origin` is where the background's slope is pivoted, px in the window."""
-    index = np.flatnonzero(usable)
+    index = np.flatnonzero(window.usable)
     rows, columns = np.divmod(index, window.counts.shape[1])
     offset = np.stack([columns - origin[0], rows - origin[1]], axis=-1)
     counts, colour = window.counts.ravel()[index], window.colour.ravel()[index]
-    return Problem(window, index, counts, colour, columns, offset, origin, sensor, sources, prior)
+    return Problem(window, index, counts, colour, offset, origin, sensor, sources, prior)
 
 
 def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
@@ -104,104 +105,102 @@ def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
         pixel=problem.pixel[good],
         counts=problem.counts[good],
         colour=problem.colour[good],
-        column=problem.column[good],
         offset=problem.offset[good],
     )
-
-
-def _planes(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
-    """Return the disc's planes, the derivative by the wings' share, smear and glare: (14, n)."""
-    share, psf = float(nonlinear[WINGS]), math.exp(float(nonlinear[PSF]))
-    image = _rendered(problem, nonlinear, stretch, psf=psf, sources=problem.sources.core)
-    core = image.reshape(len(image), -1)[:, problem.pixel]
-    around = [image[template.VALUE].sum(axis=0)[problem.column], _glare(problem, nonlinear, stretch)]
-    if not problem.prior.free_wings:
-        return np.concatenate([core, np.zeros_like(core[:1]), around])
-    wide = _rendered(problem, nonlinear, stretch, psf=template.WING_PSF * psf, sources=problem.sources.wings)
-    wings = wide.reshape(len(wide), -1)[:, problem.pixel]
-    return np.concatenate([core + share * (wings - core), wings[:1] - core[:1], around])
-
-
-def _rendered(
-    problem: Problem, nonlinear: FloatArray, stretch: FloatArray, *, psf: float, sources: Sources
-) -> FloatArray:
-    x, y, shape = float(nonlinear[0]), float(nonlinear[1]), problem.window.counts.shape
-    return np.asarray(template.render_disc(shape, x, y, psf, stretch, sources.positions, sources.weights))
-
-
-def _glare(problem: Problem, nonlinear: FloatArray, stretch: FloatArray) -> FloatArray:
-    """Return light scattered around the sun, falling with the square of the angle outside two solar radii: (n,)."""
-    dx, dy = (problem.offset + (problem.origin - nonlinear[:2])).T
-    a, b, d = float(stretch[0, 0]), float(stretch[0, 1]), float(stretch[1, 1])
-    scale = max(abs(a * d - b * b), 1e-9) * _GLARE_CORE
-    u, v = (d * dx - b * dy) / scale, (a * dy - b * dx) / scale
-    return np.asarray(1.0 / (1.0 + u * u + v * v))
 
 
 def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluation]:
     """Return the state whose linear parameters fit best at the given nonlinear ones, and the model there."""
     colours = problem.window.colours
-    state = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
-    planes = _planes(problem, nonlinear, state.stretch)
-    design = _linear_columns(problem, planes)
-    root = np.sqrt(1.0 / _variance(problem.sensor, problem.counts))
-    solution = np.linalg.lstsq(design * root[:, None], problem.counts * root, rcond=1e-10)[0]
-    flux, background, around = np.split(solution, [colours, 2 * colours])
-    best = State(nonlinear, np.maximum(flux, 1e-3), background, around)
+    dark = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
+    planes = _planes(problem, dark)
+    misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
+    matrix, gradient = kernels.normal_of(misfit[3], misfit[2], misfit[1])
+    levels = inverse(matrix) @ gradient
+    flux = np.maximum(levels[:colours], 1e-3)
+    best = State(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
     return best, _evaluated(problem, best, planes)
 
 
-def _linear_columns(problem: Problem, planes: FloatArray) -> FloatArray:
-    own = problem.colour[:, None] == np.arange(problem.window.colours)
-    around = [problem.offset, planes[[_SMEAR, _GLARE]].T]
-    return np.concatenate([own * planes[template.VALUE][:, None], own, *around], axis=1)
-
-
-def _variance(sensor: Sensor, level: FloatArray) -> FloatArray:
-    """Return the variance in counts²; where noise is too small to blur the steps, rounding errs by up to 1/4."""
-    gain = sensor.gain_e_per_count
-    noise = (sensor.read_noise_e / gain) ** 2 + np.maximum(level, 0.0) / gain
-    return np.asarray(np.where(noise < _STEPPED, 0.25, noise + 1.0 / 12.0))
+def inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a normal matrix; what the data do not tell becomes a large finite variance."""
+    scale = np.sqrt(np.maximum(matrix.diagonal(), 1e-12))
+    both = scale[:, None] * scale
+    scaled = matrix / both
+    scaled.ravel()[:: scale.size + 1] += 1e-11
+    return np.asarray(np.linalg.inv(scaled) / both)
 
 
 def evaluate(problem: Problem, state: State) -> Evaluation:
     """Return residuals, weights, derivatives and twice the negative log likelihood at a state."""
-    return _evaluated(problem, state, _planes(problem, state.nonlinear, state.stretch))
+    return _evaluated(problem, state, _planes(problem, state))
+
+
+def _planes(problem: Problem, state: State) -> FloatArray:
+    """Return the disc's planes, and where the wings are free the derivative by their share."""
+    psf, sources = math.exp(state.nonlinear[PSF]), problem.sources
+    core = _rendered(problem, state, sources.core, psf=psf)
+    if not problem.prior.free_wings:
+        return core
+    more = _rendered(problem, state, sources.wings, psf=template.WING_PSF * psf) - core
+    return np.concatenate([core + state.nonlinear[WINGS] * more, more[:1]])
+
+
+def _rendered(problem: Problem, state: State, sources: Sources, *, psf: float) -> FloatArray:
+    (x, y), shape = state.nonlinear[:2].tolist(), problem.window.counts.shape
+    return np.asarray(template.render_disc(shape, x, y, psf, state.stretch, sources.positions, sources.weights))
 
 
 def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation:
-    flux = state.flux[problem.colour]
-    model = (
-        flux * planes[template.VALUE]
-        + state.background[problem.colour]
-        + problem.offset @ state.around[:2]
-        + state.around[2:] @ planes[[_SMEAR, _GLARE]]
+    moved = tuple(_MOVED[k] for k in problem.prior.free)
+    misfit, residual, weight, jacobian = _compared(problem, state, planes, moved=moved)
+    pull = _pulls(problem.prior, state)
+    return Evaluation(misfit + pull[0] ** 2 + pull[1] ** 2, residual, weight, jacobian, planes)
+
+
+def _compared(
+    problem: Problem, state: State, planes: FloatArray, *, moved: tuple[int, ...], by_counts: bool = False
+) -> kernels.Compared:
+    psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
+    a, b, d = state.nonlinear[STRETCH].tolist()
+    core = _GLARE_CORE * max(abs(a * d - b * b), 1e-9)
+    gain = problem.sensor.gain_e_per_count
+    answer: kernels.Compared = kernels.compared(
+        planes,
+        np.array(moved, dtype=np.intp),
+        np.array([psf if plane == template.BY_PSF else 1.0 for plane in moved]),
+        (d / core, b / core, a / core, x, y),
+        (problem.pixel, problem.counts, problem.colour, problem.offset),
+        state.flux,
+        state.background,
+        state.around,
+        (float(problem.sensor.read_noise_e / gain), float(gain)),
+        by_counts,
     )
-    residual, variance = problem.counts - model, _variance(problem.sensor, model)
-    moved = flux[:, None] * planes[_MOVED].T
-    moved[:, PSF] *= math.exp(state.nonlinear[PSF])
-    jacobian = np.concatenate([moved[:, problem.prior.free], _linear_columns(problem, planes)], axis=1)
-    pull = _pull(problem.prior, state)
-    cost = float(np.sum(residual**2 / variance + np.log(variance))) + float(pull @ pull)
-    return Evaluation(cost, residual, 1.0 / variance, jacobian, planes)
+    return answer
+
+
+def unevenness(problem: Problem, state: State, evaluation: Evaluation) -> float:
+    """Return how much chi² a disc of sloping and bending brightness would gain."""
+    moved = tuple(_MOVED[k] for k in problem.prior.free) + _UNEVEN
+    wider = evaluation._replace(jacobian=_compared(problem, state, evaluation.planes, moved=moved)[3])
+    matrix, gradient = normal_equations(problem, state, wider)
+    return float(gradient @ inverse(matrix) @ gradient)
 
 
 def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix and the gradient, with the prior of the point spread."""
-    weighted = evaluation.jacobian * evaluation.weight[:, None]
-    matrix, gradient = evaluation.jacobian.T @ weighted, weighted.T @ evaluation.residual
-    own = slice(PSF, PSF + 1 + problem.prior.free_wings)
-    pull, precision = _pull(problem.prior, state), _precision(problem.prior)
-    count = own.stop - own.start
-    matrix[own, own] += np.diag(precision[:count] ** 2)
-    gradient[own] += (precision * pull)[:count]
+    matrix: FloatArray
+    gradient: FloatArray
+    matrix, gradient = kernels.normal_of(evaluation.jacobian, evaluation.weight, evaluation.residual)
+    pulls, sigmas = _pulls(problem.prior, state), (problem.prior.log_psf_sigma, problem.prior.wings_sigma)
+    for k in (PSF, WINGS)[: 1 + problem.prior.free_wings]:
+        matrix[k, k] += sigmas[k - PSF] ** -2
+        gradient[k] += pulls[k - PSF] / sigmas[k - PSF]
     return matrix, gradient
 
 
-def _pull(prior: Prior, state: State) -> FloatArray:
+def _pulls(prior: Prior, state: State) -> tuple[float, float]:
     """Return what the prior says of ln psf and the wings' share, in its sigmas."""
-    return (np.array([prior.log_psf, 0.0]) - state.nonlinear[[PSF, WINGS]]) * _precision(prior)
-
-
-def _precision(prior: Prior) -> FloatArray:
-    return np.array([1.0 / prior.log_psf_sigma, 1.0 / prior.wings_sigma])
+    log_psf, share = state.nonlinear[PSF : WINGS + 1].tolist()
+    return (prior.log_psf - log_psf) / prior.log_psf_sigma, -share / prior.wings_sigma

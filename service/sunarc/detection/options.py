@@ -33,6 +33,9 @@ class DiscOptions:
     clear_level_per_us : the clear sun's level over full scale in 1 µs, at the gain in use; 0 where unknown. It is what
         brightness is judged against where the expectation does not tell.
     faintest_share : less of that level is no sun, however clean its disc: the full moon has 2.5e-6.
+    faintest_level_per_us : where the clear level is unknown, a disc that nobody expected and that has less than this
+        level over full scale in 1 µs is no sun. Through a bare lens the sun has 0.1 to 10, the full moon 1e-7 to 3e-5;
+        behind a filter of density 4 or more set this, or better `clear_level_per_us`, to what the filter leaves.
     """
 
     psf_px: float = 0.7
@@ -54,6 +57,7 @@ class DiscOptions:
     max_apparent_zenith_deg: float = 89.6
     clear_level_per_us: float = 0.0
     faintest_share: float = 1e-4
+    faintest_level_per_us: float = 1e-4
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""

@@ -131,9 +131,21 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
     middle = smear if smear is not None and abs(smear - blob.x) < blob.diameter else float(np.median(xs))
     half = 5.0 * sigma + 0.5 * blob.diameter
     strip = slice(max(0, round(middle - half)), round(middle + half) + 1)
-    x, y = estimators.forstner(planes.value(rows, strip), sigma=sigma)
+    surrounded = planes.value(rows, strip)
+    within = None if full_image else _among(surrounded.shape, blob, first=(strip.start, rows.start))
+    x, y = estimators.forstner(surrounded, sigma=sigma, within=within)
     xs, ys = [*xs, x + strip.start], [*ys, y + (rows.start or 0)]
     return Estimates(tuple(xs if smear is None else [*xs, smear]), tuple(ys), blob.diameter, sigma, blob)
+
+
+def _among(shape: tuple[int, ...], blob: Blob, *, first: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of a window at `first` (x, y) in which the blob's centre must lie."""
+    (x, y, width, height), (x0, y0) = blob.box, first
+    top, left = max(0, y - _SPARE_PX - y0), max(0, x - _SPARE_PX - x0)
+    return (
+        slice(top, max(top + 1, min(shape[0], y + height + _SPARE_PX - y0))),
+        slice(left, max(left + 1, min(shape[1], x + width + _SPARE_PX - x0))),
+    )
 
 
 def _blob_sigma(blob: Blob) -> float:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from sunarc.detection.values import FloatArray, Image
 
@@ -35,31 +34,35 @@ class Spot(NamedTuple):
     @property
     def semi_axes(self) -> tuple[float, float]:
         """Minor and major semi-axis of the spot, px."""
-        minor, major = np.linalg.eigvalsh(self.axes)
-        return float(minor), float(major)
+        return semi_axes(self.axes)
 
 
 @njit(cache=True, nogil=True)
-def _tile_maxima(image: Image, tile: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the largest minimum over 2×2 pixels of every tile, and its flat index; a lone hot pixel never counts."""
+def _tile_maxima(image: Image, tile: int) -> Image:
+    """Return the largest minimum over 2×2 pixels of every tile, (tiles down, across); a lone hot pixel never counts."""
     height, width = image.shape
     down, across = (height + tile - 1) // tile, (width + tile - 1) // tile
-    best, where = np.full(down * across, -1, np.int64), np.zeros(down * across, np.int64)
-    least = np.zeros(across * tile, image.dtype)
-    for y in range(0, height - 1, 2):
-        upper, lower = image[y], image[y + 1]
-        for x in range(width - 1):
-            least[x] = min(upper[x], upper[x + 1], lower[x], lower[x + 1])
-        for tile_x in range(across):
-            row = least[tile_x * tile : (tile_x + 1) * tile]
-            top = row[0]
-            for value in row:
-                top = max(top, value)
-            k = (y // tile) * across + tile_x
-            if top > best[k]:
-                best[k] = top
-                where[k] = y * width + tile_x * tile + np.argmax(row)
-    return best, where
+    best, top = np.zeros((down, across), image.dtype), np.zeros(across * tile, image.dtype)
+    for row in range(down):
+        for x in range(top.size):
+            top[x] = 0
+        for y in range(row * tile, min((row + 1) * tile, height - 1), 2):
+            upper, lower = image[y], image[y + 1]
+            for x in range(width - 1):
+                left, right = min(upper[x], lower[x]), min(upper[x + 1], lower[x + 1])
+                top[x] = max(top[x], min(left, right))
+        for column in range(across):
+            for x in range(column * tile, (column + 1) * tile):
+                best[row, column] = max(best[row, column], top[x])
+    return best
+
+
+def _top_of(image: Image, *, x0: int, y0: int) -> tuple[int, int]:
+    """Return x, y of the first pixel of a tile's largest minimum over 2×2 pixels."""
+    part = image[y0 : y0 + _TILE, x0 : x0 + _TILE + 1]
+    pair = np.minimum(part[: part.shape[0] // 2 * 2 : 2], part[1::2])
+    y, x = divmod(int(np.argmax(np.minimum(pair[:, :-1], pair[:, 1:]))), pair.shape[1] - 1)
+    return x0 + x, y0 + 2 * y
 
 
 def brightest_spots(image: Image, *, count: int, reach: int, floor: float) -> list[Spot]:
@@ -74,12 +77,14 @@ def brightest_spots(image: Image, *, count: int, reach: int, floor: float) -> li
     """
     if min(image.shape) < 8:
         return []
-    best, where = _tile_maxima(image, _TILE)
+    best = _tile_maxima(image, _TILE)
+    levels = best.ravel()
     spots: list[Spot] = []
-    for k in np.argsort(best, kind="stable")[::-1]:
-        if len(spots) >= count or best[k] <= floor:
+    for k in np.argsort(levels, kind="stable")[::-1]:
+        if len(spots) >= count or levels[k] <= floor:
             break
-        y, x = divmod(int(where[k]), image.shape[1])
+        row, column = divmod(int(k), best.shape[1])
+        x, y = _top_of(image, x0=column * _TILE, y0=row * _TILE)
         if not _belongs(x, y, spots):
             spot = measure_spot(image, x=x, y=y, reach=reach)
             if not _belongs(spot.x, spot.y, spots):
@@ -106,22 +111,52 @@ def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
 
 def _moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
     level = float(mean.max())
-    edge = np.concatenate([mean[0], mean[-1], mean[:, 0], mean[:, -1]])
-    background = float(np.median(edge))
-    above = mean - 0.5 * (level + background)
-    rows, columns = np.nonzero(above > 0.0)
-    if rows.size == 0:
-        rows, columns = np.array([mean.shape[0] // 2]), np.array([mean.shape[1] // 2])
-        above = np.ones_like(mean)
-    weight = above[rows, columns]
-    total = float(weight.sum())
-    x, y = float(weight @ columns) / total, float(weight @ rows) / total
-    dx, dy = columns - x, rows - y
-    covariance = np.array([[np.mean(dx * dx), np.mean(dx * dy)], [np.mean(dx * dy), np.mean(dy * dy)]])
+    background = median_of(np.concatenate([mean[0], mean[-1], mean[:, 0], mean[:, -1]]))
+    x, y, xx, xy, yy = _moments_above(mean, 0.5 * (level + background))
+    covariance = np.array([[xx, xy], [xy, yy]])
     return Spot(x + x0, y + y0, level, background, symmetric_root(4.0 * covariance + 1e-3 * np.eye(2)))
 
 
+@njit(cache=True, nogil=True)
+def _moments_above(mean: FloatArray, cut: float) -> tuple[float, float, float, float, float]:
+    """Return the centre of what exceeds a level, weighted by it, and about that the unweighted second moments."""
+    height, width = mean.shape
+    total, x, y = 0.0, 0.0, 0.0
+    for j in range(height):
+        for i in range(width):
+            weight = max(mean[j, i] - cut, 0.0)
+            total, x, y = total + weight, x + weight * i, y + weight * j
+    if total <= 0.0:
+        return width // 2, height // 2, 0.0, 0.0, 0.0
+    x, y = x / total, y / total
+    count, xx, xy, yy = 0, 0.0, 0.0, 0.0
+    for j in range(height):
+        for i in range(width):
+            if mean[j, i] > cut:
+                count, dx, dy = count + 1, i - x, j - y
+                xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+    return x, y, xx / count, xy / count, yy / count
+
+
+def median_of(values: FloatArray) -> float:
+    """Return the median of a flat array, without numpy's cost a call."""
+    half = values.size // 2
+    if values.size % 2:
+        return float(np.partition(values, half)[half])
+    parted = np.partition(values, (half - 1, half))
+    return 0.5 * float(parted[half - 1] + parted[half])
+
+
+def semi_axes(stretch: FloatArray) -> tuple[float, float]:
+    """Return minor and major semi-axis of the ellipse to which a symmetric (2, 2) matrix takes the unit disc."""
+    a, b, d = float(stretch[0, 0]), float(stretch[0, 1]), float(stretch[1, 1])
+    middle, half = abs(0.5 * (a + d)), math.hypot(0.5 * (a - d), b)
+    return abs(middle - half), middle + half
+
+
 def symmetric_root(matrix: FloatArray) -> FloatArray:
-    """Return the symmetric square root of a positive (2, 2) matrix."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 1e-9))) @ vectors.T)
+    """Return the symmetric square root of a positive (2, 2) matrix (by Cayley and Hamilton's theorem)."""
+    a, b, d = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
+    root = math.sqrt(max(a * d - b * b, 0.0))
+    trace = math.sqrt(max(a + d + 2.0 * root, 1e-9))
+    return np.array([[a + root, b], [b, d + root]]) / trace

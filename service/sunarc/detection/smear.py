@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.detection.search import median_of
 from sunarc.detection.values import FloatArray, Image
 
 _STEP, _FINE_STEP = 32, 8  # rows looked at first, and where smear shows; even: a Bayer mosaic's rows stay apart
@@ -50,8 +51,9 @@ def _profile(beyond: Image) -> FloatArray:
     nothing = np.zeros(beyond.shape[1])
     if beyond.shape[0] < _FEWEST_ROWS or beyond.shape[1] == 0:
         return nothing
-    level = np.median(beyond, axis=0)
-    spread = 1.4826 * float(np.median(np.abs(beyond - level)))
-    excess = level - float(np.min(level))
+    ordered, half = np.sort(beyond, axis=0), len(beyond) // 2
+    level = 0.5 * (ordered[half].astype(np.float64) + ordered[half - 1 + len(beyond) % 2])
+    excess = level - level.min()
+    spread = 1.4826 * median_of(np.abs(beyond - level).ravel())
     noise = _MEDIAN_NOISE * max(spread, 0.3) / math.sqrt(beyond.shape[0])
-    return np.asarray(excess) if float(np.max(excess)) >= _SIGNIFICANT * noise else nothing
+    return excess if float(excess.max()) >= _SIGNIFICANT * noise else nothing
