@@ -114,6 +114,9 @@ def simulate(
     ghost: Annotated[float, typer.Option(help="Reflection opposite the sun, over the sun's brightness.")] = 0.0,
     sun_cover: Annotated[float, typer.Option(help="Share of the sun's diameter behind an edge.")] = 0.0,
     blooming: Annotated[float, typer.Option(help="Share of a full well's excess that runs along its column.")] = 0.0,
+    moon: Annotated[
+        tuple[float, float] | None, typer.Option(help="A full moon that stays there: zenith angle, azimuth in degrees.")
+    ] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback.
@@ -132,6 +135,7 @@ def simulate(
         ghost=ghost,
         sun_cover=sun_cover,
         blooming=blooming,
+        moon=moon,
         truth=truth,
     )
 

@@ -23,6 +23,7 @@ def simulate(
     ghost: float,
     sun_cover: float,
     blooming: float,
+    moon: tuple[float, float] | None,
     truth: Path | None,
 ) -> None:
     """Run a simulated imager until SIGTERM or SIGINT."""
@@ -33,7 +34,7 @@ def simulate(
         site=site,
         lens_seed=lens_seed,
         clouds=clouds,
-        scene=SceneOptions(nd_transmission=nd_transmission, ghost_strength=ghost, sun_cover=sun_cover),
+        scene=SceneOptions(nd_transmission=nd_transmission, ghost_strength=ghost, sun_cover=sun_cover, moon_at=moon),
         sensor=SensorModel(blooming=blooming),
         truth=truth,
     )

@@ -43,6 +43,8 @@ class PaperOptions:
     min_edge : light next to the blob, over its own (linear), below which it is no sun but something white.
     max_spread_px : largest 1-sigma of the centre, as leaving sectors out tells it.
     max_scatter : scatter of the light around the sun about what is symmetric, over its fall outwards.
+    sure_spread_px : where that 1-sigma is smaller, a fifth less share and 2.5 times the scatter are no fault: streaks
+        of the lens and contrails are uneven and leave the centre where it is, thin cloud moves it.
     max_ellipticity : 1 - minor/major axis of that light's ellipses.
     gamma : of an 8 bit image's tones; deeper ones are taken for linear.
     sigma_px : 1-sigma per axis of an accepted position, at least (the paper finds 0.43 px).
@@ -57,6 +59,7 @@ class PaperOptions:
     min_edge: float = 0.35
     max_spread_px: float = 1.5
     max_scatter: float = 0.04
+    sure_spread_px: float = 0.3
     max_ellipticity: float = 0.32
     gamma: float = 2.2
     sigma_px: float = 0.43
@@ -235,9 +238,10 @@ def _fault(halo: Halo, spread_px: float, options: PaperOptions) -> tuple[Verdict
     """Return what is wrong with the light around a bright region."""
     if halo.edge < options.min_edge:
         return "hidden", f"a white patch with an edge, no glare: {halo.edge:.2f} of its light next to it"
-    if halo.share < options.min_share:
+    sure = spread_px < options.sure_spread_px
+    if halo.share < (0.8 * options.min_share if sure else options.min_share):
         return "partly_covered", f"in only {halo.share:.2f} of the directions around it the light falls off alike"
-    if halo.scatter > options.max_scatter:
+    if halo.scatter > (2.5 * options.max_scatter if sure else options.max_scatter):
         return "veiled", f"the light around it is uneven by {halo.scatter:.3f} of its fall"
     if halo.ellipticity > options.max_ellipticity:
         return "veiled", f"the light around it is drawn out: 1 - minor/major axis is {halo.ellipticity:.2f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,12 @@ FloatArray = NDArray[np.float64]
 _ROWS_AT_ONCE = 64
 
 
+@lru_cache(maxsize=1)
 def pixel_field(camera: Camera, *, field_deg: float, obstructions: tuple[Obstruction, ...]) -> NDArray[np.float32]:
     """Return (height, width, 4) float32: east, north, up of each pixel, and what it sees.
 
     The fourth number is the share of sky (0 to 1), minus the share of ground where it sees ground, and 0 outside the
-    image circle; edges are soft over one pixel.
+    image circle; edges are soft over one pixel. The last answer is kept (it takes seconds), and not to be written to.
     """
     field = np.zeros((camera.height, camera.width, 4), dtype=np.float32)
     x = np.arange(camera.width, dtype=np.float64)

@@ -123,6 +123,8 @@ class SceneOptions:
         _require(field="psf_sigma_px", good=0.05 <= self.psf_sigma_px <= 20.0, remedy="give 0.05 to 20 px")
         _require(field="ghost_strength", good=self.ghost_strength >= 0.0, remedy="give 0 or more")
         _require(field="sun_cover", good=0.0 <= self.sun_cover <= 1.0, remedy="give 0 to 1")
+        zenith = 0.0 if self.moon_at is None else self.moon_at[0]
+        _require(field="moon_at", good=0.0 <= zenith <= 180.0, remedy="give a zenith angle of 0 to 180, and an azimuth")
         _require(field="field_deg", good=10.0 <= self.field_deg <= 120.0, remedy="give 10 to 120 degrees")
 
 
