@@ -4,8 +4,9 @@
     .venv/bin/python docs/studies/dashboard.py http://127.0.0.1:8080/ DIR/truth.json --into docs
 
 waits until there is a calibration and the sun is up, writes dashboard.png (and with --all dashboard-dark.png and
-dashboard-phone.png), and prints the distance of the drawn sun from the true camera's, in px, what the console said and
-whom the page asked.
+dashboard-phone.png), and prints the distance of the drawn sun from the true camera's, in px, at which times, what the
+console said, whom the page asked, and what axe-core finds hard to use. Beside other work, take a lower speed: a browser
+without a graphics card needs some seconds for a picture.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, sync_playwright
 
 from sunarc.calibration import from_document
@@ -56,19 +58,21 @@ def main() -> None:
             for selector in ("#overlay path.expected", "#by-time .x-mark", "#sigma path"):
                 page.wait_for_selector(selector, timeout=900_000, state="attached")
             page.wait_for_timeout(6000)
-            off = [off_truth_px(page, options.truth) for _ in range(5) if not page.wait_for_timeout(2600)]
+            seen = [off_truth_px(page, options.truth) for _ in range(5) if not page.wait_for_timeout(2600)]
             page.screenshot(path=options.into / f"dashboard{name}.png", full_page=True)
+            off, times = zip(*seen, strict=True)
             print(f"{name or 'desktop'}: drawn sun off the true one by {np.round(off, 2).tolist()} px")
-            print(f"  console: {said}; asked: {asked}")
+            found = [one["id"] for one in Axe().run(page).response["violations"]]
+            print(f"  at {times}; console: {said}; asked: {asked}; axe-core: {found}")
         browser.close()
 
 
-def off_truth_px(page: Page, truth: Path) -> float:
-    """Return how far the drawn sun is from where the true camera has it, px."""
+def off_truth_px(page: Page, truth: Path) -> tuple[float, str]:
+    """Return how far the drawn sun is from where the true camera has it, px, and at which time."""
     x, y, time = page.evaluate(MARKER)
     unix_s = datetime.fromisoformat(time).replace(tzinfo=UTC).timestamp() + 0.5
     true = from_document(json.loads(truth.read_text()))
-    return float(np.hypot(*(project(true.camera, sun_directions(unix_s, true.site)) - (x, y))))
+    return float(np.hypot(*(project(true.camera, sun_directions(unix_s, true.site)) - (x, y)))), time
 
 
 if __name__ == "__main__":
