@@ -51,7 +51,7 @@ def test_a_year_of_data_is_upgraded_within_a_minute_and_can_go_back(
     revision, n = field.sql("SELECT version_num FROM alembic_version"), field.sightings()
     assert n > DAYS * A_DAY * 0.9
 
-    assert install(field, work / "sunarc.deb") < 60.0
+    took_s = install(field, work / "sunarc.deb")
     assert field.sql("SELECT version_num FROM alembic_version") > revision
     assert field.sightings() >= n
     assert field.path(f"/var/lib/sunarc/sunarc.sqlite.before-{revision}").exists()
@@ -63,6 +63,7 @@ def test_a_year_of_data_is_upgraded_within_a_minute_and_can_go_back(
     assert field.sql("SELECT version_num FROM alembic_version") == revision
     assert field.sightings() >= n
     field.wait_for_sightings(1)
+    assert took_s < 60.0
 
 
 def test_an_older_version_on_a_newer_database_says_what_to_do_and_touches_nothing(
