@@ -4,8 +4,9 @@ Map: `points` what is given · `selection`, `patches` what of a long record is u
 `calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
 `loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `doubt`, `robust` the service's
 method · `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`,
-`acceptance` what it is worth · `again` the same fit once more · `posing/` a known lens in a new pose · `watching/` what
-changed · `days` what a day is worth · `drift` how the pose wanders · `circle` the image circle · `document` its JSON.
+`acceptance` what it is worth · `again` the same fit once more · `moves` was the camera moved meanwhile · `posing/` a
+known lens in a new pose · `watching/` what changed · `days` what a day is worth · `drift` how the pose wanders ·
+`circle` the image circle · `document` its JSON.
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
@@ -35,11 +36,12 @@ from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures
+from sunarc.calibration.moves import Moved, calibrate_moved
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.priors import prior_knowledge
-from sunarc.calibration.result import Calibration, Evidence, Verdict
+from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
 __all__ = [
@@ -60,6 +62,8 @@ __all__ = [
     "Lookup",
     "Method",
     "Metrics",
+    "Move",
+    "Moved",
     "PaperOptions",
     "PoseOffset",
     "Selection",
@@ -72,6 +76,7 @@ __all__ = [
     "back_projection_map",
     "calibrate",
     "calibrate_again",
+    "calibrate_moved",
     "camera_sees",
     "daily_pose_offset",
     "days_left_out",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.backward import BackwardModel
 from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.metrics import Metrics
-from sunarc.calibration.result import Calibration, Evidence, Verdict
+from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
 from sunarc.sky import Site
@@ -134,6 +134,8 @@ def _number(value: float | None) -> float | None:
 def _plain(value: object) -> object:
     if isinstance(value, float):
         return _number(value)
+    if isinstance(value, Move):
+        return _plain(asdict(value))
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
@@ -258,6 +260,17 @@ def _read_evidence(read: _Reader) -> Evidence:
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},
         pose_spread_deg=_read_spread(read),
+        moves=tuple(_read_move(_Reader(each)) for each in read.value("evidence.moves", needed=False) or ()),
+    )
+
+
+def _read_move(read: _Reader) -> Move:
+    x, y, z = read.numbers("pose_before", 3)
+    return Move(
+        before_unix_s=read.number("before_unix_s"),
+        after_unix_s=read.number("after_unix_s"),
+        turn_deg=read.number("turn_deg"),
+        pose_before=(x, y, z),
     )
 
 

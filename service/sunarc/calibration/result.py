@@ -31,6 +31,23 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Move:
+    """A move of the camera among the sightings of a fit.
+
+    Attributes
+    ----------
+    before_unix_s, after_unix_s : the last sighting before it, the first one after, seconds since 1970-01-01 UTC.
+    turn_deg : the angle between the two poses.
+    pose_before : rotation vector of the pose that ended, radians.
+    """
+
+    before_unix_s: float
+    after_unix_s: float
+    turn_deg: float
+    pose_before: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What a fit rests on, so that it can be made again.
 
@@ -47,6 +64,7 @@ class Evidence:
     start : the camera that the fit began at, by name; None where it was sought.
     selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
     pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
+    moves : moves of the camera that were found among the sightings, in the order of time.
     """
 
     days: tuple[str, ...]
@@ -62,6 +80,7 @@ class Evidence:
     start: Mapping[str, object] | None = None
     selection: Mapping[str, object] = field(default_factory=dict)
     pose_spread_deg: tuple[float, float, float] | None = None
+    moves: tuple[Move, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

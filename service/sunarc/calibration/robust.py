@@ -146,13 +146,19 @@ def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins
     thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
     sigma = 1.0
     for _ in range(_SETTLING):
-        distance = np.linalg.norm(problem.residuals(at, thin), axis=-1) * np.sqrt(thin.information)
-        sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
+        sigma = _widest_core(problem.residuals(at, thin), thin)
         at = most_probable(problem, thin, at, precision=precision, sigma=sigma, iterations=20).unknowns
     left = problem.residuals(at, seen)
     gathered, residual = bins.gathered(seen, left, information(left, seen, sigma))
     pixels = gathered.pixels + residual - problem.residuals(at, gathered)
     return deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
+
+
+def _widest_core(left: FloatArray, seen: Observations) -> float:
+    """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
+    distance = np.linalg.norm(left, axis=-1) * np.sqrt(seen.information)
+    epochs = np.unique(seen.epoch)
+    return max(core_sigma(distance[seen.epoch == epoch], floor=_SMALLEST_SIGMA_PX) for epoch in epochs)
 
 
 def _noise(left: FloatArray, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:

@@ -14,7 +14,7 @@ from sunarc.calibration import (
     CalibrationOptions,
     ImageCircle,
     SunPoints,
-    calibrate,
+    calibrate_moved,
     find_image_circle,
     repose,
     to_document,
@@ -46,13 +46,16 @@ def calibrate_file(
         solved = repose(points, start=_of_size(known, image_size), site=site, options=options)
     else:
         begin = None if known is None else known.camera
-        solved = calibrate(points, site=site, image_size=image_size, options=options, circle=circle, start=begin)
+        solved, points = calibrate_moved(
+            points, site=site, image_size=image_size, options=options, circle=circle, start=begin
+        )
     if plots is not None:
         from sunarc.studies import write_calibration_plots  # noqa: PLC0415 - the plot library is slow to load
 
         write_calibration_plots(solved, points, folder=plots)
     now = clock.now()
-    first = datetime.fromtimestamp(float(table.unix_s.min()), UTC) if table.unix_s.size else now
+    since = points.unix_s[points.epoch == points.epoch.max()] if len(points) else points.unix_s
+    first = datetime.fromtimestamp(float(since.min()), UTC) if since.size else now
     return to_document(
         solved,
         id=uuid.uuid4().hex,

@@ -1,0 +1,261 @@
+"""Was the camera moved among the sightings that a fit is given? When, and by how much; each piece gets its own pose.
+
+What one pose leaves over runs on smoothly through all that lens and sky do, within a day and from a day to the next at
+the same hour. A move makes it jump. A jump is a suggestion only: a move counts when the same sightings fit clearly
+better with a pose on either side of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.loss import core_sigma, tukey_loss
+from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.points import SunPoints, Usable, usable_points
+from sunarc.calibration.result import Calibration, Move
+from sunarc.optics import Camera, project_fast, rotation_matrix
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+
+_SIDE = 12
+"""Sightings that are looked at on either side of a gap."""
+_LONGEST_S = 7200.0
+"""Time that they may take together: over a longer one a smooth error is no straight line."""
+_JUMP_PER_SIGMA = 0.8
+"""1-sigma of a jump where there is none, in that of a sighting: two medians of 12, each at the end of a line."""
+_MEDIAN_DISTANCE = 1.1774
+"""Median length of a round Gaussian vector, in sigmas."""
+_JUMP_SIGMAS = 4.0
+_JUMPS_TRIED = 3
+_NIGHT_RATIO = 4.0
+_SMALLEST_NIGHT_DEG = 0.05
+"""Mounts wander by less from a day to the next."""
+_DAY_S = 86_400.0
+_GAIN = 40.0
+"""What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
+_MOST = 6
+_FEWEST = 20
+_FLOOR_PX = 1e-3
+_Fit = Callable[[SunPoints, Camera | None], Calibration]
+
+
+class Moved(NamedTuple):
+    """A calibration, and the sightings as it was given them: numbered by the pose that they belong to."""
+
+    calibration: Calibration
+    points: SunPoints
+
+
+class _Parted(NamedTuple):
+    row: int
+    smallest_deg: float
+
+
+def calibrate_moved(
+    points: SunPoints,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions | None = None,
+    circle: ImageCircle | None = None,
+    start: Camera | None = None,
+) -> Moved:
+    """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
+
+    The calibration is of the last pose; its evidence tells the moves, and its verdict names them. Sightings that are
+    of several pose epochs already are fitted as they are, as are those of a fit by the paper's method or of the pose
+    alone. A move within 20 sightings of an end or of another move is not found.
+
+    Parameters
+    ----------
+    points, site, image_size, options, circle, start : as `calibrate` takes them.
+    """
+    chosen = CalibrationOptions() if options is None else options
+
+    def fit(given: SunPoints, begin: Camera | None) -> Calibration:
+        return calibrate(given, site=site, image_size=image_size, options=chosen, circle=circle, start=begin)
+
+    solved = fit(points, start)
+    if np.any(points.epoch != points.epoch[:1]) or chosen.method != "robust" or chosen.free != "all":
+        return Moved(solved, points)
+    usable = usable_points(points, site=site)
+    for _ in range(_MOST):
+        found = _with_one_more(points, usable, solved, fit)
+        if found is None:
+            break
+        solved, points = found
+        usable = usable_points(points, site=site)
+    return Moved(_told(solved, usable), points)
+
+
+def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: _Fit) -> Moved | None:
+    """Return the fit with one move more, or None where none makes it clearly better."""
+    residual = _residuals(solved, usable)
+    best, gained = None, _GAIN
+    for suggested in (*_jumps(residual, usable), *_nights(residual, usable)):
+        found = _parted_at(suggested.row, points, usable, solved.camera, fit)
+        if found is None:
+            continue
+        numbered = replace(usable, epoch=found.points.epoch[usable.index])
+        epoch = int(numbered.epoch[suggested.row])
+        turn_deg = _turn_deg(*found.calibration.poses[max(epoch - 1, 0) : max(epoch - 1, 0) + 2])
+        gain = _gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
+        if gain > gained and turn_deg > suggested.smallest_deg:
+            best, gained = found, gain
+    return best
+
+
+def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: _Fit) -> Moved | None:
+    """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
+    for _ in range(2):
+        apart = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
+        if np.bincount(apart.epoch[usable.index]).min() < _FEWEST:
+            return None
+        fitted = fit(apart, begin)
+        first = int(usable.epoch[row])
+        better = _best_row(row, usable, [replace(fitted.camera, rotation_cam_enu=p) for p in fitted.poses[first:]])
+        if better == row:
+            break
+        row = better
+    return Moved(fitted, apart)
+
+
+def _best_row(row: int, usable: Usable, cameras: Sequence[Camera]) -> int:
+    """Return which row the move came before, by the first two cameras: each sighting to the one that it fits."""
+    near = slice(max(row - _SIDE // 2, 0), row + _SIDE // 2)
+    off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
+    scale = core_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
+    before, after = (tukey_loss(np.nan_to_num(distance, nan=1e4), sigma=scale) for distance in off)
+    wrong = np.r_[0.0, np.cumsum(before - after)]
+    return int(near.start + np.argmin(wrong))
+
+
+def _residuals(solved: Calibration, usable: Usable) -> FloatArray:
+    """Return observed minus predicted, (n, 2) px; what the camera cannot see is far off."""
+    predicted = np.full(usable.pixels.shape, np.nan)
+    for epoch, pose in enumerate(solved.poses):
+        mine = usable.epoch == epoch
+        predicted[mine] = project_fast(replace(solved.camera, rotation_cam_enu=pose), usable.directions[mine])
+    return np.asarray(np.nan_to_num(usable.pixels - predicted, nan=1e4))
+
+
+def _gain(before: FloatArray, after: FloatArray, usable: Usable, solved: Calibration) -> float:
+    """Return what the robust squares lost, in variances of a sighting whose neighbours err like it."""
+    distances = [np.hypot(residual[:, 0], residual[:, 1]) / usable.sigma_px for residual in (before, after)]
+    sigma = core_sigma(distances[1], floor=_FLOOR_PX)
+    one, other = (float(np.sum(tukey_loss(distance, sigma=sigma))) for distance in distances)
+    return 2.0 * (one - other) / max(solved.evidence.inflation, 1.0)
+
+
+def _jumps(residual: FloatArray, usable: Usable) -> list[_Parted]:
+    """Return where the residuals jump within a day and a pose, against how they scatter there and wander elsewhere."""
+    if len(usable) < 2 * _SIDE:
+        return []
+    time = usable.unix_s - usable.unix_s[0]
+    jump, scatter = _misses(residual, time)
+    usual = float(np.median(jump)) / _MEDIAN_DISTANCE
+    first, last = np.arange(jump.size), np.arange(jump.size) + 2 * _SIDE - 1
+    run = usable.day * (1 + int(usable.epoch.max())) + usable.epoch
+    whole = (run[first] == run[last]) & (time[last] - time[first] <= _LONGEST_S)
+    score = np.where(whole, jump / np.maximum(_JUMP_PER_SIGMA * scatter, max(usual, _FLOOR_PX)), 0.0)
+    found = []
+    while len(found) < _JUMPS_TRIED and score.max() > _JUMP_SIGMAS:
+        best = int(np.argmax(score))
+        found.append(_Parted(best + _SIDE, 0.0))
+        score[max(best - _SIDE, 0) : best + _SIDE + 1] = 0.0
+    return found
+
+
+def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much the lines through the sightings before and after each gap miss one another, px.
+
+    Both have one slope. With it the smaller of the 1-sigmas per axis about the two, px.
+    """
+    seen = np.moveaxis(sliding_window_view(residual, _SIDE, axis=0), -1, 1)
+    at = sliding_window_view(time, _SIDE)
+    half = _SIDE // 2
+    slope = np.median((seen[:, half:] - seen[:, :half]) / (at[:, half:] - at[:, :half])[..., None], axis=1)
+    shared = 0.5 * (slope[:-_SIDE] + slope[_SIDE:])
+    gap = 0.5 * (at[:-_SIDE, -1] + at[_SIDE:, 0])
+    ends, scatter = [], []
+    for side in (slice(None, -_SIDE), slice(_SIDE, None)):
+        level = seen[side] - shared[:, None] * (at[side] - gap[:, None])[..., None]
+        ends.append(np.median(level, axis=1))
+        scatter.append(np.median(np.linalg.norm(level - ends[-1][:, None], axis=-1), axis=1) / _MEDIAN_DISTANCE)
+    return np.linalg.norm(ends[1] - ends[0], axis=-1), np.minimum(*scatter)
+
+
+def _nights(residual: FloatArray, usable: Usable) -> list[_Parted]:
+    """Return the night over which the residuals of the same hours differ most, where it stands out from the others."""
+    rows = [np.flatnonzero(usable.day == day) for day in np.unique(usable.day)]
+    nights = [(late[0], _same_hours(residual, usable, early, late)) for early, late in pairwise(rows)]
+    known = [(int(row), apart) for row, apart in nights if math.isfinite(apart) and _one_pose(usable, int(row))]
+    if not known:
+        return []
+    row, greatest = max(known, key=lambda night: night[1])
+    usual = float(np.median([apart for _, apart in known])) if len(known) > 2 else 0.0
+    stands_out = greatest > max(_NIGHT_RATIO * usual, _FLOOR_PX)
+    return [_Parted(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
+
+
+def _one_pose(usable: Usable, row: int) -> bool:
+    return bool(usable.epoch[row] == usable.epoch[row - 1])
+
+
+def _same_hours(residual: FloatArray, usable: Usable, early: NDArray[np.int64], late: NDArray[np.int64]) -> float:
+    """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
+    hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], _DAY_S)
+    before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], _DAY_S)
+    place = np.clip(np.searchsorted(before, hours), 1, before.size - 1) if before.size > 1 else np.zeros(0, dtype=int)
+    if place.size < _FEWEST:
+        return math.nan
+    nearer = place - (hours - before[place - 1] < before[place] - hours)
+    close = np.abs(before[nearer] - hours) < _LONGEST_S / 12.0
+    apart = (residual[late] - residual[early[nearer]])[close]
+    if apart.shape[0] < _FEWEST:
+        return math.nan
+    medians = [np.median(part, axis=0) for part in np.array_split(apart, apart.shape[0] // 10)]
+    return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=-1))))
+
+
+def _turn_deg(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+    cosine = 0.5 * (np.trace(rotation_matrix(one).T @ rotation_matrix(other)) - 1.0)
+    return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
+
+
+def _told(solved: Calibration, usable: Usable) -> Calibration:
+    """Return the calibration with its moves in its evidence, and in words."""
+    moves = []
+    for row in np.flatnonzero(np.diff(usable.epoch)):
+        epoch = int(usable.epoch[row])
+        moves.append(
+            Move(
+                before_unix_s=float(usable.unix_s[row]),
+                after_unix_s=float(usable.unix_s[row + 1]),
+                turn_deg=_turn_deg(solved.poses[epoch], solved.poses[epoch + 1]),
+                pose_before=solved.poses[epoch],
+            )
+        )
+    words = tuple(_in_words(move) for move in moves)
+    verdict = replace(solved.verdict, reasons=(*solved.verdict.reasons, *words))
+    return replace(solved, evidence=replace(solved.evidence, moves=tuple(moves)), verdict=verdict)
+
+
+def _in_words(move: Move) -> str:
+    before, after = (datetime.fromtimestamp(s, UTC) for s in (move.before_unix_s, move.after_unix_s))
+    until = f"{after:%H:%M:%S}" if before.date() == after.date() else f"{after:%Y-%m-%d %H:%M:%S}"
+    return (
+        f"the camera was moved between {before:%Y-%m-%d %H:%M:%S} and {until} UTC, by {move.turn_deg:.3f} degrees: "
+        "the pose is the one from then on"
+    )

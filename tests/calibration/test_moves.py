@@ -1,0 +1,112 @@
+"""Sightings of a camera that was moved meanwhile: when, by how much, and a pose for either side."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, calibrate_moved, from_document, to_document
+from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.sky import Site, sun_directions
+
+if TYPE_CHECKING:
+    from tests.calibration.conftest import Simulated, Simulator
+
+SIZE = (1748, 1748)
+REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.8, 0.5, -0.33])).as_matrix()
+    return replace(camera, rotation_cam_enu=rotation_vector(turn @ rotation_matrix(camera.rotation_cam_enu)))
+
+
+def moved_after(share: float, first: Simulated, second: Simulated) -> SunPoints:
+    """Take the first camera's sightings up to a share of them, then the second's."""
+    later = np.arange(len(first.points)) >= share * len(first.points)
+    return replace(first.points, pixels=np.where(later[:, None], second.points.pixels, first.points.pixels))
+
+
+@pytest.mark.parametrize("degrees", [0.1, 2.0])
+def test_a_move_within_a_day_is_dated_to_the_sighting_and_both_sides_get_their_pose(
+    simulator: Simulator, degrees: float
+) -> None:
+    before = simulator()
+    after = simulator(turned(before.camera, degrees), seed=2)
+    points = moved_after(0.6, before, after)
+    calibration, parted = calibrate_moved(points, site=before.site, image_size=SIZE)
+    assert calibration.verdict.accepted, calibration.verdict.reasons
+    (move,) = calibration.evidence.moves
+    row = int(np.ceil(0.6 * len(points)))
+    assert (move.before_unix_s, move.after_unix_s) == (points.unix_s[row - 1], points.unix_s[row])
+    assert np.array_equal(parted.epoch, np.arange(len(points)) >= row)
+    assert after.sky_error_px(calibration.camera) < 0.3
+    assert before.sky_error_px(replace(calibration.camera, rotation_cam_enu=move.pose_before)) < 0.3
+    assert any("the camera was moved between" in reason for reason in calibration.verdict.reasons)
+
+
+def test_a_move_at_night_is_found_between_the_days(simulator: Simulator) -> None:
+    first = simulator(days=(0.0, 1.0), cadence_s=300.0)
+    second = simulator(turned(first.camera, 0.5), days=(0.0, 1.0), cadence_s=300.0, seed=2)
+    night = (int(np.argmax(np.diff(first.points.unix_s))) + 1) / len(first.points)
+    (move,) = calibrate_moved(moved_after(night, first, second), site=first.site, image_size=SIZE)[0].evidence.moves
+    assert 6.0 < (move.after_unix_s - move.before_unix_s) / 3600.0 < 14.0
+    assert move.turn_deg == pytest.approx(0.5, abs=0.1)
+
+
+def test_cloud_and_a_camera_that_stood_still_are_no_move(simulator: Simulator) -> None:
+    seen = simulator(days=(0.0, 2.0), cadence_s=300.0)
+    rng = np.random.default_rng(7)
+    covered = (np.arange(len(seen.points)) % 60) < 12
+    pixels = seen.points.pixels + covered[:, None] * (
+        np.array([3.0, -2.0]) + rng.standard_t(2.0, (len(seen.points), 2))
+    )
+    assert calibrate_moved(seen.points, site=seen.site, image_size=SIZE)[0].evidence.moves == ()
+    points = replace(seen.points, pixels=pixels)
+    assert calibrate_moved(points, site=seen.site, image_size=SIZE)[0].evidence.moves == ()
+
+
+def test_a_document_tells_the_moves(simulator: Simulator) -> None:
+    first = simulator(cadence_s=300.0)
+    second = simulator(turned(first.camera, 1.0), cadence_s=300.0, seed=2)
+    calibration, _ = calibrate_moved(moved_after(0.5, first, second), site=first.site, image_size=SIZE)
+    now = datetime.fromisoformat("2026-01-01T00:00:00+00:00")
+    document = to_document(
+        calibration,
+        id="a",
+        camera="roof",
+        state="candidate",
+        created_at=now,
+        valid_from=now,
+        valid_until=None,
+        pose_epoch="",
+        software_version="0",
+    )
+    assert calibration.evidence.moves
+    assert from_document(document).evidence.moves == calibration.evidence.moves
+
+
+@pytest.mark.real
+@pytest.mark.skipif(not REAL.exists(), reason="the real sun tracks are not beside the repository")
+def test_the_half_of_a_real_track_that_is_turned_gets_its_own_pose() -> None:
+    with REAL.open() as file:
+        rows = list(csv.DictReader(file))
+    times = np.array([datetime.fromisoformat(row["time_utc"]).timestamp() for row in rows])
+    points = SunPoints(unix_s=times, pixels=np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows]))
+    site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
+    options = CalibrationOptions(projection="equidistant")
+    still = calibrate(points, site=site, image_size=(1920, 1920), options=options)
+    track = sun_directions(times, site)
+    apart = project(turned(still.camera, 1.0), track) - project(still.camera, track)
+    later = np.arange(times.size) >= 240
+    points = replace(points, pixels=points.pixels + later[:, None] * apart)
+    (move,) = calibrate_moved(points, site=site, image_size=(1920, 1920), options=options)[0].evidence.moves
+    assert (move.before_unix_s, move.after_unix_s) == (times[239], times[240])
+    assert move.turn_deg == pytest.approx(1.0, abs=0.2)
