@@ -169,7 +169,7 @@ def _jumps(residual: FloatArray, usable: Usable) -> list[_Parted]:
     run = usable.day * (1 + int(usable.epoch.max())) + usable.epoch
     whole = (run[first] == run[last]) & (time[last] - time[first] <= _LONGEST_S)
     score = np.where(whole, jump / np.maximum(_JUMP_PER_SIGMA * scatter, max(usual, _FLOOR_PX)), 0.0)
-    found = []
+    found: list[_Parted] = []
     while len(found) < _JUMPS_TRIED and score.max() > _JUMP_SIGMAS:
         best = int(np.argmax(score))
         found.append(_Parted(best + _SIDE, 0.0))
