@@ -53,9 +53,9 @@ def test_the_bound_s_covariance_is_that_of_the_normal_equations() -> None:
     assert bound[2:] == pytest.approx(np.sqrt(np.diag(covariance))[[0, 1, 3, 4]], rel=1e-3)
 
 
-@pytest.mark.parametrize(("method", "tolerance"), [("paper", 0.18), ("robust", 0.25)])
+@pytest.mark.parametrize(("method", "tolerance"), [("paper", 0.25), ("robust", 0.3)])
 def test_fits_err_by_as_much_on_the_arc_as_the_bound_allows(method: Method, tolerance: float) -> None:
-    """Eight fits' mean of χ₁₇/√17 scatters by 6 %; a fit with priors has a truth of its own, not the priors' mean."""
-    trials = [Trial(method=method, sigma_px=0.5, seed=(4, number)) for number in range(8)]
+    """Four fits' mean of χ₁₇/√17 scatters by 9 %; a fit with priors has a truth of its own, not the priors' mean."""
+    trials = [Trial(method=method, sigma_px=0.5, seed=(4, number)) for number in range(4)]
     bound = cramer_rao_bound(TRUTH, synthetic_arc().directions, method=method, sigma_px=0.5)
     assert np.mean(run_trials(trials)[:, 0]) == pytest.approx(bound[0], rel=tolerance)

@@ -10,7 +10,15 @@ import pytest
 
 from sunarc.app import Service
 from sunarc.archive import Archive, open_archive, upgrade
-from sunarc.calibration import SunPoints, calibrate, from_document, hemisphere, project_with_covariance, to_document
+from sunarc.calibration import (
+    Calibration,
+    SunPoints,
+    calibrate,
+    from_document,
+    hemisphere,
+    project_with_covariance,
+    to_document,
+)
 from sunarc.cameras import AravisOptions
 from sunarc.clock import VirtualClock
 from sunarc.optics import project
@@ -23,15 +31,21 @@ CADENCE_S = 60.0
 BUMPED_AT = datetime(2013, 5, 14, 18, 30, 30, tzinfo=UTC)
 
 
-def known(archive: Archive) -> None:
-    """Leave the calibration of the day before, as a nightly refit would."""
+@pytest.fixture(scope="module")
+def of_the_day_before() -> Calibration:
+    """Solve the day before the bump."""
     times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 240.0)
     times = times[sun_angles(times, SGP).apparent_zenith < 88.0]
     noise = np.random.default_rng(3).normal(0.0, 0.02, (times.size, 2))
     points = SunPoints(unix_s=times, pixels=project(true_camera(), sun_directions(times, SGP)) + noise)
-    begun = datetime.fromtimestamp(float(times[0]), UTC)
+    return calibrate(points, site=SGP, image_size=(1748, 1748))
+
+
+def known(archive: Archive, calibration: Calibration) -> None:
+    """Leave the calibration of the day before, as a nightly refit would."""
+    begun = datetime(2013, 5, 13, 12, tzinfo=UTC)
     document = to_document(
-        calibrate(points, site=SGP, image_size=(1748, 1748)),
+        calibration,
         id="known",
         camera="imager",
         state="candidate",
@@ -46,7 +60,9 @@ def known(archive: Archive) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [(0.12, -0.1, 0.12), (9.0, 5.0, -14.0)])
-def test_a_bumped_camera_is_followed_frame_by_frame(tmp_path: Path, turn_deg: tuple[float, float, float]) -> None:
+def test_a_bumped_camera_is_followed_frame_by_frame(
+    tmp_path: Path, of_the_day_before: Calibration, turn_deg: tuple[float, float, float]
+) -> None:
     bump = Bump(at=BUMPED_AT, turn_deg=turn_deg)
     clock = VirtualClock(datetime(2013, 5, 14, 18, 22, 10, tzinfo=UTC))
     scene = Scene(true_camera(), SGP, options=SceneOptions(bump=bump), sensor=SensorModel(black_level=0.0))
@@ -62,7 +78,7 @@ def test_a_bumped_camera_is_followed_frame_by_frame(tmp_path: Path, turn_deg: tu
     archive = open_archive(settings.database)
     service = Service(settings, archive=archive, clock=clock, open_camera=lambda: camera)
     service.open_and_remember()
-    known(archive)
+    known(archive, of_the_day_before)
     capture, detect = service.capture_worker(), service.detect_worker()
     for _ in range(20):
         clock.advance(CADENCE_S - clock.now().timestamp() % CADENCE_S)
