@@ -89,6 +89,9 @@ def test_a_database_of_a_newer_version_is_refused_and_named(path: Path) -> None:
     set_revision(path, "9999")
     with pytest.raises(SchemaError, match=r"revision 9999, which this version .* does not know"):
         open_archive(path)
+    with pytest.raises(SchemaError, match=r"install the version that wrote it, or a newer one"):
+        upgrade(path)  # what a start of the service does first
+    assert [file.name for file in path.parent.iterdir() if "before" in file.name] == []
     assert not check(path).sound
 
 

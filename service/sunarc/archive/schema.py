@@ -57,6 +57,8 @@ def upgrade(path: Path) -> Path | None:
             revision = _revision(connection)
         if revision == head_revision():
             return None
+        if revision is not None and revision not in _revisions():
+            raise _newer(revision, path)
         copy = backup(path, _kept_aside(path, revision), replace=True) if existed else None
         _migrate(engine, to="head")
     finally:
@@ -118,8 +120,13 @@ def require_head(connection: Connection, *, path: Path, command: str) -> None:
         if revision != head:
             raise SchemaError(f"{path} is at revision {revision}, this version needs {head}; run: {command}")
         return
-    raise SchemaError(
-        f"{path} is at revision {revision}, which this version ({sunarc.__version__}, {head}) does not know; "
+    raise _newer(revision, path)
+
+
+def _newer(revision: str, path: Path) -> SchemaError:
+    return SchemaError(
+        f"{path} is at revision {revision}, which this version ({sunarc.__version__}, {head_revision()}) "
+        "does not know; "
         "install the version that wrote it, or a newer one"
     )
 
