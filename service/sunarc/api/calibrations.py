@@ -49,6 +49,7 @@ def calibration_routes(served: Served) -> APIRouter:
     routes = APIRouter(tags=["calibrations"])
 
     made = {name: Kept(partial(_exported, name), key=tag_of) for name in FORMATS}
+    written = _Written()
 
     @routes.get("/calibration", responses=_EXPORTED | answers(404, 422))
     def calibration(
@@ -59,7 +60,9 @@ def calibration_routes(served: Served) -> APIRouter:
     ) -> Response:
         """Return the calibration that answers now, or the one that answers for the moment `at`."""
         record = served.of(request).record(at)
-        return _document(record, if_none_match) if wanted == "json" else _export(record, made, wanted, if_none_match)
+        return (
+            written.answer(record, if_none_match) if wanted == "json" else _export(record, made, wanted, if_none_match)
+        )
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
@@ -77,7 +80,7 @@ def calibration_routes(served: Served) -> APIRouter:
     @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
     def one(request: Request, calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
         """Return one calibration's document, with its evidence."""
-        return _document(served.of(request).calibration(calibration_id), if_none_match)
+        return tagged(_text(served.of(request).calibration(calibration_id)), if_none_match)
 
     return routes
 
@@ -108,13 +111,31 @@ def tag_of(record: CalibrationRecord) -> str:
     return hashlib.sha256(_text(record)).hexdigest()[:32]
 
 
-def _document(record: CalibrationRecord, if_none_match: str | None) -> Response:
-    return tagged(_text(record), if_none_match)
+class _Written:
+    """The document that was sent last, as text: every client asks for the same one."""
+
+    def __init__(self) -> None:
+        self._last: tuple[CalibrationRecord, bytes, str] | None = None
+
+    def answer(self, record: CalibrationRecord, if_none_match: str | None) -> Response:
+        """Return a record's document; it is written anew where another record was sent before."""
+        last = self._last
+        if last is None or last[0] is not record:
+            text = _text(record)
+            last = self._last = record, text, _tag(text)
+        return _with_tag(last[1], last[2], if_none_match)
 
 
 def tagged(content: bytes, if_none_match: str | None) -> Response:
     """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
-    tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    return _with_tag(content, _tag(content), if_none_match)
+
+
+def _tag(content: bytes) -> str:
+    return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+
+
+def _with_tag(content: bytes, tag: str, if_none_match: str | None) -> Response:
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
