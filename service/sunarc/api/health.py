@@ -65,7 +65,7 @@ def _reasons(snapshot: StatusSnapshot) -> list[ReasonOut]:
 
 def _status(served: Served) -> Status:
     snapshot = served.status()
-    record = served.archive.current_calibration(served.camera)
+    record = served.current.get(served.camera)
     days = served.archive.days(served.camera, limit=1)
     sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
     return Status(
