@@ -76,8 +76,12 @@ class Buffer:
 
 @dataclass
 class Stream:
-    """Gives what `answers` holds after a trigger, and `late` what lies in the queue before one."""
+    """Gives what `answers` holds after a trigger, and `late` what lies in the queue before one.
 
+    The first trigger after it was made is answered by `first`.
+    """
+
+    first: deque[Buffer | None] = field(default_factory=lambda: deque([Buffer()]))
     answers: deque[Buffer | None] = field(default_factory=deque)
     late: deque[Buffer] = field(default_factory=deque)
     pushed: int = 0
@@ -90,6 +94,8 @@ class Stream:
         return self.late.popleft() if self.late else None
 
     def timeout_pop_buffer(self, wait_us: int) -> Buffer | None:
+        if self.first:
+            return self.first.popleft()
         self.waits_us.append(wait_us)
         return self.answers.popleft() if self.answers else None
 

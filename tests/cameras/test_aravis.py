@@ -57,6 +57,24 @@ def test_a_frame_says_what_the_camera_said(stub: SimpleNamespace) -> None:
     assert camera.info.serial == "77"
 
 
+def test_a_first_frame_that_nobody_wants_is_taken_at_the_shortest_exposure(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    ours = answering(camera, stub.Buffer(frame_id=2))
+    names = [call[0] for call in camera.calls]
+    assert names[names.index("start_acquisition") :].count("software_trigger") == 1
+    assert camera.features["ExposureTime"] == 10.0
+    assert ours.expose(500.0).frame_id == 2
+
+
+def test_where_the_first_frame_does_not_come_it_is_waited_for_before_the_next(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.stream.first = type(camera.stream.answers)([None])
+    camera.stream.answers.extend([stub.Buffer(frame_id=1), stub.Buffer(frame_id=2)])
+    ours = opened(camera)
+    assert ours.expose(10.0).frame_id == 2
+    assert "stop_acquisition" in [call[0] for call in camera.calls]
+
+
 def test_a_disciplined_camera_s_own_time_is_the_start_of_the_exposure(stub: SimpleNamespace) -> None:
     frame = answering(stub.Camera(), stub.Buffer(), timestamps="camera").expose(1000.0)
     assert frame.time == datetime(2013, 5, 13, 18, 30, 0, 123_956, tzinfo=UTC)
