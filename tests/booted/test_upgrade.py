@@ -32,7 +32,8 @@ def install(field: Field, package: Path) -> float:
     """Install a package over what is there and wait until the service is ready; return the seconds of both."""
     shutil.copy(package, field.path("/srv/sunarc.deb"))
     begun = time.monotonic()
-    options = ("--yes", "--allow-downgrades", "--reinstall", "-o", "Dpkg::Options::=--force-confold")
+    dpkg = [part for name in ("confold", "unsafe-io") for part in ("-o", f"Dpkg::Options::=--force-{name}")]
+    options = ("--yes", "--allow-downgrades", "--reinstall", *dpkg)  # as deploy/install does
     field.do("apt-get", "install", *options, "/srv/sunarc.deb", timeout_s=600.0)
     installed = time.monotonic()
     field.wait_until_ready(within_s=120.0)
