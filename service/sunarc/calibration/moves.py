@@ -108,8 +108,8 @@ def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: 
         if found is None:
             continue
         numbered = replace(usable, epoch=found.points.epoch[usable.index])
-        epoch = int(numbered.epoch[suggested.row])
-        turn_deg = _turn_deg(*found.calibration.poses[max(epoch - 1, 0) : max(epoch - 1, 0) + 2])
+        ended = int(usable.epoch[suggested.row])
+        turn_deg = _turn_deg(*found.calibration.poses[ended : ended + 2])
         gain = _gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
         if gain > gained and turn_deg > suggested.smallest_deg:
             best, gained = found, gain
