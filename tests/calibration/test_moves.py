@@ -73,6 +73,16 @@ def test_cloud_and_a_camera_that_stood_still_are_no_move(simulator: Simulator) -
     assert calibrate_moved(points, site=seen.site, image_size=SIZE)[0].evidence.moves == ()
 
 
+def test_a_jump_in_an_arc_too_short_for_any_fit_is_refused_like_the_arc(simulator: Simulator) -> None:
+    first = simulator(cadence_s=30.0)
+    second = simulator(turned(first.camera, 2.0), cadence_s=30.0, seed=2)
+    points = moved_after(0.5, first, second).select(slice(len(first.points) // 2 - 36, len(first.points) // 2 + 36))
+    calibration, _ = calibrate_moved(points, site=first.site, image_size=SIZE)
+    assert not calibration.verdict.accepted
+    assert calibration.evidence.moves == ()
+    assert "at least 10 are needed" in calibration.verdict.reasons[0]
+
+
 def test_a_document_tells_the_moves(simulator: Simulator) -> None:
     first = simulator(cadence_s=300.0)
     second = simulator(turned(first.camera, 1.0), cadence_s=300.0, seed=2)

@@ -95,7 +95,7 @@ def calibrate_moved(
         if found is None:
             break
         solved, points = found
-        usable = usable_points(points, site=site)
+        usable = replace(usable, epoch=points.epoch[usable.index])
     return Moved(_told(solved, usable), points)
 
 
@@ -123,6 +123,8 @@ def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: 
         if np.bincount(apart.epoch[usable.index]).min() < _FEWEST:
             return None
         fitted = fit(apart, begin)
+        if fitted.evidence.n_used == 0:
+            return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
         better = _best_row(row, usable, [replace(fitted.camera, rotation_cam_enu=p) for p in fitted.poses[first:]])
         if better == row:
