@@ -1,0 +1,163 @@
+"""Report which changes of the core no test detects.
+
+    tests/mutants [--rooms calibration optics detection] [--count 200] [--seed 1] [--jobs 2] [--json FILE]
+
+Draws constants and operators of the rooms with a fixed seed, changes one at a time in a copy of the package, and runs
+the room's own fast tests that reach the line, the fastest first, until one fails. Prints the share that was detected
+and names the survivors. First every fast test is run once, traced, to learn which lines it reaches; `--lines FILE`
+keeps that for the next run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tests.mutation.sites import Site, mutated, sites
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "service" / "sunarc"
+ROOMS = ("calibration", "optics", "detection")
+FAST = "not slow and not gige and not system and not browser"
+_TESTS_AT_MOST = 25
+"""Tests that are asked for one mutant, the fastest of those that reach its line."""
+_SECONDS_AT_MOST = 120.0
+"""For one mutant; one that hangs is detected."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of a file, named from the package on."""
+
+    file: str
+    site: Site
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Whether a test failed on a mutant."""
+
+    mutant: Mutant
+    detected: bool
+    n_tests: int
+
+
+def main() -> int:
+    """Run and return 0 where enough were detected, else 1."""
+    options = _arguments()
+    with TemporaryDirectory(prefix="sunarc-mutants-") as folder:
+        reach = _reach(options, Path(folder))
+        outcomes = _outcomes(_drawn(options), reach, options, Path(folder))
+    survivors = [outcome for outcome in outcomes if not outcome.detected]
+    for outcome in survivors:
+        site = outcome.mutant.site
+        print(f"survived: {outcome.mutant.file}:{site.line}: {site.old} became {site.new} ({outcome.n_tests} tests)")
+    share = 1.0 - len(survivors) / max(len(outcomes), 1)
+    print(f"{len(outcomes) - len(survivors)} of {len(outcomes)} detected: {100.0 * share:.1f} %")
+    if options.json:
+        options.json.write_text(
+            json.dumps({"share": share, "outcomes": [asdict(outcome) for outcome in outcomes]}, indent=1)
+        )
+    return 0 if share >= options.at_least else 1
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", nargs="+", default=list(ROOMS))
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--at-least", type=float, default=0.85, help="share for exit code 0")
+    parser.add_argument("--lines", type=Path, help="which test reaches which line; made where it is absent")
+    parser.add_argument("--json", type=Path)
+    return parser.parse_args()
+
+
+def _drawn(options: argparse.Namespace) -> list[Mutant]:
+    files = sorted(path for room in options.rooms for path in (PACKAGE / room).rglob("*.py"))
+    every = [
+        Mutant(path.relative_to(PACKAGE).as_posix(), site) for path in files for site in sites(path.read_text("utf-8"))
+    ]
+    return random.Random(options.seed).sample(every, min(options.count, len(every)))
+
+
+def _reach(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Return the lines that every fast test of the rooms reaches, and its seconds."""
+    path = options.lines or folder / "lines.json"
+    if not path.exists():
+        rooms = [str(ROOT / "tests" / room) for room in options.rooms]
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutation.record", "-m", FAST, "--timeout", "900"]
+        environment = _environment(ROOT / "service") | {"SUNARC_LINES": str(path)}
+        subprocess.run([*command, *rooms], cwd=ROOT, env=environment, check=True)
+    reach: dict[str, Any] = json.loads(path.read_text())
+    return reach
+
+
+def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Namespace, folder: Path) -> list[Outcome]:
+    copies: SimpleQueue[Path] = SimpleQueue()
+    for number in range(options.jobs):
+        copies.put(Path(shutil.copytree(PACKAGE, folder / str(number) / "sunarc")).parent)
+
+    def outcome(mutant: Mutant) -> Outcome:
+        copy = copies.get()
+        try:
+            tests = _tests_for(mutant, reach)
+            return Outcome(mutant, _detected(mutant, tests, copy), len(tests))
+        finally:
+            copies.put(copy)
+
+    with ThreadPoolExecutor(options.jobs) as pool:
+        return list(pool.map(outcome, mutants))
+
+
+def _tests_for(mutant: Mutant, reach: dict[str, Any]) -> list[str]:
+    """Return the tests that reach a mutant's line; for a compiled line or a constant, those that reach its file."""
+    lines, seconds = reach["lines"], reach["seconds"]
+    line = f"{mutant.file}:{mutant.site.line}"
+    exact = [test for test, executed in lines.items() if line in executed]
+    room = mutant.file.partition("/")[0]
+    near = [test for test, executed in lines.items() if any(one.startswith(f"{mutant.file}:") for one in executed)]
+    of_room = [test for test in lines if test.startswith(f"tests/{room}/")]
+    chosen = exact or near or of_room
+    return sorted(chosen, key=lambda test: float(seconds.get(test, 0.0)))[:_TESTS_AT_MOST]
+
+
+def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:
+    """Return whether a test fails on the changed copy."""
+    if not tests:
+        return False
+    target = copy / "sunarc" / mutant.file
+    original = target.read_text("utf-8")
+    target.write_text(mutated(original, mutant.site), "utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=_environment(copy), capture_output=True, timeout=_SECONDS_AT_MOST, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        target.write_text(original, "utf-8")
+    return done.returncode != 0
+
+
+def _environment(source: Path) -> dict[str, str]:
+    """Return an environment in which the package is imported from `source`, and its kernels are cached beside it."""
+    cache = source / ".numba" if source != ROOT / "service" else None
+    extra = {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
+    return os.environ | {"PYTHONPATH": f"{source}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"} | extra
+
+
+if __name__ == "__main__":
+    sys.exit(main())
