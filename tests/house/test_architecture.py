@@ -1,0 +1,43 @@
+"""The picture of the rooms in docs/architecture is that of the sources."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def drawing(root: Path) -> ModuleType:
+    path = root / "docs" / "architecture" / "draw_rooms.py"
+    specification = importlib.util.spec_from_file_location("draw_rooms", path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_the_stored_picture_is_that_of_the_sources(drawing: ModuleType, root: Path) -> None:
+    stored = (root / "docs" / "architecture" / "rooms.svg").read_text(encoding="utf-8")
+    assert drawing.draw(root) == stored, "run: python docs/architecture/draw_rooms.py"
+
+
+def test_every_room_of_the_contract_is_in_the_picture(drawing: ModuleType, root: Path) -> None:
+    stored = (root / "docs" / "architecture" / "rooms.svg").read_text(encoding="utf-8")
+    rooms = [room for row in drawing.layers((root / "pyproject.toml").read_text()) for room in row]
+    assert len(rooms) > 10
+    assert [room for room in rooms if f">{room}<" not in stored] == []
+
+
+def test_imports_between_rooms_are_read_from_every_form_of_import(drawing: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "low").mkdir()
+    (tmp_path / "low" / "one.py").write_text("import math\n")
+    (tmp_path / "high.py").write_text("from sunarc import low\nimport sunarc.other.x\n")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "x.py").write_text("from sunarc.low.one import math\n")
+    found = drawing.imports_between_rooms(tmp_path)
+    assert found == {"low": set(), "high": {"low", "other"}, "other": {"low"}}
+    assert drawing.without_implied(found) == {"low": set(), "high": {"other"}, "other": {"low"}}
