@@ -24,6 +24,11 @@ _MARGIN = 20
 _LETTER = 6.6
 """Width of a letter of the small font, px."""
 
+_ARROW_HEAD = (
+    '<defs><marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+    '<path d="M0 0L8 4L0 8z" fill="#5b7083"/></marker></defs>'
+)
+
 Imports = dict[str, set[str]]
 
 
@@ -74,8 +79,7 @@ def picture(rows: list[list[str]], imports: Imports, package: Path) -> str:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif">',
             "<title>Rooms of sunarc and their imports</title>",
-            '<defs><marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-            '<path d="M0 0L8 4L0 8z" fill="#5b7083"/></marker></defs>',
+            _ARROW_HEAD,
             f'<rect width="{_WIDTH}" height="{height}" fill="#ffffff"/>',
             *arrows,
             *shapes,
@@ -85,7 +89,7 @@ def picture(rows: list[list[str]], imports: Imports, package: Path) -> str:
 
 
 def _room(name: str) -> str:
-    return name.split("/")[0].removesuffix(".py")
+    return name.partition("/")[0].removesuffix(".py")
 
 
 def _imported_rooms(node: ast.AST) -> set[str]:
@@ -125,10 +129,11 @@ def _arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
 
 
 def _box(room: str, x: float, y: float, width: float, subrooms: str) -> str:
+    frame = f'x="{x - width / 2:.0f}" y="{y:.0f}" width="{width:.0f}" height="{_BOX_HEIGHT}"'
+    baseline = y + (20 if subrooms else 30)
     lines = [
-        f'<rect x="{x - width / 2:.0f}" y="{y:.0f}" width="{width:.0f}" height="{_BOX_HEIGHT}" rx="5" fill="#eef3f7" '
-        'stroke="#5b7083"/>',
-        f'<text x="{x:.0f}" y="{y + (20 if subrooms else 30):.0f}" font-size="14" text-anchor="middle">{escape(room)}</text>',
+        f'<rect {frame} rx="5" fill="#eef3f7" stroke="#5b7083"/>',
+        f'<text x="{x:.0f}" y="{baseline:.0f}" font-size="14" text-anchor="middle">{escape(room)}</text>',
     ]
     if subrooms:
         size = min(11.0, 11.0 * (width - 10) / (len(subrooms) * _LETTER))
