@@ -7,6 +7,8 @@ SimDelayMs : every frame comes so much later · SimFreezeMs : the camera is deaf
 SimLossPermille : share of the stream's packets that are lost
 SimWrongExposurePercent : of the stated exposure, which the next frame gets · SimAllExposuresPercent : which every frame
 gets · SimStaleExposure : every frame has the exposure of the one before · SimClockDriftPpm : the timestamps run fast
+SimRepeatFrame : the last frame of the same exposure is sent again, its timestamp new · SimBlack : no light reaches the
+sensor · SimClockOffsetMs : the timestamps are ahead by so much
 SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
 
@@ -22,6 +24,7 @@ CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
 ALL_EXPOSURES = 0xB120
+REPEAT_FRAME, BLACK, CLOCK_OFFSET = 0xB130, 0xB134, 0xB138
 EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
 PIXEL_FORMATS = {
@@ -143,6 +146,9 @@ def _faults() -> list[Feature]:
         _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimClockDriftPpm", CLOCK_DRIFT, category),
+        _integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
+        _integer("SimClockOffsetMs", CLOCK_OFFSET, category),
     ]
 
 

@@ -31,6 +31,10 @@ _log = logging.getLogger(__name__)
 _PR_SET_PDEATHSIG = 1
 _TEMPERATURE_C = 21.5
 _LOOK_AT_ORDERS_S = 0.05
+_IMAGES_KEPT = 8
+"""Images that can be repeated: those of a cycle."""
+_DARK_US = 1e-6
+"""Exposure, µs, in which even the sun leaves no count: a closed dome."""
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -141,6 +145,7 @@ class _Imager:
         self._stop = stop
         self._clock = clock
         self._previous_exposure_us = 0.0
+        self._last_images: dict[Request, Counts] = {}
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
         self._timeline = Timeline(
@@ -155,19 +160,34 @@ class _Imager:
         elapsed_s = begun - self._started_at
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
-        image = self._binned(
-            partial(
-                self.scene.render,
-                start_us,
-                exposure_us=self._light_us(request.exposure_us),
-                gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
-                full_scale=full_scale_of(name),
-                bayer=bayer_of(name),
-            ),
-            request.region,
-        )
+        offset_us = self._camera.read(genicam.CLOCK_OFFSET) * 1000
+        image = self._repeated(request) if self._camera.read(genicam.REPEAT_FRAME) else None
+        if image is None:
+            image = self._binned(
+                partial(
+                    self.scene.render,
+                    start_us,
+                    exposure_us=self._light_us(request.exposure_us),
+                    gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
+                    full_scale=full_scale_of(name),
+                    bayer=bayer_of(name),
+                ),
+                request.region,
+            )
+            self._keep(request, image)
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
-        return image, (start_us + round(drift_us)) * 1000
+        return image, (start_us + round(drift_us) + offset_us) * 1000
+
+    def _keep(self, request: Request, image: Counts) -> None:
+        """Keep an image to be repeated; of the oldest requests none is kept."""
+        self._last_images.pop(request, None)
+        self._last_images[request] = image
+        while len(self._last_images) > _IMAGES_KEPT:
+            del self._last_images[next(iter(self._last_images))]
+
+    def _repeated(self, request: Request) -> Counts | None:
+        """Return the image that was last sent for the same request; None where there is none."""
+        return self._last_images.get(request)
 
     def obey(self) -> None:
         """Do what is asked for at any time: be switched off and on, or let go of who is in control."""
@@ -181,6 +201,8 @@ class _Imager:
         """Return how long the frame is exposed: what it states, unless a fault is asked for."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
+        if self._camera.read(genicam.BLACK):
+            return _DARK_US
         stale = bool(self._camera.read(genicam.STALE_EXPOSURE)) and self._previous_exposure_us > 0.0
         light_us = self._previous_exposure_us if stale else stated_us * percent / 100.0
         self._previous_exposure_us = stated_us

@@ -1,0 +1,166 @@
+"""Judges what a campaign left behind against the simulator's truth, and keeps watch while it runs."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import urllib.error
+import urllib.request
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunarc.calibration import from_document, hemisphere, project_with_covariance
+from sunarc.optics import Camera, project
+from sunarc.sky import Site, sun_angles, sun_directions
+
+_EARTH_RATE_DEG_S = 15.041 / 3600.0
+_SIGMAS = 6.0
+"""An accepted sighting farther off than this many of its own sigmas is wrong."""
+_SLACK_PX = 0.05
+"""Beside the sigmas: the simulated disc, the PSF and the low sun's refraction are not modelled to better."""
+_SKY_FACTOR = 3.0
+"""RMS error over the sky, in units of the stated RMS, from which a calibration is served worse than stated."""
+_SKY_FLOOR_DEG = 0.002
+_SILENT_SLOTS = 10
+"""Slots of clear sun without a sighting, in which /readyz must give a reason."""
+_CLEAR_ZENITH_DEG = 80.0
+
+
+@dataclass(kw_only=True)
+class Findings:
+    """What was found wrong; empty lists and zeros are what is wanted.
+
+    Attributes
+    ----------
+    lost, doubled : sightings that were stored once and are gone; times and exposures stored twice.
+    wrong_sightings : accepted ones farther from the truth than they state.
+    worse_than_stated : served calibrations with a larger error over the sky than stated.
+    silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
+    own_exits : exit codes of the service that nobody asked for.
+    """
+
+    n_sightings: int = 0
+    n_accepted: int = 0
+    n_served: int = 0
+    lost: list[str] = field(default_factory=list)
+    doubled: list[str] = field(default_factory=list)
+    wrong_sightings: list[str] = field(default_factory=list)
+    worse_than_stated: list[str] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
+    own_exits: list[str] = field(default_factory=list)
+    integrity: str = ""
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing was found wrong."""
+        lists = (self.lost, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent, self.own_exits)
+        return not any(lists) and self.integrity == "ok"
+
+
+class Judge:
+    """Looks again and again, and once at the end.
+
+    Parameters
+    ----------
+    database, port : of the service.
+    truth, site : the true camera and where it stands.
+    cadence_s : of the slots, simulated seconds.
+    """
+
+    def __init__(self, database: Path, port: int, *, truth: Camera, site: Site, cadence_s: float) -> None:
+        self._database = database
+        self._url = f"http://127.0.0.1:{port}"
+        self._truth = truth
+        self._site = site
+        self._cadence_s = cadence_s
+        self._stored: set[tuple[int, float]] = set()
+        self._served: dict[str, dict[str, Any]] = {}
+        self._silent_since: float | None = None
+        self.found = Findings()
+
+    def look(self, simulated_unix_s: float, *, clear: bool) -> None:
+        """Note what is stored and served now.
+
+        Parameters
+        ----------
+        simulated_unix_s : the imager's time.
+        clear : whether the imager shows a clear sun, and has for 10 slots.
+        """
+        stored = self._sightings()
+        if stored is not None:
+            self.found.lost += [f"{time / 1e6:.3f} {exposure:g}" for time, exposure in sorted(self._stored - stored)]
+            self._stored = stored
+        served = self._get("/v1/calibration")
+        if served is not None:
+            self._served[served["id"]] = served
+        ready = self._get("/readyz")
+        zenith = float(sun_angles(simulated_unix_s, self._site).apparent_zenith)
+        newest = max((time for time, _ in self._stored), default=0) / 1e6
+        late_s = simulated_unix_s - newest
+        if ready is None or ready["status"] != "ready" or not clear or zenith > _CLEAR_ZENITH_DEG:
+            return
+        if late_s > (_SILENT_SLOTS + 1) * self._cadence_s:
+            self.found.silent.append(f"{simulated_unix_s:.0f}: nothing stored for {late_s:.0f} s")
+
+    def end(self) -> Findings:
+        """Judge all that is stored and all that was served."""
+        found = self.found
+        with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True) as connection:
+            found.integrity = str(connection.execute("PRAGMA integrity_check").fetchone()[0])
+            rows = connection.execute(
+                "SELECT time, exposure_us, accepted, x_px, y_px, sigma_px, clock_error_s FROM sun_point ORDER BY time"
+            ).fetchall()
+        keys = [(row[0], row[1]) for row in rows]
+        found.doubled = [str(key) for key, other in pairwise(keys) if key == other]
+        found.n_sightings = len(rows)
+        accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 7)
+        found.n_accepted = len(accepted)
+        found.wrong_sightings = self._wrong(accepted)
+        found.n_served = len(self._served)
+        found.worse_than_stated = [said for document in self._served.values() if (said := self._worse(document))]
+        return found
+
+    def _wrong(self, rows: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
+        """Return the accepted sightings that are farther from the truth than they state."""
+        times, pixels, sigma = rows[:, 0] / 1e6, rows[:, 3:5], rows[:, 5]
+        clock = np.nan_to_num(rows[:, 6])
+        off = np.linalg.norm(pixels - project(self._truth, sun_directions(times, self._site)), axis=-1)
+        px_per_s = np.radians(_EARTH_RATE_DEG_S) * max(self._truth.focal_length_px)
+        allowed = _SIGMAS * sigma * np.sqrt(2.0) + clock * px_per_s + _SLACK_PX
+        return [
+            f"{t:.3f}: {o:.3f} px off, {a:.3f} allowed" for t, o, a in zip(times, off, allowed, strict=True) if o > a
+        ]
+
+    def _worse(self, document: dict[str, Any]) -> str:
+        """Return in what a served calibration is worse than it states; "" where it is not."""
+        calibration = from_document(document)
+        directions = hemisphere(600)
+        pixels, _ = project_with_covariance(calibration, directions)
+        off = pixels - project(self._truth, directions)
+        off = off[np.all(np.isfinite(off), axis=-1)]
+        error_deg = float(np.degrees(np.sqrt(np.mean(np.sum(off**2, axis=-1))) / max(self._truth.focal_length_px)))
+        stated_deg = float(document["uncertainty"]["sky_rms_deg"]) * np.sqrt(2.0)
+        if error_deg <= _SKY_FACTOR * max(stated_deg, _SKY_FLOOR_DEG):
+            return ""
+        return f"{document['id']}: {error_deg:.4f} degrees over the sky, {stated_deg:.4f} stated"
+
+    def _sightings(self) -> set[tuple[int, float]] | None:
+        if not self._database.exists():
+            return None
+        try:
+            with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True, timeout=0.5) as connection:
+                return set(connection.execute("SELECT time, exposure_us FROM sun_point").fetchall())
+        except sqlite3.OperationalError:
+            return None  # locked, or not made yet
+
+    def _get(self, route: str) -> dict[str, Any] | None:
+        try:
+            with urllib.request.urlopen(self._url + route, timeout=5.0) as response:  # noqa: S310 - loopback
+                answer: dict[str, Any] = json.load(response)
+                return answer
+        except (OSError, urllib.error.URLError, ValueError):
+            return None

@@ -1,0 +1,37 @@
+"""Runs `sunarc` with a host clock that can be set while it runs. Arguments: a file, then the command line's own.
+
+The file holds the seconds by which the wall clock is ahead, and "synchronised" or "unsynchronised": what the kernel
+reports. Monotonic time is the machine's.
+"""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from sunarc import clock
+from sunarc.__main__ import main
+
+_file = Path(sys.argv.pop(1))
+
+
+def _setting() -> tuple[float, bool]:
+    try:
+        seconds, _, state = _file.read_text().partition(" ")
+    except OSError:
+        return 0.0, True
+    return float(seconds or 0.0), state.strip() != "unsynchronised"
+
+
+def _now(_: clock.SystemClock) -> datetime:
+    return datetime.now(UTC) + timedelta(seconds=_setting()[0])  # noqa: TID251 - stands in for the machine's clock
+
+
+def _state(_: clock.SystemClock) -> clock.ClockState:
+    return clock.ClockState(synchronised=_setting()[1], error_bound_s=0.01)
+
+
+clock.SystemClock.now = _now  # type: ignore[method-assign]
+clock.SystemClock.state = _state  # type: ignore[method-assign]
+main()
