@@ -3,10 +3,10 @@
     tests/campaign --seed 1 --faults 300 [--json FILE]
 
 A simulated GigE Vision imager and the service run as processes, faster than real time. Faults are drawn with a seed:
-kills, stops, camera faults, wrong clocks, frozen and black frames, a locked database, a damaged row, backups. In the end
-nothing may be lost or doubled, no accepted sighting farther from the truth than it states, no calibration served worse
-than stated; the service must not have ended by itself, nor reported "ready" while no sighting could be stored. Needs
-port 3956 of 127.0.0.1 (a network namespace of its own is best).
+kills, stops, camera faults, wrong clocks, frozen and black frames, a locked database, a damaged row, backups. In the
+end nothing may be lost or doubled, no accepted sighting farther from the truth than it states, no calibration served
+worse than stated; the service must not have ended by itself, nor reported "ready" while no sighting could be stored.
+Needs port 3956 of 127.0.0.1 (a network namespace of its own is best).
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ from sunarc.calibration import from_document
 from sunarc.simulation import SGP
 from sunarc.simulation.timeline import Timeline
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))  # found beside this script, as a program and as a test
+from .campaign_judge import Findings, Judge
 
-from campaign_judge import Findings, Judge  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)

@@ -24,11 +24,11 @@ def _setting() -> tuple[float, bool]:
     return float(seconds or 0.0), state.strip() != "unsynchronised"
 
 
-def _now(_: clock.SystemClock) -> datetime:
+def _now(self: clock.SystemClock) -> datetime:  # noqa: ARG001 - a method
     return datetime.now(UTC) + timedelta(seconds=_setting()[0])  # noqa: TID251 - stands in for the machine's clock
 
 
-def _state(_: clock.SystemClock) -> clock.ClockState:
+def _state(self: clock.SystemClock) -> clock.ClockState:  # noqa: ARG001 - same
     return clock.ClockState(synchronised=_setting()[1], error_bound_s=0.01)
 
 

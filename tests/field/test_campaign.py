@@ -1,0 +1,20 @@
+"""A few faults of the campaign, as a test; `tests/campaign --faults 300` is the long form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .campaign import campaign
+
+
+@pytest.mark.gige
+@pytest.mark.system
+@pytest.mark.slow
+@pytest.mark.timeout(170)
+def test_a_short_campaign_of_faults_finds_nothing_wrong(tmp_path: Path) -> None:
+    found, counts = campaign(seed=3, faults=6, folder=tmp_path, most_s=45.0)
+    assert sum(counts.values()) >= 3
+    assert found.n_sightings >= 5
+    assert found.good, found
