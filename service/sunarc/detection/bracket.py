@@ -1,4 +1,4 @@
-"""The frames of one bracket as a single sighting."""
+"""Combination of the frames of one bracket into one sighting."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.special import chdtri
 from sunarc.detection.values import Detection, FloatArray
 from sunarc.errors import InputError
 
-_AGREE_PX = 0.1  # nearer to one another frames never disagree: a lens's glare moves a saturated disc a little
-_DOUBT = 1e-4  # probability below which honest frames disagree so much
+_AGREE_PX = 0.1  # smaller differences are accepted: a lens's glare moves a saturated disc a little
+_SIGNIFICANCE = 1e-4  # probability of a larger chi² by chance below which frames are inconsistent
 
 
 def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, float]] | None = None) -> Detection:
@@ -22,13 +22,13 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
     Parameters
     ----------
     detections : of frames taken within seconds.
-    shifts : how far the sun had moved in each frame since the moment aimed at, px; it is subtracted. None: nowhere.
+    shifts : how far the sun had moved in each frame since the reference time, px; it is subtracted. None: no motion.
 
     Returns
     -------
     The most certain detection with the mean position and its sigma, widened where the frames scatter more than their
-    sigmas tell. Where they scatter beyond chance (chi², probability 1e-4) it is not accepted. Where none was accepted:
-    the one of the largest signal-to-noise.
+    sigmas. Where they scatter beyond chance (chi², probability 1e-4) it is rejected. Where none was accepted: the one
+    of the largest signal-to-noise ratio.
 
     Raises
     ------
@@ -43,48 +43,53 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
     moved = [
         _moved(one, shift) for one, shift in zip(detections, shifts or [(0.0, 0.0)] * len(detections), strict=True)
     ]
-    believed = [one for one in moved if one.accepted and one.x_px is not None and one.sigma_px]
-    if not believed:
+    accepted_ones = [one for one in moved if one.accepted and one.x_px is not None and one.sigma_px]
+    if not accepted_ones:
         return max(moved, key=lambda one: -math.inf if one.snr is None else one.snr)
-    return _joined(believed)
+    return _joined(accepted_ones)
 
 
 def beside(
     earlier: Sequence[Detection], latest: Detection, *, shifts: Sequence[tuple[float, float]] | None
 ) -> Detection:
-    """Return a frame's detection as the frames before it in its bracket let it be believed.
+    """Return a frame's detection, checked against the earlier frames of its bracket.
 
     Parameters
     ----------
     earlier : detections of the same bracket's frames.
-    latest : the one to judge.
+    latest : the detection to check.
     shifts : how far the sun moved from each earlier frame to this one, px; None where that is not known, and then
         positions are not compared.
 
     Returns
     -------
-    The detection, not accepted where a frame that told more (a larger signal-to-noise) showed the disc partly covered,
-    or where its position and an accepted earlier one disagree beyond chance and 0.1 px.
+    The detection; rejected where a frame of larger signal-to-noise ratio shows the disc partly covered, or where its
+    position and an accepted earlier one differ by more than 0.1 px and more than chance allows.
     """
     if not latest.accepted:
         return latest
-    told = [one for one in earlier if one.verdict == "partly_covered" and (one.snr or 0.0) > (latest.snr or math.inf)]
-    if told:
+    covered = [
+        one for one in earlier if one.verdict == "partly_covered" and (one.snr or 0.0) > (latest.snr or math.inf)
+    ]
+    if covered:
         return replace(
-            latest, accepted=False, verdict="partly_covered", reason=f"as its bracket tells: {told[0].reason}"
+            latest,
+            accepted=False,
+            verdict="partly_covered",
+            reason=f"another frame of the bracket: {covered[0].reason}",
         )
     if shifts is None:
         return latest
     for one, (dx, dy) in zip(earlier, shifts, strict=True):
         there = _moved(one, (-dx, -dy))
-        if there.accepted and _apart_px(there, latest) > _AGREE_PX:
+        if there.accepted and _distance_px(there, latest) > _AGREE_PX:
             joined = combine([there, latest])
             if not joined.accepted:
                 return replace(latest, accepted=False, verdict=joined.verdict, reason=joined.reason)
     return latest
 
 
-def _apart_px(one: Detection, other: Detection) -> float:
+def _distance_px(one: Detection, other: Detection) -> float:
     if one.x_px is None or one.y_px is None or other.x_px is None or other.y_px is None:
         return 0.0
     return math.hypot(one.x_px - other.x_px, one.y_px - other.y_px)
@@ -96,23 +101,26 @@ def _moved(detection: Detection, shift: tuple[float, float]) -> Detection:
     return replace(detection, x_px=detection.x_px - shift[0], y_px=detection.y_px - shift[1])
 
 
-def _joined(believed: list[Detection]) -> Detection:
-    best = min(believed, key=lambda one: one.sigma_px or math.inf)
-    if len(believed) == 1:
+def _joined(accepted_ones: list[Detection]) -> Detection:
+    best = min(accepted_ones, key=lambda one: one.sigma_px or math.inf)
+    if len(accepted_ones) == 1:
         return best
-    position: FloatArray = np.array([(one.x_px, one.y_px) for one in believed])
-    weight = np.array([one.sigma_px or math.inf for one in believed]) ** -2.0
+    position: FloatArray = np.array([(one.x_px, one.y_px) for one in accepted_ones])
+    weight = np.array([one.sigma_px or math.inf for one in accepted_ones]) ** -2.0
     mean = weight @ position / weight.sum()
-    chi2, freedom = float(weight @ np.sum((position - mean) ** 2, axis=1)), 2 * (len(believed) - 1)
+    chi2, freedom = float(weight @ np.sum((position - mean) ** 2, axis=1)), 2 * (len(accepted_ones) - 1)
     joined = replace(
         best,
         x_px=float(mean[0]),
         y_px=float(mean[1]),
         sigma_px=math.sqrt(max(1.0, chi2 / freedom) / float(weight.sum())),
     )
-    scatter = f"of {len(believed)} frames, chi² {chi2:.1f} for {freedom}"
-    if chi2 > float(chdtri(freedom, _DOUBT)):
+    scatter = f"of {len(accepted_ones)} frames, chi² {chi2:.1f} for {freedom}"
+    if chi2 > float(chdtri(freedom, _SIGNIFICANCE)):
         return replace(
-            joined, accepted=False, verdict="partly_covered", reason=f"the bracket disagrees: mean {scatter}"
+            joined,
+            accepted=False,
+            verdict="partly_covered",
+            reason=f"the frames of the bracket are inconsistent: mean {scatter}",
         )
     return replace(joined, reason=f"{best.reason}; mean {scatter}")

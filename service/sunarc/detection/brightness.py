@@ -1,4 +1,4 @@
-"""How bright the clear sun is, learned from what was seen: the upper envelope over some days."""
+"""Brightness of the clear sun, as the upper envelope of the sightings of some days."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from sunarc.detection.values import FloatArray
 from sunarc.sky import relative_air_mass
 
-_LEAST_IN_BIN = 5
+_MIN_PER_BIN = 5
 _BINS_PER_AIR_MASS = 3.0  # per natural logarithm
 _QUANTILE = 0.8  # of a bin's sightings: a few frames with a wrong exposure do not count
-_SPARE_DAYS = 3  # from so many days on the brightest one is passed over
+_SPARE_DAYS = 3  # from this number of days on the brightest one is ignored
 _DEPTH, _DEPTH_SIGMA = 0.2, 0.1  # optical depth of a clear sky in the visible
 _LEVEL_SIGMA = 0.1  # of a bin's logarithm
 
@@ -66,7 +66,7 @@ def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: NDA
 def _top(air: FloatArray, logs: FloatArray, day: NDArray[np.int64]) -> tuple[float, float] | None:
     """Return the mean air mass of a bin and the level that a clear sun has there."""
     above_air = logs + _DEPTH * air  # so that the top is not the highest sun's of the bin
-    days = [np.quantile(above_air[day == k], _QUANTILE) for k in np.unique(day) if np.sum(day == k) >= _LEAST_IN_BIN]
+    days = [np.quantile(above_air[day == k], _QUANTILE) for k in np.unique(day) if np.sum(day == k) >= _MIN_PER_BIN]
     if not days:
         return None
     mass, top = float(air.mean()), float(np.sort(days)[-2 if len(days) >= _SPARE_DAYS else -1])

@@ -1,4 +1,4 @@
-"""The sun in one microsecond frame."""
+"""Detection of the sun's disc in one microsecond frame."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def detect_sun(
     ----------
     image : (rows, columns) uint8 or uint16 counts; a Bayer mosaic as it comes from the sensor.
     sensor : full scale, noise, colours.
-    expectation : where to look; without one the whole frame is searched, and the disc's size is free.
-    options : the search's and the verdict's.
-    exposure_us : told on in the answer, and what the disc's brightness is judged by: against `clear_level_per_us`, or
-        without that (and without an expectation) against `faintest_level_per_us`.
+    expectation : predicted place; without one the whole frame is searched, and the disc's size is free.
+    options : of search and classification.
+    exposure_us : returned in the result; the disc's brightness is compared with `clear_level_per_us` at this exposure,
+        or without that (and without a prediction) with `faintest_level_per_us`.
 
     Returns
     -------
-    What was seen; "no sun" is an answer with its reason. Positions in px, (0, 0) the centre of the top-left pixel.
+    The detection; "no sun" is a result with its reason. Positions in px, (0, 0) the centre of the top-left pixel.
 
     Raises
     ------
@@ -63,10 +63,10 @@ def detect_sun(
     elif expectation is None:
         found = _search(image, sensor=sensor, options=options)
     else:
-        found = _look(image, sensor=sensor, expectation=expectation, options=options)
+        found = _detect_near(image, sensor=sensor, expectation=expectation, options=options)
     if clear is None and expectation is None and exposure_us is not None:
-        found = _not_faint(found, options, exposure_us)
-    return replace(_no_moon(found, clear, options), exposure_us=exposure_us)
+        found = _reject_unpredicted_faint(found, options, exposure_us)
+    return replace(_reject_faint(found, clear, options), exposure_us=exposure_us)
 
 
 def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure_us: float | None) -> float | None:
@@ -76,20 +76,22 @@ def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure
     return options.clear_level_per_us * exposure_us if exposure_us and options.clear_level_per_us else None
 
 
-def _no_moon(found: Detection, clear: float | None, options: DiscOptions) -> Detection:
-    """Return what was found, disbelieved where it is far too faint at this exposure."""
+def _reject_faint(found: Detection, clear: float | None, options: DiscOptions) -> Detection:
+    """Return what was found, disaccepted_ones where it is far too faint at this exposure."""
     if clear is None or not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_share * clear:
         return found
     reason = f"{(found.peak_fraction or 0.0) / clear:.1e} of the clear sun's brightness: the moon, or a lamp"
     return replace(found, accepted=False, verdict="hidden", reason=reason)
 
 
-def _not_faint(found: Detection, options: DiscOptions, exposure_us: float) -> Detection:
-    """Return what was found, disbelieved where no camera without a dense filter would see the sun so faint."""
+def _reject_unpredicted_faint(found: Detection, options: DiscOptions, exposure_us: float) -> Detection:
+    """Return what was found, disaccepted_ones where no camera without a dense filter would see the sun so faint."""
     if not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_level_per_us * exposure_us:
         return found
     level = (found.peak_fraction or 0.0) / max(exposure_us, 1e-9)
-    reason = f"{level:.1e} of full scale in 1 µs: the moon, a lamp, or the sun behind a filter that is not told of"
+    reason = (
+        f"{level:.1e} of full scale in 1 µs: the moon, a lamp, or the sun behind a filter that is not in the settings"
+    )
     return replace(found, accepted=False, verdict="hidden", reason=reason)
 
 
@@ -97,15 +99,15 @@ def _none(verdict: Verdict, reason: str) -> Detection:
     return Detection(method="disc", accepted=False, verdict=verdict, reason=reason)
 
 
-def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: DiscOptions) -> Detection:
-    """Look around the expected pixel."""
+def _detect_near(image: Image, *, sensor: Sensor, expectation: Expectation, options: DiscOptions) -> Detection:
+    """Detect the sun around the predicted pixel."""
     height, width = image.shape
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
         return _none("hidden", "the sun is outside the image")
     axes = _expected_axes(expectation, options)
     size = 2.0 * (options.max_radius_px if axes is None else semi_axes(axes)[1])
     reach = 2.0 + 5.0 * expectation.uncertainty_px + size
-    found = _look_within(reach, image, axes, sensor=sensor, expectation=expectation, options=options)
+    found = _search_near(reach, image, axes, sensor=sensor, expectation=expectation, options=options)
     if found.verdict == "hidden":
         near = size + 2.0 * expectation.uncertainty_px
         reason = obstructed_reason(image, sensor=sensor, expectation=expectation, reach_px=near, options=options)
@@ -113,7 +115,7 @@ def _look(image: Image, *, sensor: Sensor, expectation: Expectation, options: Di
     return found
 
 
-def _look_within(
+def _search_near(
     reach: float,
     image: Image,
     axes: FloatArray | None,
@@ -122,7 +124,7 @@ def _look_within(
     expectation: Expectation,
     options: DiscOptions,
 ) -> Detection:
-    """Look for the brightest spot within `reach` px of the expected pixel."""
+    """Search for the brightest spot within `reach` px of the predicted pixel."""
     x0, y0 = max(0, round(expectation.x_px - reach)), max(0, round(expectation.y_px - reach))
     part = image[y0 : round(expectation.y_px + reach) + 1, x0 : round(expectation.x_px + reach) + 1]
     spots = brightest_spots(part, count=1, reach=max(part.shape), floor=_floor(sensor, options))
@@ -140,14 +142,14 @@ def _search(image: Image, *, sensor: Sensor, options: DiscOptions) -> Detection:
         return _dark(image, sensor, options)
     first = spots[0]
     if first.contrast < 0.5 * (first.level - sensor.black_level):
-        return _none("hidden", f"nothing stands out: the brightest region is at {first.level / sensor.full_scale:.3f}")
+        return _none("hidden", f"no region stands out: the brightest is at {first.level / sensor.full_scale:.3f}")
     found = _fitted(image, first, None, sensor=sensor, expectation=None, options=options)
     rivals = [
         s for s in spots[1:] if s.contrast > 0.3 * first.contrast and s.semi_axes[1] > 0.7 * options.min_radius_px
     ]
     if found.accepted and rivals:
         where = ", ".join(f"({spot.x:.0f}, {spot.y:.0f})" for spot in rivals)
-        reason = f"as bright elsewhere, at {where}: one of them is a reflection, or all are clouds"
+        reason = f"other regions are as bright, at {where}: reflections or clouds"
         return replace(found, accepted=False, verdict="reflection", reason=reason)
     return found
 
@@ -169,7 +171,7 @@ def _expected_axes(expectation: Expectation, options: DiscOptions) -> FloatArray
 def _dark(part: Image, sensor: Sensor, options: DiscOptions) -> Detection:
     top = float(part.max()) if part.size else 0.0
     peak = max(top - sensor.black_level, 0.0) / sensor.full_scale
-    reason = f"nothing brighter than {options.min_peak_fraction:g} of full scale but single pixels"
+    reason = f"no region brighter than {options.min_peak_fraction:g} of full scale; only single pixels"
     return replace(_none("hidden", reason), peak_fraction=peak)
 
 
@@ -224,7 +226,7 @@ def _fit(
 def _first_shapes(
     spot: Spot, axes: FloatArray | None, sensor: Sensor, options: DiscOptions
 ) -> list[tuple[float, FloatArray]]:
-    """Return first guesses of point spread and axes; a saturated disc shows neither, so that there are several."""
+    """Return initial values of point spread and axes; several for a saturated disc, which shows neither."""
     saturated = spot.level >= options.saturation_fraction * sensor.full_scale
     if axes is not None:
         return [(factor * options.psf_px, axes) for factor in (_WIDTHS if saturated else (1.0,))]

@@ -32,12 +32,12 @@ from sunarc.detection.window import Window
 
 _STEPS = 15
 _CONVERGED_PX = 2e-4
-_SETTLED = 0.2  # of the cost; a saturated disc's level and size may creep on, its centre stands
+_CONVERGED_COST = 0.2  # change of the cost; a saturated disc's level and size may creep on, its centre stands
 _OUTLIER = 6.0
 _MOST_OUTLIERS = 3
 _CLEANINGS = 3
-_DOUBTFUL = 1.12  # reduced chi² from which on other starts are tried
-_POOR = 1.3  # reduced chi² from which on the point spread is given wings
+_MULTISTART_CHI2 = 1.12  # reduced chi² above which other starts are tried
+_WINGS_CHI2 = 1.3  # reduced chi² above which the point spread gets wings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ class DiscFit:
     level : the brightest colour's level of the disc's centre. background : that colour's level around it.
     snr : flux over its standard deviation, the shape given. chi2 : reduced chi².
     residual : rms of what noise does not explain, over the level (at most full scale).
-    uneven : how much chi² a disc of sloping and bending brightness would gain, over the reduced chi².
+    uneven : decrease of chi² by a disc of linear and quadratic brightness, over the reduced chi².
     used_px, converged : pixels that took part; whether the steps became small.
     """
 
@@ -106,7 +106,7 @@ def fit_disc(
             break
         problem = without(problem, bad)
         state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
-    if _chi2(evaluation) > _POOR:
+    if _chi2(evaluation) > _WINGS_CHI2:
         problem = problem._replace(prior=prior._replace(free_wings=True))
         state, evaluation, converged = _solve(problem, state, evaluate(problem, state))
     return _summary(problem, state, evaluation, converged=converged)
@@ -120,7 +120,7 @@ def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evalu
     if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))
     end = _solve(problem, *with_levels(problem, starts[0]))
-    if len(starts) == 1 or _chi2(end[1]) < _DOUBTFUL:
+    if len(starts) == 1 or _chi2(end[1]) < _MULTISTART_CHI2:
         return end
     return min(end, _solve(problem, *_best_start(problem, starts[1:])), key=lambda one: one[1].cost)
 
@@ -150,7 +150,7 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
 def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
     damping = 1e-6
-    settled = math.inf if problem.window.saturated_px else _SETTLED
+    settled = math.inf if problem.window.saturated_px else _CONVERGED_COST
     for _ in range(_STEPS):
         matrix, gradient = normal_equations(problem, state, evaluation)
         diagonal = matrix.ravel()[:: gradient.size + 1]
@@ -216,7 +216,7 @@ def _local_chi2(evaluation: Evaluation, covariance: FloatArray) -> float:
 
     It rests on few pixels, so it is widened as Student's distribution is: the mean square of error / sigma stays 1.
     """
-    sums = kernels.told(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
+    sums = kernels.information_sums(evaluation.jacobian, evaluation.weight, evaluation.residual, covariance)
     total, squares, misfit = np.maximum(sums, 1e-300).tolist()
     freedom = max(total**2 / squares, 4.0)
     return float(misfit / total * freedom / (freedom - 2.0))

@@ -1,4 +1,4 @@
-"""Whether an array can be an image of this sensor at all."""
+"""Checks that an array is an image of this sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the numbers of a fit to a verdict."""
+"""Classification of a disc fit."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from sunarc.detection.options import DiscOptions
 from sunarc.detection.search import semi_axes
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
-_MIN_CONTRAST = 0.15  # disc over its surroundings, below which texture passes for a disc
-_TIGHT_PX = 1.0
-_UNEXPECTED_LEVEL, _UNEXPECTED_RESIDUAL, _UNEXPECTED_SIGMA_PX = 0.08, 0.01, 0.016
+_MIN_CONTRAST = 0.15  # disc over its surroundings; below it, texture resembles a disc
+_POSITION_TOLERANCE_PX = 1.0
+_UNPREDICTED_LEVEL, _UNPREDICTED_RESIDUAL, _UNPREDICTED_SIGMA_PX = 0.08, 0.01, 0.016
 _SIGNIFICANT = 16.0  # chi² of four parameters
 
 
 def verdict_of(
     fit: DiscFit, *, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, bool, str]:
-    """Return the verdict, whether the position can be believed, and why, with the numbers it rests on."""
-    for check in (_no_disc, _elsewhere, _covered, _uncertain):
+    """Return the verdict, whether the position can be accepted_ones, and why, with the numbers it rests on."""
+    for check in (_no_disc, _misplaced, _covered, _uncertain):
         found = check(fit, expectation, options, sensor)
         if found is not None:
             return found[0], False, found[1]
@@ -32,7 +32,7 @@ def _no_disc(
 ) -> tuple[Verdict, str] | None:
     numbers = (fit.x_px, fit.y_px, fit.sigma_px, fit.level, fit.chi2, fit.snr)
     if not all(math.isfinite(number) for number in numbers) or not fit.converged:
-        return "hidden", "no disc fits what is there"
+        return "hidden", "the disc fit did not converge"
     if fit.snr < options.min_snr or fit.level < options.min_peak_fraction * sensor.full_scale:
         return (
             "hidden",
@@ -43,10 +43,10 @@ def _no_disc(
     deviation = abs(math.log(fit.psf_px / options.psf_px))
     if deviation > 4.0 * options.psf_tolerance:
         return "hidden", f"no disc: its edge is {fit.psf_px:.2f} px wide, not {options.psf_px:.2f}"
-    return _odd_size(fit, options) if expectation is None or expectation.stretch_px_per_rad is None else None
+    return _unusual_size(fit, options) if expectation is None or expectation.stretch_px_per_rad is None else None
 
 
-def _odd_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
+def _unusual_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
     minor, major = semi_axes(fit.stretch)
     if not options.min_radius_px <= minor <= major <= options.max_radius_px:
         return "hidden", f"no disc of the sun's size: semi-axes {minor:.2f} and {major:.2f} px"
@@ -55,25 +55,28 @@ def _odd_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
     return None
 
 
-def _elsewhere(
+def _misplaced(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:
     del options
     if expectation is None:
         return _unlikely(fit, sensor)
     distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
-    if distance > _TIGHT_PX + 5.0 * expectation.uncertainty_px:
+    if distance > _POSITION_TOLERANCE_PX + 5.0 * expectation.uncertainty_px:
         return "reflection", f"a disc {distance:.1f} px from where the sun should be"
     return None
 
 
 def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, str] | None:
-    """Judge a disc that nobody expected: the moon and small clouds are discs too, but none so bright and so clean."""
-    if fit.level < _UNEXPECTED_LEVEL * sensor.full_scale:
-        return "hidden", f"a disc of {fit.level / sensor.full_scale:.3f} of full scale, too faint to be the sun unasked"
-    poor = fit.residual > _UNEXPECTED_RESIDUAL or (fit.chi2 > 3.0 and fit.residual > 0.3 * _UNEXPECTED_RESIDUAL)
-    if poor or fit.sigma_px > _UNEXPECTED_SIGMA_PX:
-        return "hidden", f"hardly a disc: residuals {fit.residual:.3f} of its level, known to {fit.sigma_px:.3f} px"
+    """Return why a disc without a prediction is rejected: the moon and small clouds are fainter or fit worse."""
+    if fit.level < _UNPREDICTED_LEVEL * sensor.full_scale:
+        return (
+            "hidden",
+            f"level {fit.level / sensor.full_scale:.3f} of full scale: too faint to be accepted without a prediction",
+        )
+    poor = fit.residual > _UNPREDICTED_RESIDUAL or (fit.chi2 > 3.0 and fit.residual > 0.3 * _UNPREDICTED_RESIDUAL)
+    if poor or fit.sigma_px > _UNPREDICTED_SIGMA_PX:
+        return "hidden", f"poor disc fit: residuals {fit.residual:.3f} of its level, sigma {fit.sigma_px:.3f} px"
     return None
 
 
@@ -98,10 +101,10 @@ def _uncertain(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
 ) -> tuple[Verdict, str] | None:
     del expectation
-    if fit.level < options.min_told_fraction * sensor.full_scale:
-        return "veiled", f"at {fit.level / sensor.full_scale:.3f} of full scale a covered disc would look the same"
+    if fit.level < options.min_accepted_fraction * sensor.full_scale:
+        return "veiled", f"level {fit.level / sensor.full_scale:.3f} of full scale: a covered disc would look the same"
     if fit.sigma_px > options.max_sigma_px:
-        return "veiled", f"known to {fit.sigma_px:.3f} px only"
+        return "veiled", f"position uncertain: sigma {fit.sigma_px:.3f} px"
     return None
 
 
@@ -111,11 +114,11 @@ def _veil(fit: DiscFit, expectation: Expectation | None, options: DiscOptions, s
         if share < options.veiled_below:
             return f"{share:.2f} of the clear sun's brightness"
     contrast = fit.level / max(fit.level + fit.background, 1e-9)
-    return f"{contrast:.2f} of the light is the disc's own" if contrast < options.veiled_below else ""
+    return f"{contrast:.2f} of the light comes from the disc" if contrast < options.veiled_below else ""
 
 
 def detection_of(fit: DiscFit, verdict: tuple[Verdict, bool, str], *, sensor: Sensor, saturated_px: int) -> Detection:
-    """Return the detection that a judged fit amounts to."""
+    """Return the detection of a classified fit."""
     name, accepted, reason = verdict
     minor, major = semi_axes(fit.stretch)
     if accepted and saturated_px:

@@ -1,4 +1,4 @@
-"""The disc fit's loops over pixels, compiled: its work is small, and numpy's cost a call would be most of it.
+"""Compiled loops over pixels of the disc fit: per-call cost of numpy would dominate.
 
 Plain loops, which compile in seconds; kept on disk (`cache=True`), without the interpreter's lock (`nogil`).
 """
@@ -99,10 +99,13 @@ def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) ->
 
 
 @njit(cache=True, nogil=True)
-def told(jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return sums over the pixels: how much each tells of the first two parameters, its square, and times its chi².
+def information_sums(
+    jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray
+) -> FloatArray:
+    """Return three sums over the pixels of their information on the first two parameters.
 
-    A pixel's chi² is over what its leverage leaves it.
+    They are the sum, the sum of squares, and the sum times each pixel's chi². A pixel's chi² is divided by one minus
+    its leverage.
     """
     n, p = jacobian.shape
     sums, row = np.zeros(3), np.empty(p)
@@ -113,8 +116,8 @@ def told(jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covaria
             for b in range(p):
                 row[a] += covariance[a, b] * jacobian[i, b]
             leverage += row[a] * jacobian[i, a] * weight[i]
-        tells = (row[0] * row[0] + row[1] * row[1]) * weight[i]
-        sums[0] += tells
-        sums[1] += tells * tells
-        sums[2] += tells * weight[i] * residual[i] * residual[i] / max(1.0 - leverage, 0.05)
+        information = (row[0] * row[0] + row[1] * row[1]) * weight[i]
+        sums[0] += information
+        sums[1] += information * information
+        sums[2] += information * weight[i] * residual[i] * residual[i] / max(1.0 - leverage, 0.05)
     return sums

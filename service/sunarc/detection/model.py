@@ -181,7 +181,7 @@ def _compared(
 
 
 def unevenness(problem: Problem, state: State, evaluation: Evaluation) -> float:
-    """Return how much chi² a disc of sloping and bending brightness would gain."""
+    """Return the decrease of chi² by a disc of linear and quadratic brightness."""
     moved = tuple(_MOVED[k] for k in problem.prior.free) + _UNEVEN
     wider = evaluation._replace(jacobian=_compared(problem, state, evaluation.planes, moved=moved)[3])
     matrix, gradient = normal_equations(problem, state, wider)

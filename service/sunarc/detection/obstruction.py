@@ -1,4 +1,4 @@
-"""Whether something on the ground stands before the sun."""
+"""Detection of obstructions in front of the sun from the sky's own light."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ _TILE = 64
 _TILE_ROWS = 8  # every so many rows are looked at
 _DARK_SHARE = 0.5  # of the sky's light, below which no cloud is
 _SIGNIFICANT = 6.0
-_PLAIN = 3.0  # the sun expected over the faintest that is looked for, so that its absence says something
+_DETECTABLE = 3.0  # predicted level over the detection limit from which a missing disc is significant
 
 
 def obstructed_reason(
     image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float, options: DiscOptions
 ) -> str:
-    """Return why a sun that was not found must be behind a mast or a building; empty where that cannot be said.
+    """Return why a sun that was not found is behind a mast or a building; empty where that is not certain.
 
-    It rests on the sky's own light. A cloud before the sun shines, more than most of the sky; what stands on the
-    ground is dark. So the surroundings of the expected pixel must be darker than half of the sky (the brighter quarter
-    of the image's 64 px tiles), the difference must exceed 6 of its sigmas, and a clear sun must have been plain to
-    see at this exposure (`clear_peak_fraction`). Where an exposure is too short for the sky to show, nothing is said;
-    nor of an obstruction smaller than the surroundings looked at.
+    A cloud in front of the sun is brighter than most of the sky; a building is dark. So the surroundings of the
+    predicted pixel must be darker than half of the sky (the brighter quarter of the image's 64 px tiles), the
+    difference must exceed 6 of its sigmas, and a clear sun must be well above the detection limit at this exposure
+    (`clear_peak_fraction`). Where an exposure is too short for the sky to show, or the obstruction is smaller than
+    the surroundings, the result is empty.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def obstructed_reason(
     reach_px : half the square around the expected pixel that counts as its surroundings.
     """
     clear = expectation.clear_peak_fraction
-    if clear is None or clear < _PLAIN * options.min_peak_fraction:
+    if clear is None or clear < _DETECTABLE * options.min_peak_fraction:
         return ""
     x, y, reach = round(expectation.x_px), round(expectation.y_px), math.ceil(reach_px)
     part = image[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(np.float64)
@@ -41,7 +41,7 @@ def obstructed_reason(
     if tiles.size == 0 or part.size == 0:
         return ""
     noise = math.hypot(sensor.read_noise_e / sensor.gain_e_per_count, 0.3)
-    part = np.minimum(part, float(np.median(part)) + 5.0 * noise)  # a hot pixel is no light
+    part = np.minimum(part, float(np.median(part)) + 5.0 * noise)  # hot pixels are clipped
     here, sky = float(part.mean()) - sensor.black_level, float(np.quantile(tiles, 0.75)) - sensor.black_level
     sigma = math.hypot(float(part.std()), noise) / math.sqrt(part.size)
     if here > _DARK_SHARE * sky or sky - here < _SIGNIFICANT * sigma:

@@ -10,7 +10,7 @@ from sunarc.errors import InputError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscOptions:
-    """How microsecond frames are searched and judged.
+    """Limits of the search and of the classification in microsecond frames.
 
     Attributes
     ----------
@@ -20,22 +20,22 @@ class DiscOptions:
     limb_darkening : u of 1 - u (1 - cos) across the sun's disc.
     solar_radius_deg : the sun's angular radius.
     saturation_fraction : counts from this fraction of full scale on are saturated.
-    min_peak_fraction : a fainter disc is not looked for.
-    min_told_fraction : a fainter disc is seen but not believed: a partly covered one would look the same.
-    min_snr : a disc with less signal-to-noise is hidden.
-    min_radius_px, max_radius_px : semi-axes that a disc without an expectation may have.
-    max_ellipticity : 1 - minor/major semi-axis that it may have.
+    min_peak_fraction : level over full scale below which no disc is searched for.
+    min_accepted_fraction : level below which a disc is rejected: a partly covered one would look the same.
+    min_snr : signal-to-noise ratio below which the sun counts as hidden.
+    min_radius_px, max_radius_px : bounds of the semi-axes of a disc without a prediction.
+    max_ellipticity : largest 1 - minor/major semi-axis of such a disc.
     max_uneven_px : a disc whose uneven brightness may have moved the centre further is partly covered.
     max_residual_fraction : so is a disc with larger residuals over its level.
     max_sigma_px : a less certain position is not accepted.
     veiled_below : a disc below this fraction of the clear sky's is veiled; so is one below this contrast.
     max_apparent_zenith_deg : a lower sun is below the horizon.
-    clear_level_per_us : the clear sun's level over full scale in 1 µs, at the gain in use; 0 where unknown. It is what
-        brightness is judged against where the expectation does not tell.
-    faintest_share : less of that level is no sun, however clean its disc: the full moon has 2.5e-6.
-    faintest_level_per_us : where the clear level is unknown, a disc that nobody expected and that has less than this
-        level over full scale in 1 µs is no sun. Through a bare lens the sun has 0.1 to 10, the full moon 1e-7 to 3e-5;
-        behind a filter of density 4 or more set this, or better `clear_level_per_us`, to what the filter leaves.
+    clear_level_per_us : the clear sun's level over full scale in 1 µs, at the gain in use; 0 where unknown. The
+        reference for the brightness where the prediction has none.
+    faintest_share : fraction of that level below which a disc is not the sun; the full moon has 2.5e-6.
+    faintest_level_per_us : where the clear level is unknown, a disc without a prediction and with less than this
+        level over full scale in 1 µs is not the sun. Through a bare lens the sun has 0.1 to 10, the full moon 1e-7 to
+        3e-5; behind a filter of density 4 or more set this, or better `clear_level_per_us`, to what the filter leaves.
     """
 
     psf_px: float = 0.7
@@ -45,7 +45,7 @@ class DiscOptions:
     solar_radius_deg: float = 0.2666
     saturation_fraction: float = 0.98
     min_peak_fraction: float = 0.01
-    min_told_fraction: float = 0.07
+    min_accepted_fraction: float = 0.07
     min_snr: float = 12.0
     min_radius_px: float = 1.2
     max_radius_px: float = 10.0
@@ -60,7 +60,7 @@ class DiscOptions:
     faintest_level_per_us: float = 1e-4
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of bounds."""
         require_positive(self, self.psf_px, self.solar_radius_deg, self.min_radius_px, self.max_radius_px)
 
 

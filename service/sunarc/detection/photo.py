@@ -66,7 +66,7 @@ class PaperOptions:
     max_apparent_zenith_deg: float = 89.6
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse values out of bounds."""
         require_positive(self, self.max_radius_fraction, self.max_spread_px, self.sigma_px, self.gamma)
 
 
@@ -119,7 +119,7 @@ def detect_sun_in_photo(
     image : (rows, columns) or (rows, columns, 3) uint8 or uint16; the colours' order does not matter.
     full_scale : its largest count.
     expectation : where the sun should be, where known; its apparent zenith sets the kernels' width.
-    options : the search's and the verdict's.
+    options : of search and classification.
     lens : where given, the expected radial bias of the blob is reported (never subtracted).
     exposure_us : told on in the answer.
 

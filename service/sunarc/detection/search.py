@@ -1,4 +1,4 @@
-"""Bright spots of an image, without knowing where: hot pixels are passed over, every tile has its say."""
+"""Search for bright spots in a whole image; single hot pixels are ignored."""
 
 from __future__ import annotations
 

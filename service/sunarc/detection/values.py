@@ -1,4 +1,4 @@
-"""What goes into a detection and what comes out."""
+"""Input and output of the detectors."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ BAYERS: tuple[Bayer, ...] = get_args(Bayer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """One look for the sun in one image.
+    """Result of looking for the sun in one image.
 
     Attributes
     ----------
-    method : which method looked.
-    accepted : whether the position can be believed.
-    verdict : what was seen.
-    reason : why, one sentence, with the numbers it rests on.
-    x_px, y_px : the sun's centre; None where none was found. A position that is not accepted may still stand here.
+    method : detector that was used.
+    accepted : whether fits may use the position.
+    verdict : classification of what the image shows at the sun's place.
+    reason : one sentence with the numbers that decided.
+    x_px, y_px : the sun's centre; None where none was found. A rejected position may be given.
     sigma_px : 1-sigma per axis.
     peak_fraction : level of the disc's centre over full scale; above 1 where it is extrapolated from masked saturation.
     background_fraction : level around the disc over full scale.
@@ -50,9 +50,9 @@ class Detection:
     snr : the disc's flux over its standard deviation (`disc`), None else.
     saturated_px : number of saturated pixels in the window.
     spread_px : rms distance of the single estimators from their median (`paper`), None else.
-    radial_bias_px : what the saturated blob's centre is expected to be off along the radius, negative towards the
-        axis, not subtracted (`paper` with a lens given), None else.
-    exposure_us : the exposure as told by the caller.
+    radial_bias_px : expected bias of the saturated blob's centre along the radius, negative towards the axis; not
+        subtracted (`paper` with a lens given), None else.
+    exposure_us : exposure time, as the caller gave it.
     """
 
     method: Method
@@ -76,7 +76,7 @@ class Detection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """What the detector must know of the sensor.
+    """Properties of the sensor that the detectors use.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Sensor:
     blooming: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor."""
+        """Refuse values that no sensor has."""
         numbers = (self.gain_e_per_count, self.read_noise_e, self.black_level)
         if not all(math.isfinite(number) for number in numbers) or self.gain_e_per_count <= 0.0:
             raise InputError(field="sensor", problem="gain or noise is not a positive number", remedy="give electrons")
@@ -115,12 +115,12 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
-    """Where the sun should be, and what it should look like there.
+    """Predicted pixel and appearance of the sun.
 
     Attributes
     ----------
-    x_px, y_px : the expected pixel.
-    uncertainty_px : its 1-sigma per axis.
+    x_px, y_px : predicted pixel.
+    uncertainty_px : 1-sigma per axis of the prediction.
     stretch_px_per_rad : the lens's local 2×2 matrix, from small angles on the sphere to pixels; None where unknown.
     apparent_zenith : radians; None where unknown.
     clear_peak_fraction : the clear-sky sun's level at this exposure over full scale; None where unknown.
@@ -134,11 +134,13 @@ class Expectation:
     clear_peak_fraction: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no expectation."""
+        """Refuse numbers that are not finite."""
         stretch = self.stretch_px_per_rad or ((1.0, 0.0), (0.0, 1.0))
         numbers = (self.x_px, self.y_px, self.uncertainty_px, *stretch[0], *stretch[1])
         if not all(math.isfinite(number) for number in numbers) or self.uncertainty_px < 0.0:
-            raise InputError(field="expectation", problem="not finite", remedy="give none where there is none")
+            raise InputError(
+                field="expectation", problem="not finite", remedy="leave the prediction out where there is none"
+            )
 
 
 def bayer_of(pixel_format: str) -> Bayer | None:

@@ -1,4 +1,4 @@
-"""A window of an image as the fit wants it: counts above black, colours, and which pixels may be used."""
+"""Window of an image for the disc fit: counts above black, colours, mask of usable pixels."""
 
 from __future__ import annotations
 
