@@ -19,6 +19,7 @@ from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.journal import start_log
+from sunarc.offline import settings_reference
 from sunarc.offline.calibrate_command_line import calibrate
 from sunarc.offline.command_line import Config, db_cli, points_cli
 from sunarc.offline.export_command_line import export_calibration
@@ -226,6 +227,18 @@ def unproject(calibration: CalibrationFile) -> None:
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """
     offline.unproject_csv(calibration, sys.stdin, sys.stdout)
+
+
+@cli.command()
+def settings(*, as_json: AsJson = False) -> None:
+    """Print every setting with its default, its bounds and its meaning, as the page docs/settings.md.
+
+    Example: sunarc settings --json
+    """
+    if as_json:
+        print_json([asdict(setting) for setting in settings_reference.all_settings()])
+    else:
+        print(settings_reference.as_markdown(), end="")
 
 
 @cli.command()

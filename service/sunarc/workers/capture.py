@@ -37,7 +37,8 @@ class CaptureOptions:
     sun_zenith_deg : sun exposures are taken while it is below this.
     night_cadence_s : seconds between the sign-of-life exposures of the night, which are not kept.
     attempts : how often one exposure is tried before the cycle goes on without it.
-    reopen_after_s : seconds before a lost camera is tried again; doubles up to `reopen_at_most_s`.
+    reopen_after_s, reopen_at_most_s : seconds before a lost camera is tried again: the first pause, doubled up to the
+        longest one.
     camera_clock_error_s : bound of the camera's clock's error, where frames are dated by it (PTP).
     speed : seconds of the camera's clock in a real second; other than 1 only for a simulated camera.
     """
