@@ -18,7 +18,7 @@ import uvicorn
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener
 from sunarc.app.service import Service
-from sunarc.archive import ImageStore, Reserve, open_archive, upgrade
+from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, upgrade
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
@@ -31,10 +31,20 @@ _KEEP_ALIVE_S = 20
 
 
 def serve(settings: Settings) -> int:
-    """Run the service until SIGTERM or SIGINT; return the process's exit code."""
+    """Run the service until SIGTERM or SIGINT; return the process's exit code.
+
+    Raises
+    ------
+    OutsideError : the state folder cannot be used, or another service uses it; the port is taken.
+    """
+    prepare_state(settings.state)
+    with lock_state(settings.state):
+        return _serve_locked(settings)
+
+
+def _serve_locked(settings: Settings) -> int:
     clock = SystemClock()
     listening = listen(settings.api.host, settings.api.port)
-    prepare_state(settings.state)
     prepare_state(settings.images)
     _make_room(settings)
     upgrade(settings.database)

@@ -19,6 +19,7 @@ from sunarc.archive.csv_files import (
 )
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.lock import lock_holder, lock_state
 from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
@@ -64,6 +65,8 @@ __all__ = [
     "check",
     "downgrade",
     "head_revision",
+    "lock_holder",
+    "lock_state",
     "open_archive",
     "parse_time",
     "read_pairs",
