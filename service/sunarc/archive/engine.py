@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
@@ -18,11 +20,19 @@ _WRITES = "sunarc_writes"
 
 def create_archive_engine(path: Path, *, foreign_keys: bool = True) -> Engine:
     """Return an engine on a database file; migrations alone switch the foreign keys off."""
-    engine = create_engine(f"sqlite:///{path}", pool_size=8, max_overflow=32, pool_timeout=30.0)
+    engine = create_engine(
+        f"sqlite:///{path}",
+        pool_size=8,
+        max_overflow=32,
+        pool_timeout=30.0,
+        json_serializer=json_text,
+        json_deserializer=_parsed,
+    )
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:
         connection.isolation_level = None  # the driver begins nothing by itself
+        connection.text_factory = _text  # else one flipped bit makes every query that meets it fail
         connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")
@@ -68,3 +78,20 @@ def outside_errors(engine: Engine) -> Iterator[None]:
         raise ConfigurationError(
             f"{path} is no sound SQLite database ({error.orig}); move it away or restore a backup"
         ) from error
+
+
+def json_text(value: object) -> str:
+    """Return a value as the text that is stored of it."""
+    return json.dumps(value)
+
+
+def _parsed(text: str) -> Any:  # noqa: ANN401 - whatever JSON holds
+    """Return a stored value; None where it is no JSON any more."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+def _text(stored: bytes) -> str:
+    return stored.decode("utf-8", "replace")

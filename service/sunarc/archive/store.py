@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Engine, Select
+from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
 
 from sunarc.archive.changes import Changes
 from sunarc.archive.engine import reading, writing
+
+_log = logging.getLogger(__name__)
 
 Value = TypeVar("Value")
 
@@ -53,10 +56,23 @@ class Store:
 
 
 def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-    """Return one value per row; the columns carry the names of its fields."""
+    """Return one value per row; the columns carry the names of its fields.
+
+    A row whose required values cannot be read (see `types`) is left out, and logged.
+    """
     result = connection.execute(statement)
     names = tuple(result.keys())
-    return tuple(kind(**dict(zip(names, row, strict=True))) for row in result)
+    needed = [number for number, column in enumerate(statement.selected_columns) if _required(column)]
+    rows = result.all()
+    whole = [row for row in rows if all(row[number] is not None for number in needed)]
+    if len(whole) < len(rows):
+        lost, name = len(rows) - len(whole), kind.__name__
+        _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)
+    return tuple(kind(**dict(zip(names, row, strict=True))) for row in whole)
+
+
+def _required(column: ColumnElement[Any]) -> bool:
+    return isinstance(column, Column) and not column.nullable and isinstance(column.type, TypeDecorator)
 
 
 def given(*conditions: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
