@@ -94,7 +94,10 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
         return "ok", f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
     if found.revision != found.head:
         return "warn", f"revision {found.revision}, not {found.head}; run sunarc db upgrade --state {settings.state}"
-    return "fail", f"damaged: {'; '.join(found.integrity)}; restore a backup"
+    what = (
+        "; ".join(found.integrity) or f"the current calibration {', '.join(found.damaged)} does not match its checksum"
+    )
+    return "fail", f"damaged: {what}; stop the service, then sunarc db restore --latest --state {settings.state}"
 
 
 def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:

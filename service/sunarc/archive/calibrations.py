@@ -138,9 +138,9 @@ class Calibrations(Store):
         answered += given((c.valid_from.__ge__, changed))
         order = (c.valid_from.desc(), c.created_at.desc())
         for name in connection.scalars(select(c.id).where(*answered, c.id != damaged.id).order_by(*order)).all():
-            found = self._records(connection, c.id == name)[0]
-            if not found.damaged:
-                return found
+            found = self._records(connection, c.id == name)
+            if found and not found[0].damaged:
+                return found[0]
         return None
 
     def was_served(self, camera: str, *, pose_epoch: str) -> bool:
@@ -188,7 +188,9 @@ class Calibrations(Store):
                 field="id", problem=f"there is no calibration {calibration_id}", remedy="see the list of calibrations"
             )
         if found[0].damaged:
-            raise wrong_state(calibration_id, f"cannot be used: {DAMAGED}", remedy="name another one, or calibrate anew")
+            raise wrong_state(
+                calibration_id, f"cannot be used: {DAMAGED}", remedy="name another one, or calibrate anew"
+            )
         return found[0]
 
 

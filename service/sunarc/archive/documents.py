@@ -57,11 +57,19 @@ class Documents:
 def read_document(connection: Connection, calibration_id: str) -> Mapping[str, Any] | None:
     """Read a document and compare it with its checksum; None when the two differ."""
     columns = select(cast(calibration.c.document, LargeBinary), calibration.c.document_sha256)
-    stored, checksum = connection.execute(columns.where(calibration.c.id == calibration_id)).one()
+    found = connection.execute(columns.where(calibration.c.id == calibration_id)).one_or_none()
+    stored, checksum = (None, "") if found is None else found  # an id that is no UTF-8 finds nothing
     if stored is None or hashlib.sha256(stored).hexdigest() != checksum:
         return None
     document = json.loads(stored)
     return document if isinstance(document, dict) else None
+
+
+def damaged_calibrations(connection: Connection) -> dict[str, str | None]:
+    """Return the ids of all damaged calibrations, with their states."""
+    c = calibration.c
+    states = connection.execute(select(c.id, c.state).order_by(c.created_at)).all()
+    return {name: state for name, state in states if read_document(connection, name) is None}
 
 
 def row_of(record: CalibrationRecord) -> dict[str, Any]:

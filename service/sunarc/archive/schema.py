@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Engine, func, inspect, select
 
 import sunarc
 from sunarc.archive.copies import backup
+from sunarc.archive.documents import damaged_calibrations
 from sunarc.archive.engine import create_archive_engine, reading
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
@@ -23,6 +24,8 @@ class Check:
     ----------
     revision, head : the database's own, and the one this version needs; None for a database without tables.
     integrity : SQLite's findings; empty when it is sound.
+    damaged : ids of the calibrations whose documents do not match their checksums; none of them is served.
+    current_damaged : whether one of them is current.
     rows : the number of rows by table; empty when the revisions differ.
     """
 
@@ -30,11 +33,13 @@ class Check:
     head: str
     integrity: tuple[str, ...]
     rows: Mapping[str, int]
+    damaged: tuple[str, ...] = ()
+    current_damaged: bool = False
 
     @property
     def sound(self) -> bool:
         """Whether this version can use the database."""
-        return self.revision == self.head and not self.integrity
+        return self.revision == self.head and not self.integrity and not self.current_damaged
 
 
 def head_revision() -> str:
@@ -77,7 +82,15 @@ def check(path: Path) -> Check:
                 name: connection.scalar(select(func.count()).select_from(table)) or 0
                 for name, table in (metadata.tables.items() if revision == head else ())
             }
-            return Check(revision=revision, head=head, integrity=_integrity(connection), rows=rows)
+            damaged = damaged_calibrations(connection) if revision == head else {}
+            return Check(
+                revision=revision,
+                head=head,
+                integrity=_integrity(connection),
+                rows=rows,
+                damaged=tuple(damaged),
+                current_damaged="current" in damaged.values(),
+            )
     finally:
         engine.dispose()
 

@@ -15,6 +15,9 @@ from sunarc.archive.engine import reading, writing
 
 _log = logging.getLogger(__name__)
 
+_UNREADABLE = "\ufffd"
+"""Stands in a text for what is no UTF-8; a key that has it would find no row."""
+
 Value = TypeVar("Value")
 
 
@@ -62,9 +65,15 @@ def values_of(connection: Connection, statement: Select[Any], kind: type[Value])
     """
     result = connection.execute(statement)
     names = tuple(result.keys())
-    needed = [number for number, column in enumerate(statement.selected_columns) if _required(column)]
+    columns = tuple(statement.selected_columns)
+    needed = [number for number, column in enumerate(columns) if _required(column)]
+    keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
     rows = result.all()
-    whole = [row for row in rows if all(row[number] is not None for number in needed)]
+    whole = [
+        row
+        for row in rows
+        if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
+    ]
     if len(whole) < len(rows):
         lost, name = len(rows) - len(whole), kind.__name__
         _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)

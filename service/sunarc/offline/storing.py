@@ -91,6 +91,7 @@ def check_database(state: Path) -> dict[str, Any]:
         "revision": found.revision,
         "head": found.head,
         "integrity": list(found.integrity),
+        "damaged_calibrations": list(found.damaged),
         "rows": dict(found.rows),
     }
 
