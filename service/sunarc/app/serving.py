@@ -16,7 +16,7 @@ from typing import cast
 import uvicorn
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
-from sunarc.app.cameras import camera_opener
+from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, upgrade
 from sunarc.clock import SystemClock
@@ -48,9 +48,11 @@ def _serve_locked(settings: Settings) -> int:
     prepare_state(settings.images)
     _make_room(settings)
     upgrade(settings.database)
+    archive = open_archive(settings.database)
+    require_stored_site(archive, settings)
     service = Service(
         settings,
-        archive=open_archive(settings.database),
+        archive=archive,
         clock=clock,
         open_camera=camera_opener(settings, clock),
     )

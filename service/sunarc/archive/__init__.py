@@ -23,6 +23,7 @@ from sunarc.archive.lock import lock_holder, lock_state
 from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
+from sunarc.archive.sites import require_same_site
 from sunarc.archive.values import (
     CalibrationRecord,
     CalibrationState,
@@ -72,6 +73,7 @@ __all__ = [
     "read_pairs",
     "read_sightings",
     "require_file",
+    "require_same_site",
     "restore",
     "sun_point_of",
     "upgrade",

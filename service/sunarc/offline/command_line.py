@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.archive import parse_time
+from sunarc.archive import lock_holder, parse_time
 from sunarc.clock import SystemClock
-from sunarc.offline import storing
+from sunarc.offline import importing, storing
+from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.everything import export_everything
 from sunarc.settings import load_settings
 from sunarc.terminal import print_json, table
@@ -28,13 +29,24 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @points_cli.command("import")
-def import_points(file: Annotated[Path, typer.Argument(help="CSV of sightings.")], config: Config = None) -> None:
+def import_points(
+    file: Annotated[Path, typer.Argument(help="CSV of sightings.")],
+    config: Config = None,
+    image_size: Annotated[
+        str | None, typer.Option(help="W,H in px, for a camera that the archive does not know yet.")
+    ] = None,
+) -> None:
     """Add sightings from a CSV file to the archive; what it has already is skipped.
 
-    Example: sunarc points import points.csv --config sunarc.toml
+    A new state folder gets a database, and the camera is stored with the settings' site.
+
+    Example: sunarc points import points.csv --config sunarc.toml --image-size 1748,1748
     """
-    added, total = storing.import_points(load_settings(config), file)
+    settings = load_settings(config)
+    size = None if image_size is None else parse_image_size(image_size)
+    added, total = importing.import_points(settings, file, image_size=size)
     print(f"{added} of {total} sightings added, {total - added} were there already")
+    note_running_service(settings.state)
 
 
 @points_cli.command("export")
@@ -124,6 +136,17 @@ def export_all(
         print_json(written)
     else:
         Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
+
+
+def note_running_service(state: Path) -> None:
+    """Say on standard error that a service uses what was written into its state folder."""
+    holder = lock_holder(state)
+    if holder is not None:
+        print(
+            f"sunarc: the service with process id {holder} uses this state folder; "
+            "its next refit takes the new sightings (POST /v1/refits starts one)",
+            file=sys.stderr,
+        )
 
 
 def _moment(text: str | None, option: str) -> datetime | None:

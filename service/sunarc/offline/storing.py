@@ -2,61 +2,23 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
-
 from sunarc.archive import (
-    SunPoint,
     backup,
     backup_into,
     check,
     downgrade,
     open_archive,
-    read_sightings,
     require_file,
     restore,
     upgrade,
     write_sightings,
 )
 from sunarc.clock import Clock
-from sunarc.errors import InputError
-from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
-
-
-def import_points(settings: Settings, path: Path) -> tuple[int, int]:
-    """Add a file's sightings to the archive; return how many were new, and how many the file has."""
-    table = read_sightings(read_lines(path), name=path.name)
-    archive = open_archive(settings.database)
-    known = {camera.name: camera for camera in archive.cameras()}
-    if settings.name not in known:
-        raise InputError(
-            field="name",
-            problem=f"the archive knows no camera {settings.name!r}",
-            remedy="start the service once with this camera, or correct the name",
-        )
-    camera = known[settings.name]
-    require_inside(table.pixels, (camera.width, camera.height), name=path.name)
-    times = [datetime.fromtimestamp(t, UTC) for t in table.unix_s]
-    points = [
-        SunPoint(
-            camera=settings.name,
-            pose_epoch=archive.epoch_at(settings.name, time, reason=f"imported from {path.name}").id,
-            time=time,
-            method="import",
-            accepted=True,
-            verdict="clear",
-            reason=f"imported from {path.name}",
-            x_px=float(x),
-            y_px=float(y),
-            sigma_px=None if np.isnan(sigma) else float(sigma),
-        )
-        for time, (x, y), sigma in zip(times, table.pixels, table.sigma_px, strict=True)
-    ]
-    return archive.add_sun_points(points), len(points)
 
 
 def export_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
