@@ -101,7 +101,7 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
 
 
 def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
-    copies = sorted((settings.state / "backups").glob("sunarc-*.sqlite"))
+    copies = sorted(settings.backups.glob("sunarc-*.sqlite"))
     if not copies:
         return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"
     made = datetime.fromtimestamp(copies[-1].stat().st_mtime, UTC)

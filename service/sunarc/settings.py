@@ -80,6 +80,11 @@ class Settings(BaseSettings):
         return self.state / "sunarc.sqlite"
 
     @property
+    def backups(self) -> Path:
+        """The folder of the dated copies of the archive."""
+        return self.state / "backups"
+
+    @property
     def reserve(self) -> Path:
         """The file that holds the database's room."""
         return self.state / "reserve"

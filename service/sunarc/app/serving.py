@@ -18,7 +18,7 @@ import uvicorn
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
-from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, upgrade
+from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
@@ -47,7 +47,7 @@ def _serve_locked(settings: Settings) -> int:
     listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.images)
     _make_room(settings)
-    upgrade(settings.database)
+    recovered = prepare_database(settings.database, backups=settings.backups, images=settings.images, now=clock.now())
     archive = open_archive(settings.database)
     require_stored_site(archive, settings)
     service = Service(
@@ -55,6 +55,7 @@ def _serve_locked(settings: Settings) -> int:
         archive=archive,
         clock=clock,
         open_camera=camera_opener(settings, clock),
+        recovered=recovered,
     )
     notifier = notifier_from(os.environ)
     server = _web_server(service, on_started=lambda: notifier.ready(f"serving at {_address(settings)}"))

@@ -8,7 +8,7 @@ files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.copies import backup, backup_into, restore
+from sunarc.archive.copies import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.csv_files import (
     SightingTable,
     parse_time,
@@ -20,8 +20,9 @@ from sunarc.archive.csv_files import (
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state
+from sunarc.archive.recovery import Recovery, prepare_database
 from sunarc.archive.reserve import Reserve
-from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
+from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
 from sunarc.archive.sites import require_same_site
 from sunarc.archive.values import (
@@ -55,6 +56,7 @@ __all__ = [
     "EventSeverity",
     "ImageStore",
     "PoseEpoch",
+    "Recovery",
     "Refit",
     "RefitState",
     "Reserve",
@@ -68,8 +70,11 @@ __all__ = [
     "head_revision",
     "lock_holder",
     "lock_state",
+    "newest_sound_copy",
     "open_archive",
     "parse_time",
+    "prepare_database",
+    "prepare_folder",
     "read_pairs",
     "read_sightings",
     "require_file",

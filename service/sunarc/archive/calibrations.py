@@ -11,6 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
 
 from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
 from sunarc.archive.doubts import LENS_CHANGED
+from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.used import keep_used
@@ -24,8 +25,8 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 class Calibrations(Store):
     """The part of the archive that remembers calibrations; none is ever deleted."""
 
-    def __init__(self, engine: Engine) -> None:
-        super().__init__(engine)
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+        super().__init__(engine, file)
         self._documents = Documents()
 
     def add_calibration(

@@ -12,16 +12,21 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 
+from sunarc.archive.file import DatabaseFile
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 _BUSY_TIMEOUT_MS = 30_000
 _WRITES = "sunarc_writes"
 
 
-def create_archive_engine(path: Path, *, foreign_keys: bool = True) -> Engine:
-    """Return an engine on a database file; migrations alone switch the foreign keys off."""
+def create_archive_engine(
+    path: Path, *, foreign_keys: bool = True, create: bool = False, file: DatabaseFile | None = None
+) -> Engine:
+    """Return an engine on a database file; migrations alone switch the foreign keys off, and make the file."""
+    opened = file or DatabaseFile(path)
     engine = create_engine(
         f"sqlite:///{path}",
+        creator=lambda: opened.connect(create=create),
         pool_size=8,
         max_overflow=32,
         pool_timeout=30.0,
@@ -76,7 +81,8 @@ def outside_errors(engine: Engine) -> Iterator[None]:
         raise OutsideError(f"cannot use the database {path}: {error.orig}") from error
     except DatabaseError as error:
         raise ConfigurationError(
-            f"{path} is no sound SQLite database ({error.orig}); move it away or restore a backup"
+            f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "
+            f"sunarc db restore --latest --state {Path(str(path)).parent}"
         ) from error
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, func, inspect, select
 
 import sunarc
-from sunarc.archive.copies import backup
+from sunarc.archive.copies import backup, remove_old_asides
 from sunarc.archive.documents import damaged_calibrations
 from sunarc.archive.engine import create_archive_engine, reading
+from sunarc.archive.ownership import give_to_owner_of
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
 
@@ -55,8 +56,8 @@ def upgrade(path: Path) -> Path | None:
     The copy that was made before a migration; None when there was nothing to migrate.
     """
     existed = path.exists()
-    _make_folder(path.parent)
-    engine = create_archive_engine(path, foreign_keys=False)
+    prepare_folder(path.parent)
+    engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
             revision = _revision(connection)
@@ -68,6 +69,8 @@ def upgrade(path: Path) -> Path | None:
         _migrate(engine, to="head")
     finally:
         engine.dispose()
+    give_to_owner_of(path.parent, path)
+    remove_old_asides(path)
     return copy
 
 
@@ -102,7 +105,7 @@ def downgrade(path: Path, revision: str) -> Path:
     """
     require_file(path, command="sunarc db upgrade")
     known = _revisions()
-    engine = create_archive_engine(path, foreign_keys=False)
+    engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
             present = _revision(connection)
@@ -181,7 +184,8 @@ def _migrations() -> Path:
     return next((folder for folder in places if folder.is_dir()), places[0])
 
 
-def _make_folder(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
+    """Make the folder of a database."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

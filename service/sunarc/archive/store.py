@@ -12,6 +12,7 @@ from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDe
 
 from sunarc.archive.changes import Changes
 from sunarc.archive.engine import reading, writing
+from sunarc.archive.file import DatabaseFile
 
 _log = logging.getLogger(__name__)
 
@@ -20,6 +21,9 @@ _UNREADABLE = "\ufffd"
 
 Value = TypeVar("Value")
 
+_REBUILT_WITHIN_S = 60.0
+"""A read waits no longer for a database that is being put back."""
+
 
 class Store:
     """Reads and writes of one database; safe to use from any thread.
@@ -27,11 +31,15 @@ class Store:
     Parameters
     ----------
     engine : an engine of `create_archive_engine`, on a database of the head revision.
+    file : its file, as it was opened.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         self._engine = engine
-        self._changes = Changes(engine)
+        self._file = file
+        self._changes = Changes(engine, file)
+        self._usable = threading.Event()
+        self._usable.set()
         self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
 
     def close(self) -> None:
@@ -45,13 +53,16 @@ class Store:
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
+        self._usable.wait(_REBUILT_WITHIN_S)
         with reading(self._engine) as connection:
             yield connection
 
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
-        with self._turn, writing(self._engine) as connection:
-            yield connection
+        with self._turn:
+            self._file.require_in_place()
+            with writing(self._engine) as connection:
+                yield connection
 
     def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         with self._reading() as connection:

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from sunarc.archive import lock_holder, parse_time
 from sunarc.clock import SystemClock
+from sunarc.errors import InputError
 from sunarc.offline import importing, storing
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.everything import export_everything
@@ -115,11 +116,20 @@ def backup(
 
 
 @db_cli.command()
-def restore(source: Annotated[Path, typer.Argument(help="A copy of the database.")], *, state: State) -> None:
+def restore(
+    source: Annotated[Path | None, typer.Argument(help="A copy of the database.", show_default=False)] = None,
+    *,
+    latest: Annotated[bool, typer.Option("--latest", help="The newest sound copy in STATE/backups.")] = False,
+    state: State,
+) -> None:
     """Put a copy in the database's place, the service being stopped; the former one is kept.
+
+    The file belongs to the owner of the state folder, also when root asks.
 
     Example: sunarc db restore /var/lib/sunarc/backups/sunarc-20260501T020000Z.sqlite --state /var/lib/sunarc
     """
+    if latest == (source is not None):
+        raise InputError(field="SOURCE", problem="give either a copy or --latest", remedy="see --help")
     print(storing.restore_database(state, source, clock=SystemClock()))
 
 

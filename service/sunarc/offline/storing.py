@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
@@ -11,13 +13,17 @@ from sunarc.archive import (
     backup_into,
     check,
     downgrade,
+    lock_state,
+    newest_sound_copy,
     open_archive,
+    prepare_folder,
     require_file,
     restore,
     upgrade,
     write_sightings,
 )
 from sunarc.clock import Clock
+from sunarc.errors import InputError
 from sunarc.settings import Settings
 
 
@@ -39,7 +45,8 @@ def upgrade_database(state: Path) -> str:
     """Create or migrate the database of a state folder and say what was done."""
     path = database_of(state)
     existed = path.exists()
-    copy = upgrade(path)
+    with _locked(state):
+        copy = upgrade(path)
     if copy is not None:
         return f"{path} was upgraded; the former one is kept as {copy.name}"
     return f"{path} is up to date" if existed else f"{path} was made"
@@ -61,7 +68,10 @@ def check_database(state: Path) -> dict[str, Any]:
 def downgrade_database(state: Path, revision: str) -> str:
     """Bring the database back to an older revision and say what was kept."""
     path = database_of(state)
-    return f"{path} is at revision {revision} now; the former one is kept as {downgrade(path, revision).name}"
+    require_file(path, command=f"sunarc db upgrade --state {state}")
+    with _locked(state):
+        copy = downgrade(path, revision)
+    return f"{path} is at revision {revision} now; the former one is kept as {copy.name}"
 
 
 def backup_database(state: Path, target: Path) -> str:
@@ -76,12 +86,32 @@ def backup_database_into(state: Path, folder: Path, *, keep: int, clock: Clock) 
     return f"copied to {backup_into(database_of(state), folder, keep=keep, now=clock.now())}"
 
 
-def restore_database(state: Path, source: Path, *, clock: Clock) -> str:
-    """Put a copy in the database's place and say what was kept."""
+def restore_database(state: Path, source: Path | None, *, clock: Clock) -> str:
+    """Put a copy in the database's place, the newest of the folder `backups` for None; say what was kept.
+
+    Raises
+    ------
+    InputError : there is no such copy, it is damaged, or the database is in use.
+    OutsideError : the service runs; its process id is named.
+    """
     path = database_of(state)
-    kept = restore(path, source, now=clock.now())
+    chosen = source or newest_sound_copy(state / "backups")
+    if chosen is None:
+        raise InputError(
+            field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
+        )
+    with _locked(state):
+        kept = restore(path, chosen, now=clock.now())
     former = "" if kept is None else f"; the former one is kept as {kept.name}"
-    return f"{path} is what {source} was{former}"
+    return f"{path} is what {chosen} was{former}"
+
+
+@contextmanager
+def _locked(state: Path) -> Iterator[None]:
+    """Keep the service from running while its database is replaced or migrated."""
+    prepare_folder(state)
+    with lock_state(state):
+        yield
 
 
 def database_of(state: Path) -> Path:
