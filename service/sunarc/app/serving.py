@@ -18,7 +18,7 @@ import uvicorn
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
-from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database
+from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
@@ -37,14 +37,15 @@ def serve(settings: Settings) -> int:
     ------
     OutsideError : the state folder cannot be used, or another service uses it; the port is taken.
     """
+    require_unlocked(settings.state)  # before the port: a second service mostly has the first one's port too
+    listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.state)
     with lock_state(settings.state):
-        return _serve_locked(settings)
+        return _serve_at(listening, settings)
 
 
-def _serve_locked(settings: Settings) -> int:
+def _serve_at(listening: socket.socket, settings: Settings) -> int:
     clock = SystemClock()
-    listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.images)
     _make_room(settings)
     recovered = prepare_database(settings.database, backups=settings.backups, images=settings.images, now=clock.now())

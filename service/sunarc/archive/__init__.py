@@ -19,7 +19,7 @@ from sunarc.archive.csv_files import (
 )
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
-from sunarc.archive.lock import lock_holder, lock_state
+from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database
 from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
@@ -79,6 +79,7 @@ __all__ = [
     "read_sightings",
     "require_file",
     "require_same_site",
+    "require_unlocked",
     "restore",
     "sun_point_of",
     "upgrade",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,8 @@ from sunarc.archive.ownership import give_to_owner_of
 from sunarc.errors import OutsideError
 
 _NAME = "lock"
+_ATTEMPTS, _BETWEEN_S = 3, 0.02
+"""`lock_holder` of another process holds the lock for microseconds; a service holds it for good."""
 
 
 @contextmanager
@@ -59,14 +62,29 @@ def lock_holder(folder: Path) -> int | None:
         os.close(descriptor)
 
 
+def require_unlocked(folder: Path) -> None:
+    """Raise `OutsideError` when a process holds the lock of a state folder."""
+    holder = lock_holder(folder)
+    if holder is not None:
+        raise _in_use(folder, holder)
+
+
 def _take(descriptor: int, folder: Path) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise OutsideError(
-            f"state folder {folder} is in use by process {_pid(descriptor)}; "
-            "stop that service first (systemctl stop sunarc), or set `state` to another folder"
-        ) from None
+    for _ in range(_ATTEMPTS):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            threading.Event().wait(_BETWEEN_S)
+        else:
+            return
+    raise _in_use(folder, _pid(descriptor))
+
+
+def _in_use(folder: Path, holder: int) -> OutsideError:
+    return OutsideError(
+        f"state folder {folder} is in use by process {holder}; "
+        "stop that service first (systemctl stop sunarc), or set `state` to another folder"
+    )
 
 
 def _pid(descriptor: int) -> int:
