@@ -1,7 +1,9 @@
 """What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
 
-values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
-schema.py: revisions, checks · migrating.py: alembic's part · copies.py: backups and their way back · sightings.py (with
+values.py: what goes in and comes out · tables.py (with types.py): the head revision · engine.py: connections and
+transactions · file.py: the file while it is in use · schema.py: revisions, checks · migrating.py: alembic's part ·
+copies.py: backups and their restoration · recovery.py: a lost database · lock.py: one service per state folder ·
+ownership.py: owner and mode of files · sites.py: whether camera and settings are at one site · sightings.py (with
 columns.py), calibrations.py (with documents.py, validity.py), history.py, used.py, journal.py: the parts of `Archive` ·
 archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside them · csv_files.py: the
 files people hand us.
