@@ -22,8 +22,9 @@ from sunarc.archive import (
     prepare_database,
     restore,
     upgrade,
+    upgrade_present,
 )
-from sunarc.errors import ConfigurationError, OutsideError
+from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 from .conftest import ROOF
 
@@ -244,3 +245,14 @@ def test_the_camera_of_a_new_database_is_the_one_that_was_saved(archive: Archive
     assert archive.cameras() == (ROOF,)
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+def test_no_command_begins_anew_beside_the_copies_of_a_lost_database(archive: Archive, path: Path) -> None:
+    backup_into(path, path.parent / "backups", keep=7, now=NOW)
+    archive.close()
+    path.write_bytes(b"")
+    for state in ("empty", "missing"):
+        with pytest.raises(InputError, match=rf"is {state}, and there is a copy: .*; run sunarc db restore --latest"):
+            upgrade_present(path)
+        path.unlink(missing_ok=True)
+    assert not path.exists()

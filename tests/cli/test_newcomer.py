@@ -16,6 +16,7 @@ from sunarc.archive import Archive, Refit, lock_state, open_archive
 from sunarc.board import StatusBoard
 from sunarc.calibration import CalibrationOptions
 from sunarc.clock import VirtualClock
+from sunarc.doctor import examine
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.settings import load_settings
@@ -158,3 +159,22 @@ def test_the_check_of_a_new_database_says_what_is_damaged(sunarc: Sunarc, config
     imported(sunarc, config, points, "--image-size", "1748,1748")
     found = json.loads(sunarc("db", "check", "--state", str(config.parent / "state"), "--json").out)
     assert (found["sound"], found["damaged_calibrations"]) == (True, [])
+
+
+def test_the_check_says_that_a_lost_database_is_restored_and_that_the_site_is_another(
+    sunarc: Sunarc, config: Path, points: Path
+) -> None:
+    state = config.parent / "state"
+    imported(sunarc, config, points, "--image-size", "1748,1748")
+    backups = str(state / "backups")
+    assert sunarc("db", "backup", backups, "--keep", "3", "--state", str(state)).code == 0
+    elsewhere = config.with_name("elsewhere.toml")
+    elsewhere.write_text(config.read_text().replace("36.604043", "48.1"))
+    clock = VirtualClock(NOW)
+    (other,) = [found for found in examine(load_settings(elsewhere), clock=clock) if found.what == "database"]
+    assert (other.outcome, "set `name` to a new one" in other.text) == ("fail", True)
+    (state / "sunarc.sqlite").write_bytes(b"")
+    (lost,) = [found for found in examine(load_settings(config), clock=clock) if found.what == "database"]
+    assert (lost.outcome, "restores it from" in lost.text) == ("warn", True)
+    refused = sunarc("points", "import", str(points), "--config", str(config), "--image-size", "1748,1748")
+    assert (refused.code, "sunarc db restore --latest" in refused.err) == (2, True)

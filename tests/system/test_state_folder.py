@@ -9,7 +9,7 @@ import sqlite3
 import subprocess
 import urllib.error
 import urllib.request
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -57,12 +57,10 @@ def port_of(config: Path) -> int:
 
 
 def reasons(config: Path) -> dict[str, str]:
-    try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port_of(config)}/v1/status", timeout=5.0) as response:
-            return {reason["code"]: reason["text"] for reason in json.load(response)["reasons"]}
-    except urllib.error.HTTPError as error:
-        assert error.code == 503  # while the database is being put back
-        return {}
+    url = f"http://127.0.0.1:{port_of(config)}/v1/status"
+    with suppress(urllib.error.HTTPError), urllib.request.urlopen(url, timeout=5.0) as response:
+        return {reason["code"]: reason["text"] for reason in json.load(response)["reasons"]}
+    return {}  # while the database is being put back
 
 
 def served(config: Path) -> str:

@@ -22,7 +22,7 @@ from sunarc.archive.csv_files import (
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
-from sunarc.archive.recovery import Recovery, prepare_database
+from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
 from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
@@ -85,6 +85,7 @@ __all__ = [
     "restore",
     "sun_point_of",
     "upgrade",
+    "upgrade_present",
     "write_columns",
     "write_sightings",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,7 +79,9 @@ def outside_errors(engine: Engine) -> Iterator[None]:
             remedy="write the camera, its pose epoch and its calibration before what refers to them",
         ) from error
     except OperationalError as error:
-        raise OutsideError(f"cannot use the database {path}: {error.orig}") from error
+        may = os.access(str(path), os.R_OK | os.W_OK) or not Path(str(path)).exists()
+        remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
+        raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
     except DatabaseError as error:
         raise ConfigurationError(
             f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "

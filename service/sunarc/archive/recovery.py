@@ -63,6 +63,24 @@ def prepare_database(path: Path, *, backups: Path, images: Path, now: datetime) 
     )
 
 
+def upgrade_present(path: Path) -> Path | None:
+    """Make or migrate a database as `upgrade` does, unless it was lost while copies of it lie in `backups`.
+
+    Raises
+    ------
+    InputError : it is missing or has 0 bytes, and there is a sound copy.
+    """
+    lost = not path.exists() or path.stat().st_size == 0
+    copy = newest_sound_copy(path.parent / "backups") if lost else None
+    if copy is not None:
+        raise InputError(
+            field="state",
+            problem=f"the database {path} is {'empty' if path.exists() else 'missing'}, and there is a copy: {copy}",
+            remedy=f"run sunarc db restore --latest --state {path.parent}; to begin anew, move the copies away",
+        )
+    return upgrade(path)
+
+
 def rebuild(
     path: Path, connection: sqlite3.Connection, *, problem: str, now: datetime, close: Callable[[], None]
 ) -> Recovery:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sunarc.archive import Archive, SightingTable, SunPoint, open_archive, read_sightings, upgrade
+from sunarc.archive import Archive, SightingTable, SunPoint, open_archive, read_sightings, upgrade, upgrade_present
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
@@ -39,7 +39,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
-    upgrade(settings.database)
+    upgrade_present(settings.database)
     archive = open_archive(settings.database)
     try:
         register_camera(archive, settings, size)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as Pictures
 
-from sunarc.archive import Archive, open_archive, parse_time, sun_point_of, upgrade
+from sunarc.archive import Archive, open_archive, parse_time, sun_point_of, upgrade_present
 from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.imaging import document_of
@@ -66,7 +66,7 @@ def ingest_folder(
     One answer a file.
     """
     files = _images(folder)
-    upgrade(settings.database)
+    upgrade_present(settings.database)
     archive = open_archive(settings.database)
     try:
         known_camera(archive, settings)

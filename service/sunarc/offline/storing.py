@@ -19,7 +19,7 @@ from sunarc.archive import (
     prepare_folder,
     require_file,
     restore,
-    upgrade,
+    upgrade_present,
     write_sightings,
 )
 from sunarc.clock import Clock
@@ -46,7 +46,7 @@ def upgrade_database(state: Path) -> str:
     path = database_of(state)
     existed = path.exists()
     with _locked(state):
-        copy = upgrade(path)
+        copy = upgrade_present(path)
     if copy is not None:
         return f"{path} was upgraded; the former one is kept as {copy.name}"
     return f"{path} is up to date" if existed else f"{path} was made"
