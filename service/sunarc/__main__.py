@@ -21,7 +21,7 @@ from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcEr
 from sunarc.journal import start_log
 from sunarc.offline import settings_reference
 from sunarc.offline.calibrate_command_line import calibrate
-from sunarc.offline.command_line import Config, db_cli, points_cli
+from sunarc.offline.command_line import Config, db_cli, note_running_service, points_cli
 from sunarc.offline.export_command_line import export_calibration
 from sunarc.offline.history_command_line import calibrations_cli
 from sunarc.settings import load_settings
@@ -190,8 +190,9 @@ def ingest(
 
     Example: sunarc ingest images/ --config sunarc.toml
     """
+    settings = load_settings(config)
     answers = offline.ingest_folder(
-        load_settings(config),
+        settings,
         folder,
         method=_choice("--method", method, offline.METHODS),
         time_pattern=time_pattern,
@@ -203,6 +204,7 @@ def ingest(
         outcomes[answer.outcome] += 1
         if answer.outcome == "skipped":
             skipped.append({"file": str(answer.path), "reason": answer.text})
+    note_running_service(settings.state)
     if as_json:
         print_json({**outcomes, "files_skipped": skipped})
         return

@@ -14,8 +14,8 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import sunarc
-from sunarc.app import camera_opener
-from sunarc.archive import check
+from sunarc.app import camera_opener, require_stored_site
+from sunarc.archive import check, newest_sound_copy, open_archive
 from sunarc.clock import Clock, host_clock_state
 from sunarc.errors import SunarcError
 from sunarc.footing import listen, prepare_state
@@ -87,18 +87,26 @@ def _state(settings: Settings) -> tuple[Outcome, str]:
 
 
 def _database(settings: Settings) -> tuple[Outcome, str]:
-    if not settings.database.exists():
+    if not settings.database.exists() or settings.database.stat().st_size == 0:
+        copy = newest_sound_copy(settings.backups)
+        if copy is not None:
+            return "warn", f"missing or empty; the service restores it from {copy} at its start"
         return "ok", "none yet; the service makes it"
     found = check(settings.database)
     if found.sound:
+        with closing(open_archive(settings.database)) as archive:
+            require_stored_site(archive, settings)
         return "ok", f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
     if found.revision != found.head:
         return "warn", f"revision {found.revision}, not {found.head}; run sunarc db upgrade --state {settings.state}"
-    return "fail", f"damaged: {'; '.join(found.integrity)}; restore a backup"
+    what = (
+        "; ".join(found.integrity) or f"the current calibration {', '.join(found.damaged)} does not match its checksum"
+    )
+    return "fail", f"damaged: {what}; stop the service, then sunarc db restore --latest --state {settings.state}"
 
 
 def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
-    copies = sorted((settings.state / "backups").glob("sunarc-*.sqlite"))
+    copies = sorted(settings.backups.glob("sunarc-*.sqlite"))
     if not copies:
         return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"
     made = datetime.fromtimestamp(copies[-1].stat().st_mtime, UTC)

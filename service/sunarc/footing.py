@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import uuid
 from pathlib import Path
@@ -10,15 +11,18 @@ from sunarc.errors import OutsideError
 
 
 def prepare_state(folder: Path) -> None:
-    """Make the state folder, or a part of it; one that cannot be written to is told in one line."""
+    """Make the state folder, or a part of it; `OutsideError` names the remedy where it cannot be used."""
     trial = folder / f".{uuid.uuid4().hex}"
+    need = "writable"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         trial.touch()
         trial.unlink()
+        need = "readable"
+        os.scandir(folder).close()
     except OSError as error:
         raise OutsideError(
-            f"state folder {folder}: {error.strerror or error}; make it writable, or set `state` to another"
+            f"state folder {folder}: {error.strerror or error}; make it {need}, or set `state` to another"
         ) from None
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from sunarc.api import ApiOptions
 from sunarc.archive import DiskOptions
@@ -80,6 +80,11 @@ class Settings(BaseSettings):
         return self.state / "sunarc.sqlite"
 
     @property
+    def backups(self) -> Path:
+        """The folder of the dated copies of the archive."""
+        return self.state / "backups"
+
+    @property
     def reserve(self) -> Path:
         """The file that holds the database's room."""
         return self.state / "reserve"
@@ -117,8 +122,7 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
     ConfigurationError : naming the file and the setting, in one line.
     """
     where = str(path) if path else "settings"
-    if path is not None:
-        _check_readable(path)
+    stored = {} if path is None else _read_toml(path)
 
     class _FromFile(Settings):
         @classmethod
@@ -130,7 +134,7 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
             dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - protocol
             file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - protocol
         ) -> tuple[PydanticBaseSettingsSource, ...]:
-            return init_settings, _Environment(settings_cls), TomlConfigSettingsSource(settings_cls, toml_file=path)
+            return init_settings, _Environment(settings_cls), InitSettingsSource(settings_cls, stored)
 
     try:
         return _FromFile(**dict(overrides or {}))
@@ -140,12 +144,15 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
         raise ConfigurationError(f"{where}: {error}") from None
 
 
-def _check_readable(path: Path) -> None:
+def _read_toml(path: Path) -> dict[str, Any]:
+    """Return a TOML file's content; a byte order mark and Windows line ends are accepted."""
     try:
-        tomllib.loads(path.read_text())
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror}; name a settings file with --config") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{path}: is not TOML: {error}") from None
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sunarc.archive import Archive, PoseEpoch, SunPoint
-from sunarc.archive.tables import UtcTime
+from sunarc.archive.types import UtcTime
 from sunarc.errors import InputError
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 import xarray as xr
 
-from sunarc.archive import CameraRecord, open_archive
+from sunarc.archive import CameraRecord, lock_state, open_archive
 
 if TYPE_CHECKING:
     from .conftest import Sunarc
@@ -145,3 +145,35 @@ def test_a_copy_is_restored_and_a_missing_one_refused(sunarc: Sunarc, with_camer
     assert sunarc("db", "check", "--state", state).code == 0
     assert sunarc("db", "restore", str(tmp_path / "none"), "--state", state).code == 2
     assert sunarc("db", "downgrade", "--to", "7", "--state", state).code == 2
+
+
+def test_the_newest_copy_is_restored_by_one_word(sunarc: Sunarc, with_camera: Path, tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    said = ("--state", str(state))
+    assert with_camera.exists()
+    nothing = sunarc("db", "restore", "--latest", *said)
+    assert (nothing.code, "no sound copy is in" in nothing.err) == (2, True)
+    assert sunarc("db", "backup", str(state / "backups"), "--keep", "3", *said).code == 0
+    (state / "sunarc.sqlite").write_bytes(b"")
+    if os.geteuid() == 0:
+        os.chown(state, 12345, 12346)
+    assert "sunarc.sqlite is what" in sunarc("db", "restore", "--latest", *said).out
+    assert sunarc("db", "check", *said).code == 0
+    assert (state / "sunarc.sqlite").stat().st_uid == state.stat().st_uid
+    both = sunarc("db", "restore", str(tmp_path / "copy"), "--latest", *said)
+    neither = sunarc("db", "restore", *said)
+    assert (both.code, neither.code) == (2, 2)
+
+
+@pytest.mark.parametrize("command", [("restore", "--latest"), ("upgrade",), ("downgrade", "--to", "0001")])
+def test_the_database_of_a_running_service_is_not_replaced_or_migrated(
+    sunarc: Sunarc, with_camera: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    state = tmp_path / "state"
+    assert with_camera.exists()
+    assert sunarc("db", "backup", str(state / "backups"), "--keep", "3", "--state", str(state)).code == 0
+    with lock_state(state):
+        refused = sunarc("db", *command, "--state", str(state))
+        assert refused.code == 3
+        assert f"in use by process {os.getpid()}; stop that service first" in refused.err
+        assert sunarc("db", "check", "--state", str(state)).code == 0  # what only reads goes on

@@ -37,7 +37,7 @@ def archive(tmp_path: Path) -> Refusing:
     upgrade(tmp_path / "sunarc.sqlite")
     opened = open_archive(tmp_path / "sunarc.sqlite")
     opened.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
-    return Refusing(opened._engine)
+    return Refusing(opened._engine, opened._file)
 
 
 def sighting(number: int) -> SunPoint:

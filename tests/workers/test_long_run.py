@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sqlite3
 import threading
@@ -140,7 +141,8 @@ def test_a_calibration_of_a_newer_schema_is_kept_told_and_not_replaced(lived: Li
     served = archive.current_calibration("roof")
     assert served is not None
     newer = json.dumps({**served.document, "schema": "sunarc.calibration/9"})
-    by_hand(path, "UPDATE calibration SET document = ? WHERE id = ?", newer, served.id)
+    checksum = hashlib.sha256(newer.encode()).hexdigest()
+    by_hand(path, "UPDATE calibration SET document = ?, document_sha256 = ? WHERE id = ?", newer, checksum, served.id)
     archive.close()
     archive = open_archive(path)
     predictor = SunPredictor(archive, camera="roof", site=SGP)

@@ -4,9 +4,9 @@ service.py: the parts of a running imager · serving.py: its life, from footing 
 settings name · simulating.py: the simulated imager.
 """
 
-from sunarc.app.cameras import camera_opener
+from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
 from sunarc.app.serving import serve
 from sunarc.app.simulating import simulate
 
-__all__ = ["Service", "camera_opener", "serve", "simulate"]
+__all__ = ["Service", "camera_opener", "require_stored_site", "serve", "simulate"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.archive import Archive
+from sunarc.archive import Archive, require_same_site
 from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
 from sunarc.clock import Clock
 from sunarc.errors import ConfigurationError, InputError
@@ -22,6 +22,13 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
     raise ConfigurationError(
         f'setting {section} is missing; add a [{section}] section for source = "{settings.source}"'
     )
+
+
+def require_stored_site(archive: Archive, settings: Settings) -> None:
+    """Raise `InputError` when the archive has the settings' camera at another site."""
+    for stored in archive.cameras():
+        if stored.name == settings.name:
+            require_same_site(stored, settings.site)
 
 
 def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 
 import sunarc
 from sunarc.app.cameras import require_same_camera
-from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Refit, Reserve
+from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Recovery, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
@@ -21,6 +21,7 @@ from sunarc.workers import (
     CaptureWorker,
     ClockWatch,
     ComposeWorker,
+    DatabaseWorker,
     DayJudge,
     DetectWorker,
     DiskWorker,
@@ -50,11 +51,19 @@ class Service:
     archive : open, of this version's revision.
     clock : real time.
     open_camera : opens the camera that the settings name.
+    recovered : what was done about a lost database before the start.
     """
 
     def __init__(
-        self, settings: Settings, *, archive: Archive, clock: Clock, open_camera: Callable[[], SkyCamera]
+        self,
+        settings: Settings,
+        *,
+        archive: Archive,
+        clock: Clock,
+        open_camera: Callable[[], SkyCamera],
+        recovered: Recovery | None = None,
     ) -> None:
+        self._recovered = recovered
         self.settings = settings
         self.archive = archive
         self.clock = clock
@@ -100,6 +109,7 @@ class Service:
         return (
             self._supervised("clock", lambda: self.clock_watch),
             self._supervised("disk", self.disk_worker),
+            self._supervised("database", self.database_worker),
             self._supervised("refit", self.refit_worker),
             self._supervised("watch", lambda: self.watch),
             self._supervised("detect", self.detect_worker),
@@ -203,6 +213,17 @@ class Service:
             clock=self.clock,
             age_from=lambda: self.frame_time.now() if self.frame_time.known and self.clock_watch.trusted() else None,
             board=self.board,
+        )
+
+    def database_worker(self) -> DatabaseWorker:
+        """Return the worker that watches the database's file."""
+        recovered, self._recovered = self._recovered, None
+        return DatabaseWorker(
+            archive=self.archive,
+            clock=self.clock,
+            now=self.frame_time.now,
+            board=self.board,
+            recovered=recovered,
         )
 
     def detect_worker(self) -> DetectWorker:

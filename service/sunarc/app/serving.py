@@ -16,9 +16,9 @@ from typing import cast
 import uvicorn
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
-from sunarc.app.cameras import camera_opener
+from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
-from sunarc.archive import ImageStore, Reserve, open_archive, upgrade
+from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
 from sunarc.schedule import Schedule
@@ -31,18 +31,32 @@ _KEEP_ALIVE_S = 20
 
 
 def serve(settings: Settings) -> int:
-    """Run the service until SIGTERM or SIGINT; return the process's exit code."""
-    clock = SystemClock()
+    """Run the service until SIGTERM or SIGINT; return the process's exit code.
+
+    Raises
+    ------
+    OutsideError : the state folder cannot be used, or another service uses it; the port is taken.
+    """
+    require_unlocked(settings.state)  # before the port: a second service mostly has the first one's port too
     listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.state)
+    with lock_state(settings.state):
+        return _serve_at(listening, settings)
+
+
+def _serve_at(listening: socket.socket, settings: Settings) -> int:
+    clock = SystemClock()
     prepare_state(settings.images)
     _make_room(settings)
-    upgrade(settings.database)
+    recovered = prepare_database(settings.database, backups=settings.backups, images=settings.images, now=clock.now())
+    archive = open_archive(settings.database)
+    require_stored_site(archive, settings)
     service = Service(
         settings,
-        archive=open_archive(settings.database),
+        archive=archive,
         clock=clock,
         open_camera=camera_opener(settings, clock),
+        recovered=recovered,
     )
     notifier = notifier_from(os.environ)
     server = _web_server(service, on_started=lambda: notifier.ready(f"serving at {_address(settings)}"))

@@ -1,14 +1,16 @@
 """What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
 
-values.py: what goes in and comes out · tables.py: the head revision · engine.py: connections and transactions ·
-schema.py: revisions, checks · migrating.py: alembic's part · copies.py: backups and their way back · sightings.py (with
+values.py: what goes in and comes out · tables.py (with types.py): the head revision · engine.py: connections and
+transactions · file.py: the file while it is in use · schema.py: revisions, checks · migrating.py: alembic's part ·
+copies.py: backups and their restoration · recovery.py: a lost database · lock.py: one service per state folder ·
+ownership.py: owner and mode of files · sites.py: whether camera and settings are at one site · sightings.py (with
 columns.py), calibrations.py (with documents.py, validity.py), history.py, used.py, journal.py: the parts of `Archive` ·
 archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside them · csv_files.py: the
 files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.copies import backup, backup_into, restore
+from sunarc.archive.copies import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.csv_files import (
     SightingTable,
     parse_time,
@@ -19,9 +21,12 @@ from sunarc.archive.csv_files import (
 )
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
+from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
 from sunarc.archive.reserve import Reserve
-from sunarc.archive.schema import Check, check, downgrade, head_revision, require_file, upgrade
+from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
+from sunarc.archive.sites import require_same_site
 from sunarc.archive.values import (
     CalibrationRecord,
     CalibrationState,
@@ -53,6 +58,7 @@ __all__ = [
     "EventSeverity",
     "ImageStore",
     "PoseEpoch",
+    "Recovery",
     "Refit",
     "RefitState",
     "Reserve",
@@ -64,14 +70,22 @@ __all__ = [
     "check",
     "downgrade",
     "head_revision",
+    "lock_holder",
+    "lock_state",
+    "newest_sound_copy",
     "open_archive",
     "parse_time",
+    "prepare_database",
+    "prepare_folder",
     "read_pairs",
     "read_sightings",
     "require_file",
+    "require_same_site",
+    "require_unlocked",
     "restore",
     "sun_point_of",
     "upgrade",
+    "upgrade_present",
     "write_columns",
     "write_sightings",
 ]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
 
-from sunarc.archive.documents import Documents
+from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
+from sunarc.archive.doubts import LENS_CHANGED
+from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given
-from sunarc.archive.tables import calibration
+from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.used import keep_used
 from sunarc.archive.validity import SERVED, end_others, set_columns, told, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
@@ -23,8 +25,8 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 class Calibrations(Store):
     """The part of the archive that remembers calibrations; none is ever deleted."""
 
-    def __init__(self, engine: Engine) -> None:
-        super().__init__(engine)
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+        super().__init__(engine, file)
         self._documents = Documents()
 
     def add_calibration(
@@ -40,9 +42,9 @@ class Calibrations(Store):
         """
         record = _record(document, parent)
         with self._writing() as connection:
-            if self._records(connection, calibration.c.id == record.id):
+            if self._known(connection, record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
-            connection.execute(insert(calibration).values(asdict(record)))
+            connection.execute(insert(calibration).values(row_of(record)))
             if used is not None:
                 keep_used(connection, record.id, used)
         return told(record)
@@ -68,7 +70,8 @@ class Calibrations(Store):
                     f"is {record.state} and has its place in the history",
                     remedy="activate a copy of it with its own id",
                 )
-            if self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned):
+            pinned = self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
+            if any(not held.damaged for held in pinned):
                 return told(record)
             start = at or record.valid_from
             end_others(connection, record.camera, start)
@@ -80,7 +83,8 @@ class Calibrations(Store):
         """End the current calibration with nothing in its place."""
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
-            if record.state != "current":
+            answering = self._answering(connection, record.camera, None)
+            if answering is None or answering.id != calibration_id:
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
             end_others(connection, record.camera, at)
             return told(self._required(connection, calibration_id))
@@ -95,16 +99,50 @@ class Calibrations(Store):
             return told(self._required(connection, calibration_id))
 
     def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
-        """Return the calibration that answers now, or the one that answers for the moment `at`; None without one."""
+        """Return the calibration that answers now, or the one that answers for the moment `at`; None without one.
+
+        Where that one is damaged, the newest undamaged one that answered before it does, unless the lens was changed
+        in between.
+        """
+        with self._reading() as connection:
+            found = self._answering(connection, camera, at)
+        return None if found is None else told(found)
+
+    def damaged_calibration(self, camera: str) -> str | None:
+        """Return the id of the current calibration of a camera when it is damaged, read from the database anew."""
+        c = calibration.c
+        with self._reading() as connection:
+            found = self._records(connection, c.camera == camera, c.state == "current")
+            if not found or not (found[0].damaged or read_document(connection, found[0].id) is None):
+                return None
+            return found[0].id
+
+    def _answering(self, connection: Connection, camera: str, at: datetime | None) -> CalibrationRecord | None:
         c = calibration.c
         wanted = [c.camera == camera]
         if at is None:
             wanted.append(c.state == "current")
         else:
             wanted += [c.state.in_(SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
-        with self._reading() as connection:
-            found = self._records(connection, *wanted)
-        return told(found[0]) if found else None
+        found = self._records(connection, *wanted)
+        if not found or not found[0].damaged:
+            return found[0] if found else None
+        before = self._before(connection, found[0])
+        return before if before is None or at is not None else replace(before, state="current", valid_until=None)
+
+    def _before(self, connection: Connection, damaged: CalibrationRecord) -> CalibrationRecord | None:
+        """Return the newest undamaged calibration that answered before a damaged one, with the same lens."""
+        c, e = calibration.c, pose_epoch.c
+        mine = (e.camera == damaged.camera, e.reason == LENS_CHANGED, e.started_at <= damaged.valid_from)
+        changed = connection.scalar(select(e.started_at).where(*mine).order_by(e.started_at.desc()).limit(1))
+        answered = [c.camera == damaged.camera, c.state.in_(SERVED), c.valid_from <= damaged.valid_from]
+        answered += given((c.valid_from.__ge__, changed))
+        order = (c.valid_from.desc(), c.created_at.desc())
+        for name in connection.scalars(select(c.id).where(*answered, c.id != damaged.id).order_by(*order)).all():
+            found = self._records(connection, c.id == name)
+            if found and not found[0].damaged:
+                return found[0]
+        return None
 
     def was_served(self, camera: str, *, pose_epoch: str) -> bool:
         """Return whether any calibration of a pose epoch ever answered."""
@@ -114,7 +152,7 @@ class Calibrations(Store):
             return connection.scalar(served) is not None
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
-        """Return a calibration by its id; NotFoundError when there is none."""
+        """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""
         with self._reading() as connection:
             return told(self._required(connection, calibration_id))
 
@@ -139,13 +177,20 @@ class Calibrations(Store):
         columns = [column for column in c if column.name != "document"]
         statement = select(*columns).where(*wanted).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
         rows = connection.execute(statement).mappings().all()
-        return [CalibrationRecord(**row, document=self._documents.get(connection, row["id"])) for row in rows]
+        return [self._documents.record(connection, row) for row in rows]
+
+    def _known(self, connection: Connection, calibration_id: str) -> bool:
+        return connection.scalar(select(calibration.c.id).where(calibration.c.id == calibration_id)) is not None
 
     def _required(self, connection: Connection, calibration_id: str) -> CalibrationRecord:
         found = self._records(connection, calibration.c.id == calibration_id)
         if not found:
             raise NotFoundError(
                 field="id", problem=f"there is no calibration {calibration_id}", remedy="see the list of calibrations"
+            )
+        if found[0].damaged:
+            raise wrong_state(
+                calibration_id, f"cannot be used: {DAMAGED}", remedy="name another one, or calibrate anew"
             )
         return found[0]
 

@@ -8,6 +8,8 @@ import threading
 from sqlalchemy import Engine
 
 from sunarc.archive.engine import outside_errors
+from sunarc.archive.file import DatabaseFile
+from sunarc.errors import OutsideError
 
 
 class Changes:
@@ -15,11 +17,13 @@ class Changes:
 
     Parameters
     ----------
-    engine : names the database file.
+    engine : names the database in errors.
+    file : its file.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         self._engine = engine
+        self._file = file
         self._turn = threading.Lock()
         self._connection: sqlite3.Connection | None = None
 
@@ -27,7 +31,10 @@ class Changes:
         """Return a number that is another one after any commit, of this process or another."""
         with self._turn, outside_errors(self._engine):
             if self._connection is None:
-                self._connection = sqlite3.connect(f"{self._engine.url.database}", check_same_thread=False)
+                try:
+                    self._connection = self._file.connect()
+                except sqlite3.Error as error:
+                    raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
             (version,) = self._connection.execute("PRAGMA data_version").fetchone()
             return int(version)
 

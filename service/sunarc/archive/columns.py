@@ -25,8 +25,8 @@ _EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer
 
 def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement[bool]]) -> SunPointColumns:
     """Return the sightings of a camera that meet the conditions, in the order of their times."""
-    rows = _numbers(connection, wanted)
     epochs = tables.pose_epoch.c
+    rows = _numbers(connection, [*wanted, epochs.camera == camera])
     known = connection.execute(select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera))
     ids = {int(number): epoch_id for number, epoch_id in known}
     present, epoch = np.unique(rows["epoch"], return_inverse=True)

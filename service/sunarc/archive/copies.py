@@ -9,9 +9,13 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
+from sunarc.archive.ownership import PRIVATE, give_to_owner_of
 from sunarc.errors import InputError, OutsideError
 
 _NAME = re.compile(r"sunarc-\d{8}T\d{6}Z\.sqlite")
+_ASIDE = re.compile(r"\.(before|at|found)-[\w.-]+")
+_KEPT_ASIDE = 3
+"""So many copies made before migrations and restores are kept; more would fill the disk over the years."""
 
 
 def backup(path: Path, target: Path, *, replace: bool = False) -> Path:
@@ -35,13 +39,35 @@ def backup(path: Path, target: Path, *, replace: bool = False) -> Path:
         with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(partial)) as copy:
             source.backup(copy)
             copy.execute("PRAGMA journal_mode=DELETE")  # a copy is one file
+        partial.chmod(PRIVATE)
+        give_to_owner_of(target.parent, partial)
         partial.replace(target)
-        _keep_name(target.parent)
+        keep_name(target.parent)
     except (sqlite3.Error, OSError) as error:
         raise OutsideError(
             f"cannot copy {path} to {target}: {error}; free some space, or name another place"
         ) from error
     return target
+
+
+def remove_old_asides(path: Path) -> None:
+    """Remove all but the newest copies that migrations and restores have left beside a database."""
+    beside = [file for file in path.parent.glob(f"{path.name}.*") if _ASIDE.fullmatch(file.name[len(path.name) :])]
+    for old in sorted(beside, key=lambda file: file.stat().st_mtime)[:-_KEPT_ASIDE]:
+        old.unlink(missing_ok=True)
+
+
+def newest_sound_copy(folder: Path) -> Path | None:
+    """Return the newest of a folder's dated copies that is a whole database; None without one."""
+    if not folder.is_dir():
+        return None
+    for copy in sorted((file for file in folder.iterdir() if _NAME.fullmatch(file.name)), reverse=True):
+        try:
+            require_sound(copy)
+        except InputError:
+            continue
+        return copy
+    return None
 
 
 def backup_into(path: Path, folder: Path, *, keep: int, now: datetime) -> Path:
@@ -59,7 +85,7 @@ def backup_into(path: Path, folder: Path, *, keep: int, now: datetime) -> Path:
 
 
 def restore(path: Path, source: Path, *, now: datetime) -> Path | None:
-    """Put a copy in a database's place.
+    """Put a copy in a database's place, in one step; the file belongs to the owner of the folder, also when root asks.
 
     Returns
     -------
@@ -69,18 +95,41 @@ def restore(path: Path, source: Path, *, now: datetime) -> Path | None:
     ------
     InputError : `source` is no sound database, or the database is in use.
     """
-    _require_sound(source)
+    require_sound(source)
     kept = None
     if path.exists():
-        _require_unused(path)
-        kept = backup(path, path.with_name(f"{path.name}.before-restore-{now.astimezone(UTC):%Y%m%dT%H%M%SZ}"))
+        kept = _keep_former(path, keep_aside(path, "before-restore", now=now))
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
     backup(source, path, replace=True)
+    remove_old_asides(path)
     return kept
 
 
-def _require_sound(source: Path) -> None:
+def _keep_former(path: Path, kept: Path) -> Path:
+    """Copy the former database aside; one that is damaged or empty is moved as it is."""
+    if _is_database(path):
+        _require_unused(path)
+        try:
+            return backup(path, kept)
+        except OutsideError:  # damaged, or no room for both
+            pass
+    path.replace(kept)
+    return kept
+
+
+def _is_database(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(16) == b"SQLite format 3\0"
+
+
+def keep_aside(path: Path, why: str, *, now: datetime) -> Path:
+    """Return the name that a former database is kept under, beside the present one."""
+    return path.with_name(f"{path.name}.{why}-{now.astimezone(UTC):%Y%m%dT%H%M%SZ}")
+
+
+def require_sound(source: Path) -> None:
+    """Raise `InputError` when a file is no whole database of this service."""
     if not source.is_file():
         raise InputError(field="source", problem=f"{source} is not there", remedy="name a copy of the database")
     try:
@@ -104,13 +153,15 @@ def _require_unused(path: Path) -> None:
             connection.execute("PRAGMA locking_mode=EXCLUSIVE")
             connection.execute("BEGIN EXCLUSIVE")  # in this mode, granted only to the one connection there is
             connection.execute("ROLLBACK")
-    except sqlite3.OperationalError as error:
+    except sqlite3.DatabaseError as error:
+        if "locked" not in str(error):
+            return  # damaged: nobody can use it
         raise InputError(
             field="state", problem=f"{path} is in use ({error})", remedy="stop the service first: systemctl stop sunarc"
         ) from None
 
 
-def _keep_name(folder: Path) -> None:
+def keep_name(folder: Path) -> None:
     """Have the folder's entries on the disk, so that a power cut does not take the new name back."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:

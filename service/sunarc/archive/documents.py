@@ -1,17 +1,31 @@
-"""Calibration documents as parsed, kept by id: what one says of the model never changes."""
+"""The one place where calibration documents are read: checked against their checksum, parsed once, kept by id."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, LargeBinary, RowMapping, cast, select
 
+from sunarc.archive.engine import json_text
 from sunarc.archive.tables import calibration
+from sunarc.archive.values import CalibrationRecord
+
+DAMAGED = "the stored document is damaged: it does not match its checksum"
+"""What a damaged calibration gives as its reason."""
+
+UNKNOWN_TIME = datetime(1970, 1, 1, tzinfo=UTC)
+"""Stands for a time that cannot be read."""
 
 _MOST_KEPT = 128
+_SAME = ("id", "camera", "method", "pose_epoch")
+"""Columns that the document has too."""
 
 
 class Documents:
@@ -19,16 +33,67 @@ class Documents:
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
-        self._kept: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
+        self._kept: OrderedDict[str, Mapping[str, Any] | None] = OrderedDict()
 
-    def get(self, connection: Connection, calibration_id: str) -> Mapping[str, Any]:
-        """Return the document of a calibration that exists."""
+    def get(self, connection: Connection, calibration_id: str) -> Mapping[str, Any] | None:
+        """Return the document of a calibration that exists; None when it is damaged."""
         with self._turn:
-            kept = self._kept.get(calibration_id)
-            if kept is None:
-                of_this = select(calibration.c.document).where(calibration.c.id == calibration_id)
-                kept = self._kept[calibration_id] = connection.scalars(of_this).one()
+            if calibration_id not in self._kept:
+                self._kept[calibration_id] = read_document(connection, calibration_id)
             self._kept.move_to_end(calibration_id)
             if len(self._kept) > _MOST_KEPT:
                 self._kept.popitem(last=False)
-            return kept
+            return self._kept.get(calibration_id)
+
+    def record(self, connection: Connection, row: RowMapping) -> CalibrationRecord:
+        """Return the record of a row (all columns but the document), marked where the document is damaged."""
+        document = self.get(connection, row["id"])
+        values = {name: value for name, value in row.items() if name != "document_sha256"}
+        if document is None or any(document.get(name) != row[name] for name in _SAME) or None in _times(row):
+            return _damaged(values)
+        return CalibrationRecord(**values, document=document)
+
+
+def read_document(connection: Connection, calibration_id: str) -> Mapping[str, Any] | None:
+    """Read a document and compare it with its checksum; None when the two differ."""
+    columns = select(cast(calibration.c.document, LargeBinary), calibration.c.document_sha256)
+    found = connection.execute(columns.where(calibration.c.id == calibration_id)).one_or_none()
+    stored, checksum = (None, "") if found is None else found  # an id that is no UTF-8 finds nothing
+    if stored is None or hashlib.sha256(stored).hexdigest() != checksum:
+        return None
+    document = json.loads(stored)
+    return document if isinstance(document, dict) else None
+
+
+def damaged_calibrations(connection: Connection) -> dict[str, str | None]:
+    """Return the ids of all damaged calibrations, with their states."""
+    c = calibration.c
+    states = connection.execute(select(c.id, c.state).order_by(c.created_at)).all()
+    return {name: state for name, state in states if read_document(connection, name) is None}
+
+
+def row_of(record: CalibrationRecord) -> dict[str, Any]:
+    """Return the columns of a record, with the checksum of the document as it will be stored."""
+    row = asdict(replace(record, document=dict(record.document)))
+    row.pop("damaged")
+    row["document_sha256"] = hashlib.sha256(json_text(row["document"]).encode()).hexdigest()
+    return row
+
+
+def _times(row: RowMapping) -> tuple[object, ...]:
+    return row["created_at"], row["valid_from"], row["state"]
+
+
+def _damaged(values: dict[str, Any]) -> CalibrationRecord:
+    """Return a record that shows what is left of a damaged calibration, with a document that no fit can use."""
+    reasons = (DAMAGED, *values["reasons"])
+    known = {
+        **values,
+        "state": values["state"] or "refused",
+        "created_at": values["created_at"] or UNKNOWN_TIME,
+        "valid_from": values["valid_from"] or UNKNOWN_TIME,
+        "reasons": reasons,
+        "accepted": False,
+    }
+    document = {"id": values["id"], "camera": values["camera"], "damaged": True, "verdict": {}}
+    return CalibrationRecord(**known, document=document, damaged=True)

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 
+from sunarc.archive.file import DatabaseFile
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 _BUSY_TIMEOUT_MS = 30_000
 _WRITES = "sunarc_writes"
 
 
-def create_archive_engine(path: Path, *, foreign_keys: bool = True) -> Engine:
-    """Return an engine on a database file; migrations alone switch the foreign keys off."""
-    engine = create_engine(f"sqlite:///{path}", pool_size=8, max_overflow=32, pool_timeout=30.0)
+def create_archive_engine(
+    path: Path, *, foreign_keys: bool = True, create: bool = False, file: DatabaseFile | None = None
+) -> Engine:
+    """Return an engine on a database file; migrations alone switch the foreign keys off, and make the file."""
+    opened = file or DatabaseFile(path)
+    engine = create_engine(
+        f"sqlite:///{path}",
+        creator=lambda: opened.connect(create=create),
+        pool_size=8,
+        max_overflow=32,
+        pool_timeout=30.0,
+        json_serializer=json_text,
+        json_deserializer=_parsed,
+    )
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:
         connection.isolation_level = None  # the driver begins nothing by itself
+        connection.text_factory = _text  # else one flipped bit makes every query that meets it fail
         connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")
@@ -63,8 +79,28 @@ def outside_errors(engine: Engine) -> Iterator[None]:
             remedy="write the camera, its pose epoch and its calibration before what refers to them",
         ) from error
     except OperationalError as error:
-        raise OutsideError(f"cannot use the database {path}: {error.orig}") from error
+        may = os.access(str(path), os.R_OK | os.W_OK) or not Path(str(path)).exists()
+        remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
+        raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
     except DatabaseError as error:
         raise ConfigurationError(
-            f"{path} is no sound SQLite database ({error.orig}); move it away or restore a backup"
+            f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "
+            f"sunarc db restore --latest --state {Path(str(path)).parent}"
         ) from error
+
+
+def json_text(value: object) -> str:
+    """Return a value as the text that is stored of it."""
+    return json.dumps(value)
+
+
+def _parsed(text: str) -> Any:  # noqa: ANN401 - whatever JSON holds
+    """Return a stored value; None where it is no JSON any more."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+def _text(stored: bytes) -> str:
+    return stored.decode("utf-8", "replace")

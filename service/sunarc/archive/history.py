@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select
 
 from sunarc.archive.calibrations import Calibrations
+from sunarc.archive.documents import row_of
 from sunarc.archive.tables import calibration, event
 from sunarc.archive.used import copy_used
 from sunarc.archive.validity import SERVED, end_others, set_columns, told, written, wrong_state
@@ -40,7 +41,7 @@ class History(Calibrations):
             end_others(connection, record.camera, at)
             if record.state in SERVED:
                 chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
-                connection.execute(insert(calibration).values(asdict(chosen)))
+                connection.execute(insert(calibration).values(row_of(chosen)))
                 copy_used(connection, record.id, to=chosen.id)
             else:
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}

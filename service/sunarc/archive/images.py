@@ -8,7 +8,8 @@ import re
 import shutil
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +21,8 @@ _OURS = re.compile(r"(\d{8}T\d{6})\.\d{3}Z_hdr\.(png|jpg)")
 _DAYS = "[0-9]*/[0-9]*/[0-9]*"
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _MB = 1e6
+_LEAST_FREE_FILES = 16
+"""Inodes: a cycle's images, their folders, and what the database writes beside itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +54,12 @@ class DiskOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskUsage:
-    """What is free where the images are, what they take, and the time of the oldest one."""
+    """What is free where the images are, what they take, the time of the oldest one, and whether inodes are short."""
 
     free_bytes: int
     images_bytes: int
     oldest_image_at: datetime | None
+    out_of_files: bool = False
 
 
 class ImageStore:
@@ -103,55 +107,82 @@ class ImageStore:
             except OSError as error:
                 if error.errno in _FULL and self._remove_oldest():
                     continue
-                raise OutsideError(f"image {target.name} could not be written: {error.strerror or error}") from error
+                why = "no inodes are left" if self._out_of_files() else error.strerror or str(error)
+                raise OutsideError(f"image {target.name} could not be written: {why}") from error
             with self._lock:
                 self._bytes = None if self._bytes is None else self._bytes + len(encoded)
             return target
 
     def newest(self, *, kind: str) -> Path | None:
         """Return the newest image of a kind, or None; looks at the last day that has one."""
-        for folder in sorted(self.folder.glob(_DAYS), reverse=True):
-            images = sorted(folder.glob(f"*_{kind}"))
-            if images:
-                return images[-1]
+        with self._readable():
+            for folder in sorted(self.folder.glob(_DAYS), reverse=True):
+                images = sorted(folder.glob(f"*_{kind}"))
+                if images:
+                    return images[-1]
         return None
 
     def make_room(self, needed_bytes: int = 0) -> bool:
         """Remove the oldest images until this much can be written; return whether it can."""
-        while self._free() - needed_bytes < self._keep_free_bytes:
-            if not self._remove_oldest():
-                return False
+        with self._readable():
+            while self._free() - needed_bytes < self._keep_free_bytes:
+                if not self._remove_oldest():
+                    return False
         return True
 
     def expire(self, before: datetime) -> int:
         """Remove the images from before a time, and return how many."""
         removed = 0
-        while self._remove_oldest(before=before):
-            removed += 1
+        with self._readable():
+            while self._remove_oldest(before=before):
+                removed += 1
         return removed
 
     def usage(self) -> DiskUsage:
         """Return what the images take; counted once, then kept up to date."""
-        with self._lock:
+        with self._lock, self._readable():
             if self._bytes is None:
                 self._bytes = sum(_size(path) for path in self.folder.rglob("*") if _OURS.fullmatch(path.name))
             oldest = self._first()
             return DiskUsage(
                 free_bytes=self._free(),
+                out_of_files=self._out_of_files(),
                 images_bytes=self._bytes,
                 oldest_image_at=None if oldest is None else _captured_at(oldest),
             )
 
     def clear_up(self) -> None:
         """Remove what an interrupted write has left."""
-        for part in self.folder.rglob("*.part"):
-            part.unlink(missing_ok=True)
+        with self._readable():
+            for part in self.folder.rglob("*.part"):
+                part.unlink(missing_ok=True)
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Say in one line that the folder cannot be used; `glob` and `rglob` alone would find nothing and be silent."""
+        try:
+            if self.folder.exists():
+                os.scandir(self.folder).close()
+            yield
+        except OSError as error:
+            raise OutsideError(f"image folder {self.folder}: {error.strerror or error}") from error
 
     def _free(self) -> int:
+        return self._free_bytes(self._place())
+
+    def _out_of_files(self) -> bool:
+        """Return whether the file system can hold no more files; some (btrfs) have no such limit and say 0 of 0."""
+        try:
+            found = os.statvfs(self._place())
+        except OSError:
+            return False
+        return found.f_files > 0 and found.f_favail < _LEAST_FREE_FILES
+
+    def _place(self) -> Path:
         place = self.folder
         while not place.exists():
             place = place.parent
-        return self._free_bytes(place)
+        return place
 
     def _first(self) -> Path | None:
         """Return the oldest image; the files of one day are listed at a time."""

@@ -9,8 +9,10 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, func, inspect, select
 
 import sunarc
-from sunarc.archive.copies import backup
+from sunarc.archive.copies import backup, remove_old_asides
+from sunarc.archive.documents import damaged_calibrations
 from sunarc.archive.engine import create_archive_engine, reading
+from sunarc.archive.ownership import give_to_owner_of
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
 
@@ -23,6 +25,8 @@ class Check:
     ----------
     revision, head : the database's own, and the one this version needs; None for a database without tables.
     integrity : SQLite's findings; empty when it is sound.
+    damaged : ids of the calibrations whose documents do not match their checksums; none of them is served.
+    current_damaged : whether one of them is current.
     rows : the number of rows by table; empty when the revisions differ.
     """
 
@@ -30,11 +34,13 @@ class Check:
     head: str
     integrity: tuple[str, ...]
     rows: Mapping[str, int]
+    damaged: tuple[str, ...] = ()
+    current_damaged: bool = False
 
     @property
     def sound(self) -> bool:
         """Whether this version can use the database."""
-        return self.revision == self.head and not self.integrity
+        return self.revision == self.head and not self.integrity and not self.current_damaged
 
 
 def head_revision() -> str:
@@ -50,8 +56,8 @@ def upgrade(path: Path) -> Path | None:
     The copy that was made before a migration; None when there was nothing to migrate.
     """
     existed = path.exists()
-    _make_folder(path.parent)
-    engine = create_archive_engine(path, foreign_keys=False)
+    prepare_folder(path.parent)
+    engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
             revision = _revision(connection)
@@ -63,6 +69,8 @@ def upgrade(path: Path) -> Path | None:
         _migrate(engine, to="head")
     finally:
         engine.dispose()
+    give_to_owner_of(path.parent, path)
+    remove_old_asides(path)
     return copy
 
 
@@ -77,7 +85,15 @@ def check(path: Path) -> Check:
                 name: connection.scalar(select(func.count()).select_from(table)) or 0
                 for name, table in (metadata.tables.items() if revision == head else ())
             }
-            return Check(revision=revision, head=head, integrity=_integrity(connection), rows=rows)
+            damaged = damaged_calibrations(connection) if revision == head else {}
+            return Check(
+                revision=revision,
+                head=head,
+                integrity=_integrity(connection),
+                rows=rows,
+                damaged=tuple(damaged),
+                current_damaged="current" in damaged.values(),
+            )
     finally:
         engine.dispose()
 
@@ -89,7 +105,7 @@ def downgrade(path: Path, revision: str) -> Path:
     """
     require_file(path, command="sunarc db upgrade")
     known = _revisions()
-    engine = create_archive_engine(path, foreign_keys=False)
+    engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
             present = _revision(connection)
@@ -168,7 +184,8 @@ def _migrations() -> Path:
     return next((folder for folder in places if folder.is_dir()), places[0])
 
 
-def _make_folder(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
+    """Make the folder of a database."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -6,11 +6,12 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 from datetime import date, datetime
 
-from sqlalchemy import ColumnElement, func, select, text, update
+from sqlalchemy import ColumnElement, Engine, func, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
 from sunarc.archive.columns import FloatArray, read_columns, read_levels
+from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
@@ -37,12 +38,21 @@ _FIRST_OF_EACH_DAY = text(
 class Sightings(Store):
     """The part of the archive that remembers what the camera saw."""
 
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+        super().__init__(engine, file)
+        self._saved: dict[str, CameraRecord] = {}
+
     def save_camera(self, record: CameraRecord) -> None:
         """Write a camera down, in place of what was known of the same name."""
         row = asdict(record)
         statement = insert(tables.camera).values(row)
         with self._writing() as connection:
             connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=row))
+        self._saved = {**self._saved, record.name: record}
+
+    def saved_cameras(self) -> tuple[CameraRecord, ...]:
+        """Return the cameras that were written down by this object."""
+        return tuple(self._saved.values())
 
     def cameras(self) -> tuple[CameraRecord, ...]:
         """Return the known cameras by name."""

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Engine, Select
+from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
 
 from sunarc.archive.changes import Changes
 from sunarc.archive.engine import reading, writing
+from sunarc.archive.file import DatabaseFile
+
+_log = logging.getLogger(__name__)
+
+_UNREADABLE = "\ufffd"
+"""Stands in a text for what is no UTF-8; a key that has it would find no row."""
 
 Value = TypeVar("Value")
+
+_REBUILT_WITHIN_S = 60.0
+"""A read waits no longer for a database that is being put back."""
 
 
 class Store:
@@ -21,11 +31,15 @@ class Store:
     Parameters
     ----------
     engine : an engine of `create_archive_engine`, on a database of the head revision.
+    file : its file, as it was opened.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         self._engine = engine
-        self._changes = Changes(engine)
+        self._file = file
+        self._changes = Changes(engine, file)
+        self._usable = threading.Event()
+        self._usable.set()
         self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
 
     def close(self) -> None:
@@ -39,13 +53,16 @@ class Store:
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
+        self._usable.wait(_REBUILT_WITHIN_S)
         with reading(self._engine) as connection:
             yield connection
 
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
-        with self._turn, writing(self._engine) as connection:
-            yield connection
+        with self._turn:
+            self._file.require_in_place()
+            with writing(self._engine) as connection:
+                yield connection
 
     def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         with self._reading() as connection:
@@ -53,10 +70,29 @@ class Store:
 
 
 def values_of(connection: Connection, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
-    """Return one value per row; the columns carry the names of its fields."""
+    """Return one value per row; the columns carry the names of its fields.
+
+    A row whose required values cannot be read (see `types`) is left out, and logged.
+    """
     result = connection.execute(statement)
     names = tuple(result.keys())
-    return tuple(kind(**dict(zip(names, row, strict=True))) for row in result)
+    columns = tuple(statement.selected_columns)
+    needed = [number for number, column in enumerate(columns) if _required(column)]
+    keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
+    rows = result.all()
+    whole = [
+        row
+        for row in rows
+        if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
+    ]
+    if len(whole) < len(rows):
+        lost, name = len(rows) - len(whole), kind.__name__
+        _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)
+    return tuple(kind(**dict(zip(names, row, strict=True))) for row in whole)
+
+
+def _required(column: ColumnElement[Any]) -> bool:
+    return isinstance(column, Column) and not column.nullable and isinstance(column.type, TypeDecorator)
 
 
 def given(*conditions: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import get_args
 
 from sqlalchemy import (
     JSON,
-    BigInteger,
     Boolean,
     Column,
-    Date,
-    Dialect,
     Float,
     ForeignKey,
     Index,
@@ -20,65 +16,13 @@ from sqlalchemy import (
     MetaData,
     Table,
     Text,
-    TypeDecorator,
     UniqueConstraint,
     false,
     text,
 )
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_MICROSECOND = timedelta(microseconds=1)
-
-
-def to_microseconds(time: datetime) -> int:
-    """Return the whole microseconds since 1970-01-01 UTC of an aware time."""
-    return (time - _EPOCH) // _MICROSECOND
-
-
-class UtcTime(TypeDecorator[datetime]):
-    """An aware UTC time as whole microseconds since 1970, so that equality and order are exact."""
-
-    impl = BigInteger
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> int | None:  # noqa: ARG002 - SQLAlchemy's
-        """Return the number to store."""
-        return None if value is None else to_microseconds(value)
-
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
-        """Return the stored time, aware."""
-        return None if value is None else _EPOCH + value * _MICROSECOND
-
-
-class TextTuple(TypeDecorator[tuple[str, ...]]):
-    """A tuple of sentences, as a JSON list."""
-
-    impl = JSON
-    cache_ok = True
-
-    def process_bind_param(self, value: tuple[str, ...] | None, dialect: Dialect) -> list[str]:  # noqa: ARG002 - SQLAlchemy's
-        """Return the list to store."""
-        return list(value or ())
-
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[str, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
-        """Return the stored sentences."""
-        return tuple(value or ())
-
-
-class NumberTuple(TypeDecorator[tuple[float, ...]]):
-    """A few numbers, as a JSON list; None where there are none."""
-
-    impl = JSON(none_as_null=True)
-    cache_ok = True
-
-    def process_bind_param(self, value: tuple[float, ...] | None, dialect: Dialect) -> list[float] | None:  # noqa: ARG002 - SQLAlchemy's
-        """Return the list to store."""
-        return None if value is None else list(value)
-
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[float, ...] | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
-        """Return the stored numbers."""
-        return None if value is None else tuple(value)
-
+from sunarc.archive.types import CalendarDate, JsonObject, NumberTuple, TextTuple, UtcTime, Word
+from sunarc.archive.values import CalibrationState, DayVerdict, EventSeverity, RefitState
 
 metadata = MetaData(
     naming_convention={
@@ -155,8 +99,8 @@ day = Table(
     "day",
     metadata,
     Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
-    Column("date", Date, primary_key=True),
-    Column("verdict", Text, nullable=False),
+    Column("date", CalendarDate, primary_key=True),
+    Column("verdict", Word(get_args(DayVerdict)), nullable=False),
     Column("reasons", TextTuple, nullable=False),
     Column("n", Integer, nullable=False),
     Column("n_possible", Integer, nullable=False),
@@ -167,8 +111,8 @@ day = Table(
     Column("n_cycles", Integer),
     Column("solid_angle_sr", Float),
     Column("doubtful_clock", Float),
-    Column("pose_offset_deg", NumberTuple),
-    Column("pose_offset_sigma_deg", NumberTuple),
+    Column("pose_offset_deg", NumberTuple(3)),
+    Column("pose_offset_sigma_deg", NumberTuple(3)),
 )
 
 calibration = Table(
@@ -176,7 +120,7 @@ calibration = Table(
     metadata,
     Column("id", Text, primary_key=True),
     _camera_column(),
-    Column("state", Text, nullable=False),
+    Column("state", Word(get_args(CalibrationState)), nullable=False),
     Column("method", Text, nullable=False),
     Column("created_at", UtcTime, nullable=False),
     Column("valid_from", UtcTime, nullable=False),
@@ -186,6 +130,7 @@ calibration = Table(
     Column("accepted", Boolean, nullable=False),
     Column("reasons", TextTuple, nullable=False),
     Column("document", JSON, nullable=False),
+    Column("document_sha256", Text, nullable=False, server_default=""),
     Column("pinned", Boolean, nullable=False, server_default=false()),
     Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
     Index("uq_calibration_one_current", "camera", unique=True, sqlite_where=text("state = 'current'")),
@@ -207,7 +152,7 @@ refit = Table(
     _camera_column(),
     Column("requested_at", UtcTime, nullable=False),
     Column("reason", Text, nullable=False),
-    Column("state", Text, nullable=False),
+    Column("state", Word(get_args(RefitState)), nullable=False),
     Column("started_at", UtcTime),
     Column("finished_at", UtcTime),
     Column("calibration", Text, ForeignKey("calibration.id")),
@@ -223,8 +168,8 @@ event = Table(
     _camera_column(nullable=True),
     Column("time", UtcTime, nullable=False),
     Column("kind", Text, nullable=False),
-    Column("severity", Text, nullable=False),
+    Column("severity", Word(get_args(EventSeverity)), nullable=False),
     Column("text", Text, nullable=False),
-    Column("details", JSON, nullable=False),
+    Column("details", JsonObject, nullable=False),
     Index("ix_event_time", "time"),
 )

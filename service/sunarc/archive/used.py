@@ -41,11 +41,14 @@ class UsedSightings(Store):
                     problem=f"no sightings were kept with calibration {calibration_id}",
                     remedy="name one that a refit made, see `sunarc calibrations list`",
                 )
-            ids = _unpacked(kept.ids)
+            try:
+                ids, epochs = _unpacked(kept.ids), [(str(name), int(start)) for name, start in kept.epochs]
+            except (TypeError, ValueError, zlib.error):
+                raise _changed(calibration_id, "the list of its sightings is damaged") from None
             found = read_columns(connection, kept.camera, [sun_point.c.id.in_(_listed(ids))])
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-        columns = _as_then(found, kept.epochs)
+        columns = _as_then(found, epochs)
         if _digest(columns) != kept.digest:
             raise _changed(calibration_id, "its sightings were changed since")
         return columns

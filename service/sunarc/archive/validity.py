@@ -8,7 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, func, literal, or_, update
 
-from sunarc.archive.tables import UtcTime, calibration
+from sunarc.archive.tables import calibration
+from sunarc.archive.types import UtcTime
 from sunarc.archive.values import CalibrationRecord, CalibrationState
 from sunarc.errors import ConflictError
 

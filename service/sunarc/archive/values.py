@@ -168,7 +168,8 @@ class CalibrationRecord:
 
     It answers for `valid_from` <= t < `valid_until` (None: until further notice) when its state is current or
     retired; intervals of one camera never overlap. `parent` is the calibration it was compared with or copied from.
-    A `pinned` one is current, and stays it whatever a refit finds.
+    A `pinned` one is current, and stays it whatever a refit finds. A `damaged` one cannot be read from the database
+    any more; its document says nothing, and it is never served.
     """
 
     id: str
@@ -184,6 +185,7 @@ class CalibrationRecord:
     reasons: tuple[str, ...]
     document: Mapping[str, Any] = field(repr=False)
     pinned: bool = False
+    damaged: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,13 +7,13 @@ formats · files.py: what is handed over.
 
 from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay
 from sunarc.offline.fitting import calibrate_file, image_circle_of
+from sunarc.offline.importing import import_points
 from sunarc.offline.ingesting import Ingested, ingest_folder
 from sunarc.offline.placing import project_csv, unproject_csv
 from sunarc.offline.storing import (
     backup_database,
     check_database,
     export_points,
-    import_points,
     upgrade_database,
 )
 

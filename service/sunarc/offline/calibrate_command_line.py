@@ -13,6 +13,7 @@ from sunarc.calibration import CalibrationOptions
 from sunarc.clock import SystemClock
 from sunarc.errors import InputError
 from sunarc.offline.again import solve_again
+from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.command_line import AsJson, Config
 from sunarc.settings import load_settings
 from sunarc.sky import Site
@@ -71,7 +72,7 @@ def calibrate(
         site=Site(
             latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
         ),
-        image_size=_image_size(_given(image_size, "--image-size")),
+        image_size=parse_image_size(_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
             projection=projection,  # type: ignore[arg-type]
@@ -110,16 +111,6 @@ def _given(value: Value | None, name: str) -> Value:
     if value is None:
         raise InputError(field=name, problem="missing", remedy="give it, see `sunarc calibrate --help`")
     return value
-
-
-def _image_size(text: str) -> tuple[int, int]:
-    try:
-        width, height = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(
-            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
-        ) from None
-    return width, height
 
 
 def _print_calibration(document: dict[str, Any]) -> None:

@@ -10,9 +10,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.archive import parse_time
+from sunarc.archive import lock_holder, parse_time
 from sunarc.clock import SystemClock
-from sunarc.offline import storing
+from sunarc.errors import InputError
+from sunarc.offline import importing, storing
+from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.everything import export_everything
 from sunarc.settings import load_settings
 from sunarc.terminal import print_json, table
@@ -28,13 +30,24 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @points_cli.command("import")
-def import_points(file: Annotated[Path, typer.Argument(help="CSV of sightings.")], config: Config = None) -> None:
+def import_points(
+    file: Annotated[Path, typer.Argument(help="CSV of sightings.")],
+    config: Config = None,
+    image_size: Annotated[
+        str | None, typer.Option(help="W,H in px, for a camera that the archive does not know yet.")
+    ] = None,
+) -> None:
     """Add sightings from a CSV file to the archive; what it has already is skipped.
 
-    Example: sunarc points import points.csv --config sunarc.toml
+    A new state folder gets a database, and the camera is stored with the settings' site.
+
+    Example: sunarc points import points.csv --config sunarc.toml --image-size 1748,1748
     """
-    added, total = storing.import_points(load_settings(config), file)
+    settings = load_settings(config)
+    size = None if image_size is None else parse_image_size(image_size)
+    added, total = importing.import_points(settings, file, image_size=size)
     print(f"{added} of {total} sightings added, {total - added} were there already")
+    note_running_service(settings.state)
 
 
 @points_cli.command("export")
@@ -103,11 +116,20 @@ def backup(
 
 
 @db_cli.command()
-def restore(source: Annotated[Path, typer.Argument(help="A copy of the database.")], *, state: State) -> None:
+def restore(
+    source: Annotated[Path | None, typer.Argument(help="A copy of the database.", show_default=False)] = None,
+    *,
+    latest: Annotated[bool, typer.Option("--latest", help="The newest sound copy in STATE/backups.")] = False,
+    state: State,
+) -> None:
     """Put a copy in the database's place, the service being stopped; the former one is kept.
+
+    The file belongs to the owner of the state folder, also when root asks.
 
     Example: sunarc db restore /var/lib/sunarc/backups/sunarc-20260501T020000Z.sqlite --state /var/lib/sunarc
     """
+    if latest == (source is not None):
+        raise InputError(field="SOURCE", problem="give either a copy or --latest", remedy="see --help")
     print(storing.restore_database(state, source, clock=SystemClock()))
 
 
@@ -124,6 +146,17 @@ def export_all(
         print_json(written)
     else:
         Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
+
+
+def note_running_service(state: Path) -> None:
+    """Say on standard error that a service uses what was written into its state folder."""
+    holder = lock_holder(state)
+    if holder is not None:
+        print(
+            f"sunarc: the service with process id {holder} uses this state folder; "
+            "its next refit takes the new sightings (POST /v1/refits starts one)",
+            file=sys.stderr,
+        )
 
 
 def _moment(text: str | None, option: str) -> datetime | None:

@@ -25,7 +25,7 @@ def read_file(path: Path) -> bytes:
 def read_lines(path: Path) -> list[str]:
     """Return a text file's lines; InputError when it is not UTF-8."""
     try:
-        return read_file(path).decode().splitlines()
+        return read_file(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(field=str(path), problem="is not text", remedy="give a CSV file in UTF-8") from None
 

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as Pictures
 
-from sunarc.archive import Archive, CameraRecord, open_archive, parse_time, sun_point_of, upgrade
+from sunarc.archive import Archive, open_archive, parse_time, sun_point_of, upgrade_present
 from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.imaging import document_of
+from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.detecting import Method, detect_in_image
 from sunarc.offline.files import read_file, read_image
 from sunarc.settings import Settings
@@ -65,9 +66,10 @@ def ingest_folder(
     One answer a file.
     """
     files = _images(folder)
-    upgrade(settings.database)
+    upgrade_present(settings.database)
     archive = open_archive(settings.database)
     try:
+        known_camera(archive, settings)
         known = {point.time for point in archive.sun_points(settings.name)}
         for path in files:
             naming = _Naming(time_pattern, timedelta(hours=utc_offset_h))
@@ -99,7 +101,7 @@ def _ingested(
         if captured_at in known:
             return Ingested(path=path, outcome="known", text="is in the archive already")
         image = read_image(path)
-        _require_camera(archive, settings, (image.shape[1], image.shape[0]))
+        register_camera(archive, settings, (image.shape[1], image.shape[0]))
         if float(sun_angles(captured_at.timestamp(), settings.site).apparent_zenith) > settings.capture.sun_zenith_deg:
             return Ingested(path=path, outcome="skipped", text="the sun is below the horizon")
         found = detect_in_image(image, method=method, exposure_us=exposure_us)
@@ -190,27 +192,3 @@ def _from_exif(path: Path, offset: timedelta) -> datetime | None:
 
 def _zoned(moment: datetime, offset: timedelta) -> datetime:
     return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC) - offset
-
-
-def _require_camera(archive: Archive, settings: Settings, size: tuple[int, int]) -> None:
-    """Write the camera down at its first image; refuse images of another size."""
-    for camera in archive.cameras():
-        if camera.name == settings.name:
-            if (camera.width, camera.height) != size:
-                raise InputError(
-                    field="image size",
-                    problem=f"{size} px, and camera {settings.name!r} makes {camera.width, camera.height}",
-                    remedy="give this camera another name",
-                )
-            return
-    site = settings.site
-    archive.save_camera(
-        CameraRecord(
-            name=settings.name,
-            latitude=site.latitude,
-            longitude=site.longitude,
-            altitude=site.altitude,
-            width=size[0],
-            height=size[1],
-        )
-    )

@@ -2,61 +2,29 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
-
 from sunarc.archive import (
-    SunPoint,
     backup,
     backup_into,
     check,
     downgrade,
+    lock_state,
+    newest_sound_copy,
     open_archive,
-    read_sightings,
+    prepare_folder,
     require_file,
     restore,
-    upgrade,
+    upgrade_present,
     write_sightings,
 )
 from sunarc.clock import Clock
 from sunarc.errors import InputError
-from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
-
-
-def import_points(settings: Settings, path: Path) -> tuple[int, int]:
-    """Add a file's sightings to the archive; return how many were new, and how many the file has."""
-    table = read_sightings(read_lines(path), name=path.name)
-    archive = open_archive(settings.database)
-    known = {camera.name: camera for camera in archive.cameras()}
-    if settings.name not in known:
-        raise InputError(
-            field="name",
-            problem=f"the archive knows no camera {settings.name!r}",
-            remedy="start the service once with this camera, or correct the name",
-        )
-    camera = known[settings.name]
-    require_inside(table.pixels, (camera.width, camera.height), name=path.name)
-    times = [datetime.fromtimestamp(t, UTC) for t in table.unix_s]
-    points = [
-        SunPoint(
-            camera=settings.name,
-            pose_epoch=archive.epoch_at(settings.name, time, reason=f"imported from {path.name}").id,
-            time=time,
-            method="import",
-            accepted=True,
-            verdict="clear",
-            reason=f"imported from {path.name}",
-            x_px=float(x),
-            y_px=float(y),
-            sigma_px=None if np.isnan(sigma) else float(sigma),
-        )
-        for time, (x, y), sigma in zip(times, table.pixels, table.sigma_px, strict=True)
-    ]
-    return archive.add_sun_points(points), len(points)
 
 
 def export_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
@@ -77,7 +45,8 @@ def upgrade_database(state: Path) -> str:
     """Create or migrate the database of a state folder and say what was done."""
     path = database_of(state)
     existed = path.exists()
-    copy = upgrade(path)
+    with _locked(state):
+        copy = upgrade_present(path)
     if copy is not None:
         return f"{path} was upgraded; the former one is kept as {copy.name}"
     return f"{path} is up to date" if existed else f"{path} was made"
@@ -91,6 +60,7 @@ def check_database(state: Path) -> dict[str, Any]:
         "revision": found.revision,
         "head": found.head,
         "integrity": list(found.integrity),
+        "damaged_calibrations": list(found.damaged),
         "rows": dict(found.rows),
     }
 
@@ -98,7 +68,10 @@ def check_database(state: Path) -> dict[str, Any]:
 def downgrade_database(state: Path, revision: str) -> str:
     """Bring the database back to an older revision and say what was kept."""
     path = database_of(state)
-    return f"{path} is at revision {revision} now; the former one is kept as {downgrade(path, revision).name}"
+    require_file(path, command=f"sunarc db upgrade --state {state}")
+    with _locked(state):
+        copy = downgrade(path, revision)
+    return f"{path} is at revision {revision} now; the former one is kept as {copy.name}"
 
 
 def backup_database(state: Path, target: Path) -> str:
@@ -113,12 +86,32 @@ def backup_database_into(state: Path, folder: Path, *, keep: int, clock: Clock) 
     return f"copied to {backup_into(database_of(state), folder, keep=keep, now=clock.now())}"
 
 
-def restore_database(state: Path, source: Path, *, clock: Clock) -> str:
-    """Put a copy in the database's place and say what was kept."""
+def restore_database(state: Path, source: Path | None, *, clock: Clock) -> str:
+    """Put a copy in the database's place, the newest of the folder `backups` for None; say what was kept.
+
+    Raises
+    ------
+    InputError : there is no such copy, it is damaged, or the database is in use.
+    OutsideError : the service runs; its process id is named.
+    """
     path = database_of(state)
-    kept = restore(path, source, now=clock.now())
+    chosen = source or newest_sound_copy(state / "backups")
+    if chosen is None:
+        raise InputError(
+            field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
+        )
+    with _locked(state):
+        kept = restore(path, chosen, now=clock.now())
     former = "" if kept is None else f"; the former one is kept as {kept.name}"
-    return f"{path} is what {source} was{former}"
+    return f"{path} is what {chosen} was{former}"
+
+
+@contextmanager
+def _locked(state: Path) -> Iterator[None]:
+    """Keep the service from running while its database is replaced or migrated."""
+    prepare_folder(state)
+    with lock_state(state):
+        yield
 
 
 def database_of(state: Path) -> Path:

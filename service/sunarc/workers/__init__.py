@@ -3,6 +3,7 @@
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
+from sunarc.workers.database import DatabaseWorker
 from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.disk import DiskWorker
@@ -26,6 +27,7 @@ __all__ = [
     "ClockOptions",
     "ClockWatch",
     "ComposeWorker",
+    "DatabaseWorker",
     "DayJudge",
     "DetectWorker",
     "DiskWorker",

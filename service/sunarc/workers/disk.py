@@ -10,9 +10,11 @@ from datetime import datetime, timedelta
 from sunarc.archive import DiskOptions, DiskUsage, ImageStore, Reserve
 from sunarc.board import DiskStatus, Reason, StatusBoard
 from sunarc.clock import Clock
+from sunarc.errors import OutsideError
 
 _log = logging.getLogger(__name__)
 _POLL_S = 1.0
+_UNREADABLE = "images_unreadable"
 
 
 class DiskWorker:
@@ -45,10 +47,11 @@ class DiskWorker:
         self._age_from = age_from
         self._board = board
         self._shown: str | None = None
+        self._unreadable = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
-        self._store.clear_up()
+        self._clear_up()
         due_s = self._clock.monotonic()
         while not stop.is_set():
             heartbeat()
@@ -58,7 +61,31 @@ class DiskWorker:
             self._clock.wait(stop, min(_POLL_S, self._options.check_every_s))
 
     def look(self) -> None:
-        """Look once."""
+        """Look once; a folder that cannot be read is shown, and looked at again."""
+        try:
+            self._look()
+        except (OutsideError, OSError) as error:
+            self._show_unreadable(error)
+        else:
+            self._board.clear_reason(_UNREADABLE)
+            if self._unreadable:
+                self._unreadable = False
+                _log.info("the image folder %s can be read again", self._store.folder)
+
+    def _clear_up(self) -> None:
+        try:
+            self._store.clear_up()
+        except OutsideError as error:
+            self._show_unreadable(error)
+
+    def _show_unreadable(self, error: Exception) -> None:
+        remedy = "give the folder back to the service's user and mount its disk; rechecked automatically"
+        self._board.set_reason(Reason(code=_UNREADABLE, severity="degraded", text=str(error), remedy=remedy))
+        if not self._unreadable:
+            self._unreadable = True
+            _log.error("%s; %s", error, remedy)
+
+    def _look(self) -> None:
         now = self._age_from()
         if now is not None:
             removed = self._store.expire(now - timedelta(days=self._options.keep_days))
@@ -77,17 +104,28 @@ class DiskWorker:
                 oldest_image_at=usage.oldest_image_at,
             )
         )
-        if roomy:
+        if usage.out_of_files:
+            reason = self._no_files(usage)
+        elif roomy:
             reason = None
         elif self._reserve.held():
             reason = self._low(usage, code="disk_low", text="has less room than is kept for the database")
         else:
             reason = self._low(usage, code="disk_full", text="is full; the database lives on its reserve")
-        for code in {"disk_low", "disk_full"} - ({reason.code} if reason else set()):
+        for code in {"disk_low", "disk_full", "disk_no_inodes"} - ({reason.code} if reason else set()):
             self._board.clear_reason(code)
         if reason is not None:
             self._board.set_reason(reason)
         self._tell(reason)
+
+    def _no_files(self, usage: DiskUsage) -> Reason:
+        return Reason(
+            code="disk_no_inodes",
+            severity="degraded",
+            text=f"the file system of {self._store.folder} has no inodes left, with {usage.free_bytes / 1e6:.0f} MB "
+            "free; no file can be made",
+            remedy="remove small files from it (df -i shows the file system); rechecked automatically",
+        )
 
     def _low(self, usage: DiskUsage, *, code: str, text: str) -> Reason:
         return Reason(

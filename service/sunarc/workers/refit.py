@@ -170,7 +170,11 @@ class RefitWorker:
             unread = f"the current calibration {current.id} cannot be read by this version, nor compared ({error})"
             return Verdict(accepted=False, marginal=True, reasons=(unread,))
         same = current.pose_epoch == task.pose_epoch
-        return accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
+        verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
+        if verdict.marginal and self._archive.damaged_calibration(self._camera) is not None:
+            # what it was compared with only stands in for the damaged current one, and has to be replaced
+            return Verdict(accepted=True, reasons=("it replaces a damaged calibration", *verdict.reasons))
+        return verdict
 
     def _keep(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""

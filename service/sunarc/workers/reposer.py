@@ -93,12 +93,12 @@ class Reposer:
     def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
         """Return the full fit whose lens is kept."""
         record = current
-        while record.parent is not None and is_provisional(from_document(record.document)):
-            try:
+        try:
+            while record.parent is not None and is_provisional(from_document(record.document)):
                 record = self._archive.calibration(record.parent)
-            except InputError:
-                return None
-        return None if is_provisional(from_document(record.document)) else record
+            return None if is_provisional(from_document(record.document)) else record
+        except InputError:  # gone, damaged, or of another version
+            return None
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
         now = self._now()

@@ -31,34 +31,40 @@ class Soundness:
     def look(self) -> None:
         """Look, show what is wrong on the board, and write an event the first time."""
         current = self._archive.current_calibration(self._camera)
-        self._show(None if current is not None else _none())
+        damaged = self._archive.damaged_calibration(self._camera)
+        if damaged is not None:
+            reason = _damaged(damaged, current)
+            self._show(reason)
+            self._tell("calibration_damaged", damaged, reason.text)
+        else:
+            self._show(None if current is not None else _none())
         if current is None:
             return
         try:
             from_document(current.document)
         except InputError as error:
             self._show(_unreadable(current))
-            self._tell("calibration_unreadable", current, f"calibration {current.id} cannot be read: {error}")
+            self._tell("calibration_unreadable", current.id, f"calibration {current.id} cannot be read: {error}")
             return
         try:
             self._archive.sightings_of(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:
-            self._tell("evidence_changed", current, f"the record was changed: {error}")
+            self._tell("evidence_changed", current.id, f"the record was changed: {error}")
 
     def _show(self, reason: Reason | None) -> None:
-        for code in ("no_calibration", "calibration_unreadable"):
+        for code in ("no_calibration", "calibration_unreadable", "calibration_damaged"):
             if reason is None or reason.code != code:
                 self._board.clear_reason(code)
         if reason is not None:
             self._board.set_reason(reason)
 
-    def _tell(self, kind: str, record: CalibrationRecord, text: str) -> None:
-        if (kind, record.id) in self._told:
+    def _tell(self, kind: str, calibration: str, text: str) -> None:
+        if (kind, calibration) in self._told:
             return
-        self._told.add((kind, record.id))
-        details = {"calibration": record.id}
+        self._told.add((kind, calibration))
+        details = {"calibration": calibration}
         told = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
         self._archive.add_event(told)
 
@@ -69,6 +75,16 @@ def _none() -> Reason:
         severity="degraded",
         text="no calibration is current",
         remedy="wait for a clear day, or import sightings with `sunarc points import`",
+    )
+
+
+def _damaged(damaged: str, served: CalibrationRecord | None) -> Reason:
+    instead = "none can take its place" if served is None else f"the earlier {served.id} is served in its place"
+    return Reason(
+        code="calibration_damaged",
+        severity="degraded",
+        text=f"the stored document of calibration {damaged} does not match its checksum; {instead}",
+        remedy="request a refit (POST /v1/refits), or restore a copy with `sunarc db restore --latest`; check the disk",
     )
 
 

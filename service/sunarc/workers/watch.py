@@ -184,7 +184,12 @@ class WatchWorker:
         if record is None:
             self._known = None
         elif self._known is None or self._known[0] != record.id:
-            self._known = (record.id, from_document(record.document))
+            try:
+                self._known = (record.id, from_document(record.document))
+            except InputError as error:  # of another version: the refit worker sets the condition
+                _log.warning("calibration %s cannot be read by this version: %s", record.id, error)
+                self._known = None
+                return None
             self._show_pose()
         return None if self._known is None else self._known[1]
 

@@ -1,0 +1,92 @@
+"""One service per state folder: an advisory lock (flock) on STATE/lock, a file that holds the process id.
+
+The kernel drops the lock with the process, however it ends, so that a file left by `kill -9` is no obstacle.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sunarc.archive.ownership import give_to_owner_of
+from sunarc.errors import OutsideError
+
+_NAME = "lock"
+_ATTEMPTS, _BETWEEN_S = 3, 0.02
+"""`lock_holder` of another process holds the lock for microseconds; a service holds it for good."""
+
+
+@contextmanager
+def lock_state(folder: Path) -> Iterator[None]:
+    """Hold the lock of a state folder.
+
+    Raises
+    ------
+    OutsideError : another process holds it (its id is named), or the file cannot be opened.
+    """
+    path = folder / _NAME
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)  # not inherited by child processes
+        give_to_owner_of(folder, path)
+    except OSError as error:
+        raise OutsideError(f"{path}: {error.strerror}; make it writable for the service's user") from None
+    try:
+        _take(descriptor, folder)
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def lock_holder(folder: Path) -> int | None:
+    """Return the id of the process that holds the lock of a state folder; None when none does.
+
+    Id 0 stands for a holder that has not written its id yet.
+    """
+    try:
+        descriptor = os.open(folder / _NAME, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _pid(descriptor)
+    else:
+        return None
+    finally:
+        os.close(descriptor)
+
+
+def require_unlocked(folder: Path) -> None:
+    """Raise `OutsideError` when a process holds the lock of a state folder."""
+    holder = lock_holder(folder)
+    if holder is not None:
+        raise _in_use(folder, holder)
+
+
+def _take(descriptor: int, folder: Path) -> None:
+    for _ in range(_ATTEMPTS):
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            threading.Event().wait(_BETWEEN_S)
+        else:
+            return
+    raise _in_use(folder, _pid(descriptor))
+
+
+def _in_use(folder: Path, holder: int) -> OutsideError:
+    return OutsideError(
+        f"state folder {folder} is in use by process {holder}; "
+        "stop that service first (systemctl stop sunarc), or set `state` to another folder"
+    )
+
+
+def _pid(descriptor: int) -> int:
+    text = os.pread(descriptor, 32, 0).strip()
+    return int(text) if text.isdigit() else 0

@@ -1,0 +1,160 @@
+"""A database file that was lost or emptied: restored at a start, and while it is in use."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from sunarc.archive.copies import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
+from sunarc.archive.file import EMPTIED
+from sunarc.archive.ownership import PRIVATE, give_to_owner_of
+from sunarc.archive.schema import upgrade
+from sunarc.errors import InputError, OutsideError
+
+Recovered = Literal["written_back", "restored", "new"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """What was done about a database that was not there as it should be.
+
+    Attributes
+    ----------
+    kind : "written_back" (nothing is lost), "restored" (from a copy), or "new" (empty).
+    text : what happened and what was done, one sentence.
+    """
+
+    kind: Recovered
+    text: str
+
+
+def prepare_database(path: Path, *, backups: Path, images: Path, now: datetime) -> Recovery | None:
+    """Make, restore or migrate the database before a start.
+
+    A database that is missing or has 0 bytes is restored from the newest sound copy in `backups`, so that the service
+    goes on with its calibration; without a copy it begins anew. An empty folder is a new installation, of which
+    nothing is said.
+
+    Returns
+    -------
+    What was done about a lost database; None when it was in place, or there never was one.
+    """
+    emptied = path.is_file() and path.stat().st_size == 0
+    if path.exists() and not emptied:
+        upgrade(path)
+        return None
+    copy = newest_sound_copy(backups)
+    used_before = emptied or copy is not None or next(images.glob("[0-9]*/*/*/*"), None) is not None
+    what = f"the database {path} {'had 0 bytes' if emptied else 'was missing'} at the start"
+    if copy is not None:
+        restore(path, copy, now=now)
+        upgrade(path)
+        return Recovery(kind="restored", text=f"{what}; it was restored from {copy}, what came after that is lost")
+    if emptied:
+        path.replace(keep_aside(path, "before-new", now=now))
+    upgrade(path)
+    return (
+        Recovery(kind="new", text=f"{what}, and no copy is in {backups}; a new one was begun") if used_before else None
+    )
+
+
+def upgrade_present(path: Path) -> Path | None:
+    """Make or migrate a database as `upgrade` does, unless it was lost while copies of it lie in `backups`.
+
+    Raises
+    ------
+    InputError : it is missing or has 0 bytes, and there is a sound copy.
+    """
+    lost = not path.exists() or path.stat().st_size == 0
+    copy = newest_sound_copy(path.parent / "backups") if lost else None
+    if copy is not None:
+        raise InputError(
+            field="state",
+            problem=f"the database {path} is {'empty' if path.exists() else 'missing'}, and there is a copy: {copy}",
+            remedy=f"run sunarc db restore --latest --state {path.parent}; to begin anew, move the copies away",
+        )
+    return upgrade(path)
+
+
+def rebuild(
+    path: Path, connection: sqlite3.Connection, *, problem: str, now: datetime, close: Callable[[], None]
+) -> Recovery:
+    """Put a database back that was deleted, replaced or emptied while it was in use.
+
+    What an open connection still reads is written back; where that is no whole database, the newest sound copy of the
+    folder `backups` is taken, or a new database begun. A file that was put in its place is kept aside.
+
+    Parameters
+    ----------
+    path, connection : the database, and a connection from before.
+    problem : what happened to it.
+    now : names a file that is kept aside.
+    close : closes all connections, this one too; called when nothing is read from them any more.
+
+    Raises
+    ------
+    OutsideError : the disk refuses; the connections are still open.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        found = _copied(connection, partial, emptied=problem == EMPTIED)
+        if found is None:
+            copy = newest_sound_copy(path.parent / "backups")
+            if copy is not None:
+                backup(copy, partial, replace=True)
+                found = Recovery(kind="restored", text=f"restored from {copy}, what came after that is lost")
+        close()
+        return _put(path, partial, found, problem=problem, now=now)
+    except OSError as error:
+        raise OutsideError(f"cannot write {path} back: {error.strerror}; free some space, or restart") from error
+
+
+def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> Recovery | None:
+    """Copy what a connection still reads; None where that is no whole database."""
+    done = Recovery(kind="written_back", text="written back from the open connection, nothing is lost")
+    if _closed(connection) and partial.exists():  # by an attempt that failed after it had copied
+        return done
+    partial.unlink(missing_ok=True)
+    try:
+        with closing(sqlite3.connect(partial)) as copy:
+            connection.backup(copy)
+            copy.execute("PRAGMA journal_mode=DELETE")
+        require_sound(partial)
+    except (sqlite3.Error, InputError) as error:
+        partial.unlink(missing_ok=True)
+        if emptied:
+            return None
+        raise OutsideError(f"cannot copy the open database to {partial}: {error}; free some space") from error
+    return done
+
+
+def _closed(connection: sqlite3.Connection) -> bool:
+    try:
+        connection.cursor()
+    except sqlite3.ProgrammingError:
+        return True
+    return False
+
+
+def _put(path: Path, partial: Path, found: Recovery | None, *, problem: str, now: datetime) -> Recovery:
+    aside = ""
+    if path.exists():
+        kept = path.replace(keep_aside(path, "found", now=now))
+        aside = f"; what stood in its place is kept as {kept.name}"
+    for leftover in ("-wal", "-shm"):
+        path.with_name(path.name + leftover).unlink(missing_ok=True)
+    if found is None:
+        found = Recovery(kind="new", text="begun anew, for there was no copy")
+    else:
+        partial.chmod(PRIVATE)
+        give_to_owner_of(path.parent, partial)
+        partial.replace(path)
+        keep_name(path.parent)
+    upgrade(path)
+    return Recovery(kind=found.kind, text=f"the database {path} {problem}; it was {found.text}{aside}")

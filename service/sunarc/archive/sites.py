@@ -1,0 +1,46 @@
+"""Whether an archive's camera stands where the settings say."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from sunarc.archive.values import CameraRecord
+from sunarc.errors import InputError
+
+_EARTH_RADIUS_M = 6_371_000.0
+SITE_LIMIT_M = 500.0
+"""A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
+
+
+class _Place(Protocol):
+    @property
+    def latitude(self) -> float: ...
+    @property
+    def longitude(self) -> float: ...
+
+
+def require_same_site(record: CameraRecord, site: _Place) -> None:
+    """Raise `InputError` when the settings name another site than the archive has for the camera.
+
+    Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
+    would seem to have been turned.
+    """
+    distance = distance_m(record, site)
+    if distance > SITE_LIMIT_M:
+        raise InputError(
+            field="site",
+            problem=f"latitude {site.latitude:g}, longitude {site.longitude:g} is {distance / 1e3:.1f} km from "
+            f"{record.latitude:g}, {record.longitude:g}, where the archive has camera {record.name!r} "
+            f"(limit {SITE_LIMIT_M / 1e3:g} km)",
+            remedy="correct [site]; or, at a new site, set `name` to a new one (or `state` to an empty folder)",
+        )
+
+
+def distance_m(first: _Place, second: _Place) -> float:
+    """Return the great-circle distance of two places in metres (haversine, a sphere)."""
+    a, b = np.radians([first.latitude, second.latitude])
+    east = np.radians(second.longitude - first.longitude)
+    square = np.sin((b - a) / 2.0) ** 2 + np.cos(a) * np.cos(b) * np.sin(east / 2.0) ** 2
+    return float(2.0 * _EARTH_RADIUS_M * np.arcsin(np.sqrt(min(square, 1.0))))

@@ -1,0 +1,120 @@
+"""Column types. A stored value that cannot be read (a flipped bit, a hand) is None, and never an exception.
+
+A row that lacks a value which it must have is then left out of what is returned (see `store.values_of`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, Date, Dialect, Text, TypeDecorator
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+
+
+def to_microseconds(time: datetime) -> int:
+    """Return the whole microseconds since 1970-01-01 UTC of an aware time."""
+    return (time - _EPOCH) // _MICROSECOND
+
+
+class UtcTime(TypeDecorator[datetime]):
+    """An aware UTC time as whole microseconds since 1970, so that equality and order are exact."""
+
+    impl = BigInteger
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> int | None:  # noqa: ARG002 - SQLAlchemy's
+        """Return the number to store."""
+        return None if value is None else to_microseconds(value)
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored time, aware."""
+        if not isinstance(value, int):
+            return None
+        try:
+            return _EPOCH + value * _MICROSECOND
+        except OverflowError:  # no year that a datetime can hold
+            return None
+
+
+class CalendarDate(TypeDecorator[date]):
+    """A date, as SQLAlchemy's `Date` stores it: ISO 8601 text."""
+
+    impl = Date
+    cache_ok = True
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], date | None]:  # noqa: ARG002 - SQLAlchemy's
+        """Return what reads the stored text."""
+        return _date
+
+
+class Word(TypeDecorator[str]):
+    """One word of a few; another one is None."""
+
+    impl = Text
+    cache_ok = True
+
+    def __init__(self, words: tuple[str, ...]) -> None:
+        super().__init__()
+        self.words = words
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> str | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored word."""
+        return value if value in self.words else None
+
+
+class TextTuple(TypeDecorator[tuple[str, ...]]):
+    """A tuple of sentences, as a JSON list; empty where it cannot be read."""
+
+    impl = JSON
+    cache_ok = True
+
+    def process_bind_param(self, value: tuple[str, ...] | None, dialect: Dialect) -> list[str]:  # noqa: ARG002 - SQLAlchemy's
+        """Return the list to store."""
+        return list(value or ())
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[str, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored sentences."""
+        return tuple(str(text) for text in value) if isinstance(value, list) else ()
+
+
+class NumberTuple(TypeDecorator[tuple[float, ...]]):
+    """So many numbers, as a JSON list; None where there are none."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def __init__(self, length: int) -> None:
+        super().__init__()
+        self.length = length
+
+    def process_bind_param(self, value: tuple[float, ...] | None, dialect: Dialect) -> list[float] | None:  # noqa: ARG002 - SQLAlchemy's
+        """Return the list to store."""
+        return None if value is None else list(value)
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[float, ...] | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored numbers."""
+        if not isinstance(value, list) or len(value) != self.length:
+            return None
+        return tuple(value) if all(isinstance(number, int | float) for number in value) else None
+
+
+class JsonObject(TypeDecorator[dict[str, Any]]):
+    """A JSON object; empty where it cannot be read."""
+
+    impl = JSON
+    cache_ok = True
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> dict[str, Any]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored object."""
+        return value if isinstance(value, dict) else {}
+
+
+def _date(stored: object) -> date | None:
+    try:
+        return date.fromisoformat(stored) if isinstance(stored, str) else None
+    except ValueError:
+        return None

@@ -1,0 +1,61 @@
+"""The camera of the settings in an archive: written down before a real one has answered."""
+
+from __future__ import annotations
+
+from sunarc.archive import Archive, CameraRecord, require_same_site
+from sunarc.errors import InputError
+from sunarc.settings import Settings
+
+
+def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
+    """Return the archive's record of the settings' camera; None where it has none.
+
+    Raises
+    ------
+    InputError : it stands at another site.
+    """
+    found = next((camera for camera in archive.cameras() if camera.name == settings.name), None)
+    if found is not None:
+        require_same_site(found, settings.site)
+    return found
+
+
+def register_camera(archive: Archive, settings: Settings, size: tuple[int, int]) -> CameraRecord:
+    """Store the settings' camera with its image size (width, height) in px, unless it is stored already.
+
+    Raises
+    ------
+    InputError : the stored camera makes images of another size, or stands at another site.
+    """
+    known = known_camera(archive, settings)
+    if known is None:
+        site = settings.site
+        known = CameraRecord(
+            name=settings.name,
+            latitude=site.latitude,
+            longitude=site.longitude,
+            altitude=site.altitude,
+            width=size[0],
+            height=size[1],
+        )
+        archive.save_camera(known)
+    if (known.width, known.height) != size:
+        raise InputError(
+            field="image size",
+            problem=f"{size[0]}x{size[1]} px, and camera {settings.name!r} makes {known.width}x{known.height}",
+            remedy="correct it, or give this camera another name",
+        )
+    return known
+
+
+def parse_image_size(text: str) -> tuple[int, int]:
+    """Return width and height in px from "W,H"."""
+    try:
+        width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        width = height = 0
+    if min(width, height) < 1:
+        raise InputError(
+            field="--image-size", problem=f"{text!r} is not W,H", remedy="give two whole numbers, as 1748,1748"
+        )
+    return width, height

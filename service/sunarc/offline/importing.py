@@ -1,0 +1,85 @@
+"""Sightings from a CSV file to the archive, which is made where there is none."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from sunarc.archive import Archive, SightingTable, SunPoint, open_archive, read_sightings, upgrade, upgrade_present
+from sunarc.errors import InputError
+from sunarc.offline.cameras import known_camera, register_camera
+from sunarc.offline.files import read_lines, require_inside
+from sunarc.settings import Settings
+
+
+def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int] | None = None) -> tuple[int, int]:
+    """Add a file's sightings to the archive; return how many were new, and how many the file has.
+
+    A database that does not exist is made, an older one is migrated, and a camera that is not known is stored with
+    the settings' site; nothing is written before the whole file was found good.
+
+    Parameters
+    ----------
+    settings : camera name, site and state folder.
+    path : the CSV file.
+    image_size : width and height in px; from the archive, or from `camera.region`, unless given.
+
+    Raises
+    ------
+    InputError : a row is wrong, the image size is not known, or the archive's camera is another one.
+    """
+    table = read_sightings(read_lines(path), name=path.name)
+    size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
+    if size is None:
+        raise InputError(
+            field="--image-size",
+            problem=f"missing, and neither the archive nor camera.region has it for camera {settings.name!r}",
+            remedy="give the width and height of its images in px, as --image-size 1748,1748",
+        )
+    require_inside(table.pixels, size, name=path.name)
+    upgrade_present(settings.database)
+    archive = open_archive(settings.database)
+    try:
+        register_camera(archive, settings, size)
+        return archive.add_sun_points(_points(archive, settings, table, path.name)), int(table.unix_s.size)
+    finally:
+        archive.close()
+
+
+def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
+    if not settings.database.is_file() or settings.database.stat().st_size == 0:
+        return None
+    upgrade(settings.database)
+    archive = open_archive(settings.database)
+    try:
+        known = known_camera(archive, settings)
+    finally:
+        archive.close()
+    return None if known is None else (known.width, known.height)
+
+
+def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
+    region = None if settings.camera is None else settings.camera.region
+    return None if region is None else (region[2], region[3])
+
+
+def _points(archive: Archive, settings: Settings, table: SightingTable, name: str) -> list[SunPoint]:
+    times = [datetime.fromtimestamp(t, UTC) for t in table.unix_s]
+    reason = f"imported from {name}"
+    return [
+        SunPoint(
+            camera=settings.name,
+            pose_epoch=archive.epoch_at(settings.name, time, reason=reason).id,
+            time=time,
+            method="import",
+            accepted=True,
+            verdict="clear",
+            reason=reason,
+            x_px=float(x),
+            y_px=float(y),
+            sigma_px=None if np.isnan(sigma) else float(sigma),
+        )
+        for time, (x, y), sigma in zip(times, table.pixels, table.sigma_px, strict=True)
+    ]

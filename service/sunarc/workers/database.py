@@ -1,0 +1,102 @@
+"""Watches the database's file: one that was deleted, replaced or emptied under the service is put back, and shown."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from datetime import datetime
+
+from sunarc.archive import Archive, Event, Recovery
+from sunarc.board import Reason, StatusBoard
+from sunarc.clock import Clock
+from sunarc.errors import OutsideError
+
+_log = logging.getLogger(__name__)
+_EVERY_S = 2.0
+_MISSING = "database_missing"
+
+
+class DatabaseWorker:
+    """Looks again and again whether the database's file is the one that was opened, and puts it back where it is not.
+
+    Parameters
+    ----------
+    archive : whose file.
+    clock : real time.
+    now : frame time, which dates events.
+    board : where a lost database is shown.
+    recovered : what was done about a lost database at the start; None when it was in place.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        clock: Clock,
+        now: Callable[[], datetime],
+        board: StatusBoard,
+        recovered: Recovery | None = None,
+    ) -> None:
+        self._archive = archive
+        self._clock = clock
+        self._now = now
+        self._board = board
+        self._untold = recovered
+        self._missing = False
+        if recovered is not None:
+            _show(board, recovered)
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Look until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            self.look()
+            self._clock.wait(stop, _EVERY_S)
+
+    def look(self) -> None:
+        """Look once."""
+        try:
+            done = self._archive.recover(now=self._clock.now())
+        except OutsideError as error:
+            self._show_missing(error)
+            return
+        if self._missing:
+            self._missing = False
+            self._board.clear_reason(_MISSING)
+            _log.info("the database is in place again")
+        if done is not None:
+            self._untold = done
+            _show(self._board, done)
+        self._tell()
+
+    def _tell(self) -> None:
+        """Write the event of a recovery, as soon as it can be written."""
+        if self._untold is None:
+            return
+        kind = f"database_{self._untold.kind}"
+        event = Event(time=self._now(), kind=kind, severity="alarm", text=self._untold.text)
+        try:
+            self._archive.add_event(event)
+        except OutsideError as error:
+            _log.error("could not store the event %s: %s", kind, error)
+        else:
+            self._untold = None
+
+    def _show_missing(self, error: OutsideError) -> None:
+        remedy = "see to the disk and the state folder; retried automatically, do not restart before"
+        self._board.set_reason(Reason(code=_MISSING, severity="degraded", text=str(error), remedy=remedy))
+        if not self._missing:
+            self._missing = True
+            _log.error("%s; %s", error, remedy)
+
+
+def _show(board: StatusBoard, done: Recovery) -> None:
+    remedies = {
+        "written_back": "find out what removed it; a restart ends this notice",
+        "restored": "find out what removed it, see `sunarc calibrations list`; a restart ends this notice",
+        "new": "to go on with a copy: stop the service, then sunarc db restore SOURCE --state DIR; "
+        "a restart ends this notice",
+    }
+    code = f"database_{done.kind}"
+    board.set_reason(Reason(code=code, severity="degraded", text=done.text, remedy=remedies[done.kind]))

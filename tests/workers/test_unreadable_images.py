@@ -1,0 +1,105 @@
+"""An image folder that cannot be read, and a file system without inodes: shown, and recovered from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sunarc.archive import DiskOptions, ImageStore, Reserve
+from sunarc.cameras import Frame
+from sunarc.errors import OutsideError
+from sunarc.footing import prepare_state
+from sunarc.workers import ComposeWorker, DiskWorker, Handover, SensorOptions
+
+from .conftest import NOON
+from .test_database import as_nobody
+from .test_full_disk import mounted
+
+if TYPE_CHECKING:
+    from sunarc.board import StatusBoard
+    from sunarc.clock import VirtualClock
+
+__all__ = ["as_nobody"]
+OPTIONS = DiskOptions(keep_free_mb=2.0, reserve_mb=1.0)
+
+
+def worker_of(state: Path, clock: VirtualClock, board: StatusBoard) -> DiskWorker:
+    store = ImageStore(state / "images", options=OPTIONS)
+    reserve = Reserve(state / "reserve", size_bytes=1_000_000)
+    return DiskWorker(store=store, reserve=reserve, options=OPTIONS, clock=clock, age_from=clock.now, board=board)
+
+
+def compose(worker: DiskWorker, board: StatusBoard) -> None:
+    composer = ComposeWorker(
+        Handover(capacity=1),
+        store=worker._store,
+        options=SensorOptions(),
+        describe=lambda *_: {"time_utc": "2013-05-13T18:30:10Z"},
+        board=board,
+    )
+    frames = [
+        Frame(image=np.full((6, 8), 100, dtype=np.uint16), time=NOON, exposure_us=exposure_us, gain_db=0.0,
+              pixel_format="Mono12", full_scale=4095, frame_id=1)
+        for exposure_us in (3_000.0, 12_000.0)
+    ]  # fmt: skip
+    composer.compose(frames)
+
+
+def codes(board: StatusBoard) -> set[str]:
+    return {reason.code for reason in board.snapshot().reasons}
+
+
+@pytest.mark.usefixtures("as_nobody")
+@pytest.mark.parametrize("which", ["images", "."])
+def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
+    tmp_path: Path, clock: VirtualClock, board: StatusBoard, which: str
+) -> None:
+    state = tmp_path / "state"
+    (state / "images").mkdir(parents=True)
+    worker = worker_of(state, clock, board)
+    worker.look()
+    (state / which).chmod(0)
+    with pytest.raises(OutsideError, match=r"Permission denied; make it (readable|writable), or set `state`"):
+        prepare_state(state / which)
+    worker._clear_up()
+    worker.look()
+    compose(worker, board)
+    assert codes(board) == {"images_unreadable", "images_not_written"}
+    (state / which).chmod(0o750)
+    worker.look()
+    compose(worker, board)
+    assert codes(board) == set()
+    assert worker._store.newest(kind="hdr.png") is not None
+
+
+def test_a_file_system_without_inodes_is_said_to_be_one(
+    tmp_path: Path, clock: VirtualClock, board: StatusBoard
+) -> None:
+    state = tmp_path / "state"
+    state.mkdir()
+    with mounted(state, "size=50M", "nr_inodes=60"):
+        (state / "images").mkdir()
+        worker = worker_of(state, clock, board)
+        worker.look()
+        assert codes(board) == set()
+        strangers = 0
+        while True:
+            try:
+                (state / f"stranger{strangers}").touch()
+            except OSError:
+                break
+            strangers += 1
+        worker.look()
+        compose(worker, board)
+        assert codes(board) == {"disk_no_inodes", "images_not_written"}
+        texts = {reason.code: reason.text for reason in board.snapshot().reasons}
+        assert "no inodes left, with " in texts["disk_no_inodes"]
+        assert "no inodes are left" in texts["images_not_written"]
+        for number in range(strangers):
+            (state / f"stranger{number}").unlink()
+        worker.look()
+        compose(worker, board)
+        assert codes(board) == set()
