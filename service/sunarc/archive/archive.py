@@ -6,14 +6,14 @@ from pathlib import Path
 
 from sunarc.archive.doubts import Doubts
 from sunarc.archive.engine import create_archive_engine, reading, writing
-from sunarc.archive.history import History
+from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.journal import Journal
 from sunarc.archive.schema import require_file, require_head
 from sunarc.archive.sightings import Sightings
 from sunarc.archive.used import UsedSightings
 
 
-class Archive(Sightings, Doubts, History, UsedSightings, Journal):
+class Archive(Sightings, Doubts, EpochClosing, UsedSightings, Journal):
     """What we remember: values in, values out; one object serves all threads."""
 
 
