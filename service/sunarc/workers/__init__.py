@@ -7,6 +7,7 @@ from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.disk import DiskWorker
 from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.frozen_frames import FROZEN, FrozenFrames
 from sunarc.workers.handover import Handover
 from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
@@ -20,6 +21,7 @@ from sunarc.workers.sun_exposures import SunExposures
 from sunarc.workers.watch import WatchWorker
 
 __all__ = [
+    "FROZEN",
     "UNKNOWN_ERROR_S",
     "CaptureOptions",
     "CaptureWorker",
@@ -30,6 +32,7 @@ __all__ = [
     "DetectWorker",
     "DiskWorker",
     "FrameTime",
+    "FrozenFrames",
     "Handover",
     "RefitOptions",
     "RefitWorker",
