@@ -74,6 +74,7 @@ class Imager:
         self.clock = VirtualClock(START)
         self._rng = np.random.default_rng(seed)
         self.camera = TRUTH
+        self.open_camera: Callable[[], SkyCamera] = no_camera
         self.true_times: dict[datetime, datetime] = {}
         self._start_record()
         self.boot()
@@ -105,7 +106,7 @@ class Imager:
 
     def boot(self) -> None:
         """Start the service (anew): nothing but the archive and the clock is kept."""
-        self.service = Service(self._settings, archive=self.archive, clock=self.clock, open_camera=no_camera)
+        self.service = Service(self._settings, archive=self.archive, clock=self.clock, open_camera=self.open_camera)
         self.service.clock_watch.look()
         self.service.watch.remember()
 
