@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunarc.app import Service
-from sunarc.archive import ELSEWHERE, CameraRecord, Event, open_archive, sun_point_of, upgrade
+from sunarc.archive import CameraRecord, Event, open_archive, sun_point_of, upgrade
 from sunarc.calibration import Calibration, SunPoints, calibrate, from_document, to_document
 from sunarc.cameras import AravisOptions, Frame, SkyCamera
 from sunarc.clock import ClockState, VirtualClock
@@ -134,7 +134,7 @@ class Imager:
         detection = Detection(
             method="disc",
             accepted=near,
-            verdict="clear" if near else ELSEWHERE,
+            verdict="clear" if near else "elsewhere",
             reason="",
             x_px=x,
             y_px=y,
