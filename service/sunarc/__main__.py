@@ -23,7 +23,7 @@ from sunarc.offline import settings_reference
 from sunarc.offline.calibrate_command_line import calibrate
 from sunarc.offline.command_line import Config, db_cli, note_running_service, points_cli
 from sunarc.offline.export_command_line import export_calibration
-from sunarc.offline.history_command_line import calibrations_cli
+from sunarc.offline.history_command_line import calibrations_cli, epochs_cli
 from sunarc.settings import load_settings
 from sunarc.sky import Site
 from sunarc.studies.command_line import study_cli
@@ -41,6 +41,7 @@ cli = typer.Typer(
 cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
 cli.add_typer(calibrations_cli, name="calibrations")
+cli.add_typer(epochs_cli, name="epochs")
 cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
 cli.command("export")(export_calibration)

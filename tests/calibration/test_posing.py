@@ -187,3 +187,24 @@ def test_a_real_lens_is_posed_anew() -> None:
     again = repose(points.select(slice(100, 300)), start=whole, site=site)
     assert again.verdict.accepted, again.verdict.reasons
     assert again.metrics.rmse_px < 1.05
+
+
+@pytest.mark.parametrize("shown", ["one", "two", "corner", "outside"])
+def test_sightings_of_a_frozen_image_are_an_answer_and_no_exception(
+    camera: Camera, simulator: Simulator, calibrated: Calibration, shown: str
+) -> None:
+    seen = few(simulator, camera, 24, seed=3).points
+    pixels = seen.pixels.copy()
+    if shown == "one":
+        pixels[:] = pixels[0]
+    elif shown == "two":
+        pixels[:] = pixels[np.arange(24) % 2]
+    elif shown == "corner":
+        pixels[12:] = (3.0, 3.0)
+    else:
+        pixels[:] = (-5000.0, 9000.0)
+    points = replace(seen, pixels=pixels)
+    found = repose(points, start=calibrated, site=SGP)
+    assert found.verdict.reasons
+    assert found.verdict.accepted == (shown == "corner")  # there the first half is good
+    daily_pose_offset(points, calibration=calibrated, site=SGP)

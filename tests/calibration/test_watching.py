@@ -202,3 +202,11 @@ def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibrati
 def test_options_that_find_changes_everywhere_are_refused() -> None:
     with pytest.raises(InputError, match="least_gain"):
         WatchOptions(least_gain=1.0)
+
+
+@pytest.mark.parametrize("shown", ["first", "last", "two"])
+def test_an_image_that_comes_again_is_no_exception(calibrated: Calibration, camera: Camera, shown: str) -> None:
+    times, pixels = sightings(camera, bumped(0.0, 0.0, 0.0), false=0.0, seed=1)
+    frozen = {"first": pixels[:1], "last": pixels[BEFORE - 1 : BEFORE], "two": pixels[:2]}[shown]
+    pixels[BEFORE:] = np.resize(frozen, (AFTER, 2))
+    watched(calibrated, times, pixels)

@@ -80,6 +80,26 @@ def test_a_disciplined_camera_s_own_time_is_the_start_of_the_exposure(stub: Simp
     assert frame.time == datetime(2013, 5, 13, 18, 30, 0, 123_956, tzinfo=UTC)
 
 
+@pytest.mark.parametrize(
+    ("given", "seconds"),
+    [
+        ({"timestamp_scale": "tai"}, -37.0),
+        ({"timestamp_offset_s": 0.25}, 0.25),
+        ({"timestamp_scale": "tai", "timestamp_offset_s": -1.0}, -38.0),
+    ],
+)
+def test_a_camera_s_time_is_converted_to_utc(stub: SimpleNamespace, given: dict[str, Any], seconds: float) -> None:
+    plain = answering(stub.Camera(), stub.Buffer(), timestamps="camera").expose(1000.0)
+    frame = answering(stub.Camera(), stub.Buffer(), timestamps="camera", **given).expose(1000.0)
+    assert (frame.time - plain.time).total_seconds() == pytest.approx(seconds)
+
+
+def test_a_camera_s_time_is_compared_with_the_host_s_at_every_frame(stub: SimpleNamespace) -> None:
+    frame = answering(stub.Camera(), stub.Buffer(), timestamps="camera").expose(1000.0)
+    assert frame.host_offset_s == pytest.approx(0.123456)  # the host says that it is NOON
+    assert answering(stub.Camera(), stub.Buffer(), timestamps="host").expose(1000.0).host_offset_s is None
+
+
 @pytest.mark.parametrize(("asked", "got"), [(1.0, 10.0), (5e6, 1e6)])
 def test_an_exposure_beyond_the_camera_s_bounds_is_the_nearest_it_can(
     stub: SimpleNamespace, asked: float, got: float

@@ -24,6 +24,9 @@ from sunarc.errors import InputError
         ({"region": (0, 0, 0, 10)}, "region"),
         ({"region": (-1, 0, 10, 10)}, "region"),
         ({"timestamps": "gps"}, "timestamps"),
+        ({"timestamp_scale": "gps"}, "timestamp_scale"),
+        ({"timestamp_offset_s": 3601.0}, "timestamp_offset_s"),
+        ({"timestamp_offset_s": float("nan")}, "timestamp_offset_s"),
     ],
 )
 def test_wrong_settings_are_refused(wrong: dict[str, Any], field: str) -> None:

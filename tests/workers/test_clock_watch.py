@@ -138,8 +138,9 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     status = board.snapshot().clock
     assert status is not None
     assert status.last_step_s == pytest.approx(step_s, abs=1e-6)
-    assert reasons(board) == {"clock_stepped"}
-    clock.advance(ClockOptions().show_step_s)
+    assert reasons(board) - {"clock_settling"} == {"clock_stepped"}
+    assert ("clock_settling" in reasons(board)) == (abs(step_s) >= 60.0)
+    clock.advance(ClockOptions().show_step_s + 86_400.0)
     watch.look()
     assert reasons(board) == set()
     assert len(archive.events("roof")) == 1
@@ -226,6 +227,85 @@ def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_unt
     assert reasons(board) == {"clock_stepped"}
     clock.advance(60.0)
     assert watch.error_s(frame_time.now()) == 0.001
+
+
+def dated_by_camera(
+    watch_with: MakeWatch, clock: VirtualClock, *, offset_s: float, frames: int = 6
+) -> tuple[ClockWatch, FrameTime]:
+    """Return a watch after some frames of a camera whose clock is ahead of the host's."""
+    frame_time = FrameTime(clock, follows_camera=True)
+    frame_time.note(clock.now() + timedelta(seconds=offset_s), host_offset_s=offset_s)
+    watch = watch_with(frame_time=frame_time, camera_error_s=0.001)
+    for _ in range(frames):
+        clock.advance(30.0)
+        frame_time.note(clock.now() + timedelta(seconds=offset_s), host_offset_s=offset_s)
+        watch.look()
+    return watch, frame_time
+
+
+def test_a_camera_that_tells_tai_is_named_with_the_setting_that_mends_it(
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusBoard
+) -> None:
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=37.002)
+    assert watch.error_s(frame_time.now()) == pytest.approx(37.002)
+    assert not watch.trusted()
+    (reason,) = board.snapshot().reasons
+    assert reason.code == "camera_clock_offset"
+    assert "TAI - UTC" in reason.text
+    assert 'camera.timestamp_scale = "tai"' in reason.remedy
+    assert [event.kind for event in archive.events("roof")] == ["camera_clock_offset"]
+    clock.advance(30.0)
+    for _ in range(4):  # after the setting was changed
+        frame_time.note(clock.now(), host_offset_s=0.002)
+    watch.look()
+    assert "camera_clock_offset" not in reasons(board)
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "bound_s", "shown", "trusted"),
+    [
+        (0.0004, 0.001, False, True),
+        (0.3, 0.3, False, True),
+        (0.7, 0.7, True, True),
+        (-1.9, 1.9, True, True),
+        (2.1, 2.1, True, False),
+        (-37.0, 37.0, True, False),
+    ],
+)
+def test_the_bound_of_a_camera_s_time_is_its_difference_from_the_host_s(
+    watch_with: MakeWatch,
+    clock: VirtualClock,
+    board: StatusBoard,
+    *,
+    offset_s: float,
+    bound_s: float,
+    shown: bool,
+    trusted: bool,
+) -> None:
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=offset_s)
+    assert watch.error_s(frame_time.now()) == pytest.approx(bound_s)
+    assert ("camera_clock_offset" in reasons(board)) == shown
+    assert watch.trusted() == trusted
+    assert ("TAI" in " ".join(r.text for r in board.snapshot().reasons)) == (abs(offset_s) > 30.0)
+
+
+def test_one_late_trigger_widens_a_few_bounds_and_is_no_condition(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+) -> None:
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=0.002)
+    frame_time.note(clock.now(), host_offset_s=0.9)
+    watch.look()
+    assert watch.error_s(frame_time.now()) == pytest.approx(0.9)
+    assert reasons(board) == set()
+
+
+def test_a_host_that_is_not_synchronised_says_nothing_of_the_camera(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+) -> None:
+    clock.set_state(UNSYNCHRONISED)
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=37.0)
+    assert watch.error_s(frame_time.now()) == 0.001
+    assert reasons(board) == set()
 
 
 def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: Archive) -> None:

@@ -94,11 +94,33 @@ def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
 def test_old_images_are_removed_but_not_by_a_clock_that_cannot_be_trusted(
     store: ImageStore, clock: VirtualClock, board: StatusBoard
 ) -> None:
-    store.write(NOON - timedelta(days=11), MB, kind="hdr.png")
+    for age_days in range(12):
+        store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
     worker_of(store, clock, board, age_from=lambda: None).look()
-    assert store.usage().images_bytes == 1_000_000
+    assert oldest_days(store) == 11
     worker_of(store, clock, board).look()
-    assert store.usage().images_bytes == 0
+    assert oldest_days(store) == 10
+
+
+def test_a_clock_that_is_a_year_ahead_removes_one_date_of_images_a_day_at_most(
+    store: ImageStore, clock: VirtualClock, board: StatusBoard
+) -> None:
+    for age_days in range(10):
+        store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
+    ahead = NOON + timedelta(days=400)
+    worker_of(store, clock, board, age_from=lambda: ahead).look()
+    assert oldest_days(store) == 9
+    store.write(ahead, b"composite", kind="hdr.png")
+    worker_of(store, clock, board, age_from=lambda: ahead).look()
+    assert oldest_days(store) == 8
+    worker_of(store, clock, board).look()  # right again: what is dated in the future makes nothing old
+    assert oldest_days(store) == 8
+
+
+def oldest_days(store: ImageStore) -> int:
+    oldest = store.usage().oldest_image_at
+    assert oldest is not None
+    return (NOON - oldest).days
 
 
 def test_it_looks_every_ten_seconds_until_stopped(

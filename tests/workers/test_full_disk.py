@@ -23,6 +23,7 @@ from sunarc.workers import (
     ComposeWorker,
     DetectWorker,
     DiskWorker,
+    FrozenFrames,
     Handover,
     SensorOptions,
     SightingKeeper,
@@ -105,6 +106,7 @@ class Chain:
             clock_error_s=lambda _: 0.01,
             report=lambda _frame, _detection: None,
             board=board,
+            frozen=FrozenFrames(archive=self.archive, camera="roof", site=SGP, board=board),
             cadence_s=30.0,
         )
         self.disk = DiskWorker(

@@ -85,6 +85,7 @@ class Imager:
             options=CalibrationOptions(level_within_deg=40.0),
             wander_deg=0.0,
             now=lambda: self.now,
+            largest_clock_error_s=2.0,
         )
         return WatchWorker(
             archive=self.archive,
@@ -92,6 +93,8 @@ class Imager:
             site=SGP,
             options=WatchOptions(),
             reposer=reposer,
+            now=lambda: self.now,
+            largest_clock_error_s=2.0,
             board=self.board,
         )
 

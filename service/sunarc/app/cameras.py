@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
 
-from sunarc.archive import Archive, require_same_site
+from sunarc.archive import LENS_CHANGED, Archive, CameraRecord, Event, require_same_site
 from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
 from sunarc.clock import Clock
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.settings import Settings
+
+_log = logging.getLogger(__name__)
 
 
 def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
@@ -52,3 +57,52 @@ def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> Non
             problem=f"its images are in {info.pixel_format}, those stored in {stored.pixel_format}",
             remedy=remedy,
         )
+
+
+def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -> CameraRecord:
+    """Begin anew where another camera (by its serial number) has taken the place of the one that is stored.
+
+    The lens is another one: the current calibration is retired, a pose epoch with a new lens begins, and an event says
+    so. A pinned calibration is retired too, since it is another camera's.
+
+    Parameters
+    ----------
+    archive : has the camera of before.
+    record : the camera that answers now; one that does not tell its serial number counts as the one of before.
+    at : no later than the first frame of the new camera.
+
+    Returns
+    -------
+    What to store of the camera.
+    """
+    stored = next((camera for camera in archive.cameras() if camera.name == record.name), None)
+    if stored is None or not stored.serial:
+        return record
+    if not record.serial:
+        return replace(record, serial=stored.serial)
+    if record.serial == stored.serial:
+        return record
+    current = archive.current_calibration(record.name)
+    if current is not None:
+        archive.retire(current.id, at=max(at, current.valid_from))
+    _open_epoch(archive, record.name, at)
+    text = (
+        f"camera {record.model} with serial number {record.serial} has replaced serial number {stored.serial}; "
+        f"{'no calibration was' if current is None else f'calibration {current.id} was'} retired, "
+        "a new one is made from the new camera's own sightings"
+    )
+    details = {"serial": record.serial, "serial_before": stored.serial, "calibration": current and current.id}
+    archive.add_event(
+        Event(time=at, kind="camera_replaced", severity="alarm", text=text, camera=record.name, details=details)
+    )
+    return record
+
+
+def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
+    """Begin a pose epoch with another lens; where one has begun later, a wrong clock dated that, or the sky was."""
+    if archive.current_epoch(camera) is None:
+        return
+    try:
+        archive.open_epoch(camera, at=at, reason=LENS_CHANGED)
+    except InputError as error:
+        _log.warning("could not begin a pose epoch for the new camera: %s", error)

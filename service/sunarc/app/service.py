@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
 from functools import partial
 
 import sunarc
-from sunarc.app.cameras import require_same_camera
+from sunarc.app.cameras import note_other_camera, require_same_camera
 from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Recovery, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
@@ -26,6 +27,7 @@ from sunarc.workers import (
     DetectWorker,
     DiskWorker,
     FrameTime,
+    FrozenFrames,
     Handover,
     RefitWorker,
     ReplayWorker,
@@ -67,6 +69,7 @@ class Service:
         self.settings = settings
         self.archive = archive
         self.clock = clock
+        self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = ClockWatch(
@@ -78,8 +81,14 @@ class Service:
             camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
             finds_steps=settings.source == "aravis" and settings.capture.speed == 1.0,
             board=self.board,
+            largest_clock_error_s=self.largest_clock_error_s,
         )
-        self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
+        self.predictor = SunPredictor(
+            archive,
+            camera=settings.name,
+            site=settings.site,
+            largest_clock_error_s=self.largest_clock_error_s,
+        )
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self.keeper = SightingKeeper(archive, board=self.board)
@@ -161,10 +170,21 @@ class Service:
             pixel_format=info.pixel_format,
         )
         try:
-            self.archive.save_camera(record)
+            self.archive.save_camera(note_other_camera(self.archive, record, at=self._time_of_change()))
         except OutsideError as error:
-            _log.warning("the camera is not written down: %s", error)
+            _log.warning("could not store camera record: %s", error)
         return camera
+
+    def _time_of_change(self) -> datetime:
+        """Return a time after the last frame of the camera that was open before and not after the next frame.
+
+        While the clock is not trusted, or before a camera has told its time, that is just after the newest sighting.
+        """
+        now = self.frame_time.now()
+        if self.frame_time.known and self.clock_watch.trusted():
+            return now
+        newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=self.largest_clock_error_s)
+        return now if newest is None else newest + timedelta(microseconds=1)
 
     def capture_worker(self) -> CaptureWorker:
         """Return the worker that drives the camera."""
@@ -211,7 +231,7 @@ class Service:
             reserve=self.reserve,
             options=self.settings.disk,
             clock=self.clock,
-            age_from=lambda: self.frame_time.now() if self.frame_time.known and self.clock_watch.trusted() else None,
+            age_from=self.clock_watch.cleaning_time,
             board=self.board,
         )
 
@@ -238,6 +258,9 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             report=self.report,
             cadence_s=self.settings.capture.cadence_s,
+            frozen=FrozenFrames(
+                archive=self.archive, camera=self.settings.name, site=self.settings.site, board=self.board
+            ),
             board=self.board,
         )
 
@@ -246,7 +269,13 @@ class Service:
         self.exposures.report(frame, detection)
         told = detection.accepted or detection.verdict == ELSEWHERE
         if told and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
-            self.watch.notice(frame.time, x_px=detection.x_px, y_px=detection.y_px, sigma_px=detection.sigma_px)
+            self.watch.notice(
+                frame.time,
+                x_px=detection.x_px,
+                y_px=detection.y_px,
+                sigma_px=detection.sigma_px,
+                clock_error_s=self.clock_watch.error_s(frame.time),
+            )
 
     def watch_worker(self) -> WatchWorker:
         """Return the worker that holds sightings to the calibration."""
@@ -263,7 +292,10 @@ class Service:
                 options=settings.calibration,
                 wander_deg=settings.watch.wander_deg,
                 now=self.frame_time.now,
+                largest_clock_error_s=self.largest_clock_error_s,
             ),
+            now=self.frame_time.now,
+            largest_clock_error_s=self.largest_clock_error_s,
             board=self.board,
         )
 

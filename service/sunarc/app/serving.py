@@ -90,7 +90,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.
         status=service.board.snapshot,
         request_refit=service.request_refit,
         frame_clock=service.frame_time.now,
-        latest_image=lambda: service.images.newest(kind="hdr.jpg"),
+        latest_image=lambda: service.images.newest(kind="hdr.jpg", until=service.frame_time.now()),
         options=options,
     )
     return _Server(

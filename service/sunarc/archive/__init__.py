@@ -4,9 +4,9 @@ values.py: what goes in and comes out · tables.py (with types.py): the head rev
 transactions · file.py: the file while it is in use · schema.py: revisions, checks · migrating.py: alembic's part ·
 copies.py: backups and their restoration · recovery.py: a lost database · lock.py: one service per state folder ·
 ownership.py: owner and mode of files · sites.py: whether camera and settings are at one site · sightings.py (with
-columns.py), calibrations.py (with documents.py, validity.py), history.py, used.py, journal.py: the parts of `Archive` ·
-archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside them · csv_files.py: the
-files people hand us.
+columns.py), calibrations.py (with documents.py, validity.py), history.py, epoch_closing.py, used.py, journal.py: the
+parts of `Archive` · archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside
+them · csv_files.py: the files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -19,7 +19,7 @@ from sunarc.archive.csv_files import (
     write_columns,
     write_sightings,
 )
-from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED
+from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED, MOVED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
@@ -45,6 +45,7 @@ from sunarc.archive.values import (
 __all__ = [
     "ELSEWHERE",
     "LENS_CHANGED",
+    "MOVED",
     "Archive",
     "CalibrationRecord",
     "CalibrationState",

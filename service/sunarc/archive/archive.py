@@ -11,8 +11,8 @@ from sqlalchemy import Engine, QueuePool
 
 from sunarc.archive.doubts import Doubts
 from sunarc.archive.engine import create_archive_engine, reading, writing
+from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
-from sunarc.archive.history import History
 from sunarc.archive.journal import Journal
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import require_file, require_head
@@ -21,7 +21,7 @@ from sunarc.archive.used import UsedSightings
 from sunarc.errors import OutsideError
 
 
-class Archive(Sightings, Doubts, History, UsedSightings, Journal):
+class Archive(Sightings, Doubts, EpochClosing, UsedSightings, Journal):
     """What we remember: values in, values out; one object serves all threads."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:

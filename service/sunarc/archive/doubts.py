@@ -11,6 +11,8 @@ from sunarc.archive.tables import sun_point
 
 ELSEWHERE = "elsewhere"
 """Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
+MOVED = "the camera had moved"
+"""Reason of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
 LENS_CHANGED = "lens"
 """Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
 
@@ -26,10 +28,13 @@ class Doubts(Store):
         with self._writing() as connection:
             return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
 
-    def admit_elsewhere(self, camera: str, *, since: datetime, reason: str) -> int:
-        """Accept the discs that were seen elsewhere from `since` on, and return how many: the camera has moved."""
+    def admit_elsewhere(
+        self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED
+    ) -> int:
+        """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
         c = sun_point.c
-        wanted = (c.camera == camera, c.time >= since, c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None))
+        wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        wanted += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
         with self._writing() as connection:
             change = update(sun_point).where(*wanted).values(accepted=True, verdict="clear", reason=reason)
             return connection.execute(change).rowcount

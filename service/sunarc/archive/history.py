@@ -40,9 +40,7 @@ class History(Calibrations):
             reasons = (f"made current by hand: {reason}", *record.reasons)
             end_others(connection, record.camera, at)
             if record.state in SERVED:
-                chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
-                connection.execute(insert(calibration).values(row_of(chosen)))
-                copy_used(connection, record.id, to=chosen.id)
+                chosen = add_copy(connection, record, at=at, reasons=reasons)
             else:
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
                 set_columns(connection, record.id, **decided, reasons=reasons)
@@ -68,6 +66,16 @@ class History(Calibrations):
             set_columns(connection, record.id, pinned=chosen.pinned)
             _tell(connection, chosen, what, at=at, text=f"{record.id} was {what}: {reason}", calibration=record.id)
         return told(chosen)
+
+
+def add_copy(
+    connection: Connection, record: CalibrationRecord, *, at: datetime, reasons: tuple[str, ...]
+) -> CalibrationRecord:
+    """Store a copy of a calibration that answered before, current from `at` on, with the same sightings."""
+    chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
+    connection.execute(insert(calibration).values(row_of(chosen)))
+    copy_used(connection, record.id, to=chosen.id)
+    return chosen
 
 
 def _copy(record: CalibrationRecord, *, id: str, at: datetime, reasons: tuple[str, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name

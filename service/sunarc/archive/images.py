@@ -113,13 +113,14 @@ class ImageStore:
                 self._bytes = None if self._bytes is None else self._bytes + len(encoded)
             return target
 
-    def newest(self, *, kind: str) -> Path | None:
-        """Return the newest image of a kind, or None; looks at the last day that has one."""
+    def newest(self, *, kind: str, until: datetime | None = None) -> Path | None:
+        """Return the newest image of a kind that is not dated later than `until`, or None."""
+        last = "" if until is None else self.path(until, kind=kind).name
         with self._readable():
             for folder in sorted(self.folder.glob(_DAYS), reverse=True):
-                images = sorted(folder.glob(f"*_{kind}"))
+                images = [path for path in folder.glob(f"*_{kind}") if not last or path.name <= last]
                 if images:
-                    return images[-1]
+                    return max(images)
         return None
 
     def make_room(self, needed_bytes: int = 0) -> bool:
@@ -130,13 +131,36 @@ class ImageStore:
                     return False
         return True
 
-    def expire(self, before: datetime) -> int:
-        """Remove the images from before a time, and return how many."""
+    def expire(self, before: datetime, *, keep_newest_days: int = 0) -> int:
+        """Remove the images from before a time, and return how many.
+
+        Parameters
+        ----------
+        before : images of this time and later stay.
+        keep_newest_days : so many of the newest dates with images stay whatever their age: a clock that is years ahead
+            makes all others old, and then each day of new images removes one day of old ones at most.
+        """
         removed = 0
         with self._readable():
-            while self._remove_oldest(before=before):
-                removed += 1
+            while (folder := self._expirable(before, keep_newest_days)) is not None:
+                removed_before = removed
+                while self._remove_oldest(before=before, within=folder):
+                    removed += 1
+                if removed == removed_before:  # the file system refuses
+                    break
         return removed
+
+    def _expirable(self, before: datetime, keep_newest_days: int) -> Path | None:
+        """Return the folder of the oldest image where that one may be removed by its age."""
+        with self._lock:
+            oldest = self._first()
+            if oldest is None or _captured_at(oldest) >= before or self._n_dates_from(oldest) <= keep_newest_days:
+                return None
+            return oldest.parent
+
+    def _n_dates_from(self, image: Path) -> int:
+        """Return how many dates have a folder, from an image's own on."""
+        return sum(folder >= image.parent for folder in self.folder.glob(_DAYS))
 
     def usage(self) -> DiskUsage:
         """Return what the images take; counted once, then kept up to date."""
@@ -195,10 +219,12 @@ class ImageStore:
                     break
         return self._oldest[0] if self._oldest else None
 
-    def _remove_oldest(self, *, before: datetime | None = None) -> bool:
+    def _remove_oldest(self, *, before: datetime | None = None, within: Path | None = None) -> bool:
         with self._lock:
             oldest = self._first()
             if oldest is None or (before is not None and _captured_at(oldest) >= before):
+                return False
+            if within is not None and oldest.parent != within:
                 return False
             size = _size(oldest)
             try:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 from datetime import date, datetime
 
-from sqlalchemy import ColumnElement, Engine, func, select, text, update
+from sqlalchemy import ColumnElement, Engine, func, or_, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
@@ -63,7 +63,8 @@ class Sightings(Store):
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
             before = connection.execute(select(tables.pose_epoch).where(epochs.camera == camera)).all()
-            if any(row.started_at >= at for row in before):
+            # a closed epoch has no duration, but its beginning stays unique
+            if any(row.started_at >= at for row in before if row.ended_at != row.started_at or row.started_at == at):
                 raise InputError(
                     field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
                 )
@@ -82,21 +83,22 @@ class Sightings(Store):
     def current_epoch(self, camera: str, *, at: datetime | None = None) -> PoseEpoch | None:
         """Return the pose epoch that goes on, or the one of the moment `at`; None before the first."""
         epochs = tables.pose_epoch.c
-        newest = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at.desc()).limit(1)
+        newest = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
+        newest = newest.order_by(epochs.started_at.desc()).limit(1)
         found = self._values(newest if at is None else newest.where(epochs.started_at <= at), PoseEpoch)
         return found[0] if found else None
 
-    def epochs(self, camera: str) -> tuple[PoseEpoch, ...]:
-        """Return a camera's pose epochs, the first one first."""
+    def epochs(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
+        """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
         epochs = tables.pose_epoch.c
-        return self._values(
-            select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at), PoseEpoch
-        )
+        wanted = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
+        return self._values(select(tables.pose_epoch).where(*wanted).order_by(epochs.started_at), PoseEpoch)
 
     def _first_epoch(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
-            known = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at).limit(1)
+            known = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
+            known = known.order_by(epochs.started_at).limit(1)
             first = values_of(connection, known, PoseEpoch)
             if not first:
                 epoch = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
@@ -129,12 +131,14 @@ class Sightings(Store):
         until: datetime | None = None,
         accepted: bool | None = None,
         pose_epoch: str | None = None,
+        largest_clock_error_s: float | None = None,
         newest_first: bool = False,
         limit: int | None = None,
     ) -> tuple[SunPoint, ...]:
         """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter."""
         c = sun_point.c
         wanted = _wanted(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
+        wanted += _clock_within(largest_clock_error_s)
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
         return self._values(select(*fields).where(*wanted).order_by(*order).limit(limit), SunPoint)
@@ -148,21 +152,33 @@ class Sightings(Store):
         pose_epoch: str | None = None,
         method: str | None = None,
         body: str = "sun",
+        largest_clock_error_s: float | None = None,
     ) -> SunPointColumns:
         """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter."""
         c = sun_point.c
         wanted = _wanted(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        wanted += _clock_within(largest_clock_error_s)
         wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
         with self._reading() as connection:
             return read_columns(connection, camera, wanted)
 
-    def sun_levels(self, camera: str, *, since: datetime, until: datetime) -> tuple[FloatArray, FloatArray]:
+    def newest_sighting_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
+        """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
+        c = sun_point.c
+        newest = select(c.time).where(c.camera == camera, *_clock_within(largest_clock_error_s))
+        with self._reading() as connection:
+            return connection.scalar(newest.order_by(c.time.desc()).limit(1))
+
+    def sun_levels(
+        self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the accepted discs' times (unix seconds) and levels over full scale in 1 µs, background subtracted.
 
         A saturated disc's level is what the fit made of its edges; above 100 times full scale it counts as that.
         """
         c = sun_point.c
         wanted = [*_wanted(camera, since=since, until=until, accepted=True), c.method == "disc", c.body == "sun"]
+        wanted += _clock_within(largest_clock_error_s)
         with self._reading() as connection:
             return read_levels(connection, wanted)
 
@@ -195,3 +211,14 @@ def _wanted(
         (c.accepted.__eq__, accepted),
         (c.pose_epoch.__eq__, pose_epoch),
     )
+
+
+def not_closed() -> ColumnElement[bool]:
+    """Return the condition that a pose epoch has a duration: one that was closed as wrong ends where it began."""
+    epochs = tables.pose_epoch.c
+    return or_(epochs.ended_at.is_(None), epochs.ended_at > epochs.started_at)
+
+
+def _clock_within(largest_s: float | None) -> list[ColumnElement[bool]]:
+    """Return the condition that a sighting's clock error bound, where one is known, is within a limit."""
+    return [] if largest_s is None else [func.coalesce(sun_point.c.clock_error_s, 0.0) <= largest_s]

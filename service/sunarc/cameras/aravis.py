@@ -12,7 +12,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 from sunarc.cameras.abilities import abilities_of
@@ -22,6 +22,7 @@ from sunarc.cameras.features import Pin, changed_pins, gain_db, pin_settings, se
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.options import AravisOptions
+from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.clock import Clock
 from sunarc.errors import (
     CameraError,
@@ -37,7 +38,6 @@ _BUFFERS = 6
 _CHUNK = "ExposureTime"
 _INTERFACE_OF = {"gige": "GigEVision", "usb3": "USB3Vision"}
 _INTERFACES = {*_INTERFACE_OF.values(), "Fake"}
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
@@ -289,9 +289,10 @@ class AravisCamera:
         self._previous_id = frame_id
         if self._chunks is not None:
             require_exposure(float(self._chunks.get_float_value(buffer, f"Chunk{_CHUNK}")), exposure_us)
-        started_at = triggered_at
+        started_at, offset_s = triggered_at, None
         if self._options.timestamps == "camera":
-            started_at = _EPOCH + timedelta(microseconds=buffer.get_timestamp() // 1000)
+            started_at = utc_of_timestamp(int(buffer.get_timestamp()), self._options)
+            offset_s = (started_at - triggered_at).total_seconds()
         return Frame(
             image=image,
             time=middle_of_exposure(started_at, exposure_us),
@@ -300,6 +301,7 @@ class AravisCamera:
             pixel_format=info.pixel_format,
             full_scale=info.full_scale,
             frame_id=frame_id,
+            host_offset_s=offset_s,
         )
 
     @contextmanager

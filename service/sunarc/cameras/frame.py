@@ -31,6 +31,7 @@ class Frame:
     pixel_format : GenICam's name, as "Mono12" or "BayerRG8".
     full_scale : the largest count of that format.
     frame_id : the camera's own count.
+    host_offset_s : `time` less the same moment by the host's clock, seconds; None where the host's clock dated it.
     """
 
     image: Counts
@@ -40,6 +41,7 @@ class Frame:
     pixel_format: str
     full_scale: int
     frame_id: int
+    host_offset_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

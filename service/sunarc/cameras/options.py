@@ -28,7 +28,10 @@ class AravisOptions:
     gain_db : pinned gain; cameras that know only raw steps are set to their lowest.
     black_level : pinned black level, in the camera's own unit; None keeps the camera's.
     timestamps : "host" dates frames by this machine's clock at the trigger; "camera" by the frame's own timestamp,
-        where the camera's clock is disciplined to UTC and marks the start of the exposure.
+        where the camera's clock is disciplined (PTP) and marks the start of the exposure.
+    timestamp_scale : "utc"; or "tai" where the camera's clock follows a PTP grandmaster without converting: TAI is
+        37 s ahead of UTC.
+    timestamp_offset_s : seconds added to the camera's timestamps, for a known constant offset.
     answer_timeout_s : how long after the exposure's end a frame may arrive.
     """
 
@@ -42,6 +45,8 @@ class AravisOptions:
     gain_db: float = 0.0
     black_level: float | None = None
     timestamps: Literal["host", "camera"] = "host"
+    timestamp_scale: Literal["utc", "tai"] = "utc"
+    timestamp_offset_s: float = 0.0
     answer_timeout_s: float = 1.0
 
     def __post_init__(self) -> None:
@@ -53,6 +58,8 @@ class AravisOptions:
             raise InputError(field="address", problem="is empty", remedy="give the id that arv-tool-0.8 lists")
         full_scale_of(self.pixel_format)
         _require_one_of("timestamps", self.timestamps, ("host", "camera"))
+        _require_one_of("timestamp_scale", self.timestamp_scale, ("utc", "tai"))
+        _require_within("timestamp_offset_s", self.timestamp_offset_s, -3600.0, 3600.0, "give seconds")
         if self.packet_size is not None:
             _require_within("packet_size", self.packet_size, 576, 65_000, "give bytes, at most the network's MTU")
         _require_within("binning", self.binning, 1, 16, "give a whole number of pixels")

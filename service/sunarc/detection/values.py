@@ -24,6 +24,7 @@ Verdict = Literal[
     "below_horizon",
     "reflection",
     "elsewhere",
+    "frozen",
     "no_frame",
 ]
 Bayer = Literal["RGGB", "BGGR", "GRBG", "GBRG"]

@@ -50,11 +50,10 @@ def _write(archive: Archive, folder: Path) -> dict[str, int]:
     calibrations = [record for name in names for record in archive.calibrations(name)]
     for record in calibrations:
         _write_json(folder / "calibrations" / f"{record.id}.json", dict(record.document))
+    epochs = [epoch for name in names for epoch in archive.epochs(name, include_closed=True)]
     return {
         "cameras.csv": _write_csv(folder / "cameras.csv", CameraRecord, cameras),
-        "pose_epochs.csv": _write_csv(
-            folder / "pose_epochs.csv", PoseEpoch, [epoch for name in names for epoch in archive.epochs(name)]
-        ),
+        "pose_epochs.csv": _write_csv(folder / "pose_epochs.csv", PoseEpoch, epochs),
         "sun_points.csv": _write_csv(folder / "sun_points.csv", SunPoint, points),
         "sun_points.nc": _write_netcdf(folder / "sun_points.nc", points),
         "days.csv": _write_csv(folder / "days.csv", Day, [day for name in names for day in archive.days(name)]),

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from typing import Any
 
-from sunarc.archive import Archive, CalibrationRecord, open_archive
+from sunarc.archive import Archive, CalibrationRecord, PoseEpoch, open_archive
 from sunarc.settings import Settings
 
 _SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")
@@ -30,6 +30,29 @@ def hold(settings: Settings, calibration_id: str, *, at: datetime, reason: str, 
     with _archive(settings) as archive:
         change: Callable[..., CalibrationRecord] = archive.pin if pinned else archive.unpin
         return _row(change(calibration_id, at=at, reason=reason))
+
+
+def list_epochs(settings: Settings) -> list[dict[str, Any]]:
+    """Return the camera's pose epochs, the first one first, as rows; closed ones too."""
+    with _archive(settings) as archive:
+        return [_epoch_row(epoch) for epoch in archive.epochs(settings.name, include_closed=True)]
+
+
+def close_epoch(settings: Settings, epoch_id: str, *, at: datetime, reason: str) -> dict[str, Any]:
+    """Close a pose epoch that was opened by mistake; see `Archive.close_epoch`."""
+    with _archive(settings) as archive:
+        current = archive.close_epoch(epoch_id, at=at, reason=reason)
+        return {"id": epoch_id, "closed": True, "calibration": current}
+
+
+def _epoch_row(epoch: PoseEpoch) -> dict[str, Any]:
+    return {
+        "id": epoch.id,
+        "started_at": epoch.started_at.isoformat(),
+        "ended_at": epoch.ended_at and epoch.ended_at.isoformat(),
+        "reason": epoch.reason,
+        "closed": epoch.ended_at is not None and epoch.ended_at <= epoch.started_at,
+    }
 
 
 def _row(record: CalibrationRecord) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The commands of `sunarc calibrations`: parse, call, print."""
+"""The commands of `sunarc calibrations` and `sunarc epochs`: parse, call, print."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ from sunarc.settings import load_settings
 from sunarc.terminal import print_json, table
 
 calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: see it, roll back, pin.")
+epochs_cli = typer.Typer(
+    no_args_is_help=True, help="The pose epochs (intervals without a move of the camera): see them, undo a wrong one."
+)
 
 Id = Annotated[str, typer.Argument(metavar="ID", help="A calibration's id, see `sunarc calibrations list`.")]
+EpochId = Annotated[str, typer.Argument(metavar="ID", help="A pose epoch's id, see `sunarc epochs list`.")]
 Reason = Annotated[str, typer.Option(help="Why; it is kept.")]
 From = Annotated[str | None, typer.Option("--from", help="From when on it answers, ISO 8601; now unless given.")]
 
@@ -71,6 +75,41 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
     """
     row = history.hold(load_settings(config), calibration, at=_moment(None), reason=reason, pinned=False)
     _say(row, f"{row['id']} may be replaced again", as_json=as_json)
+
+
+@epochs_cli.command("list")
+def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
+    """Print the pose epochs, the first one first.
+
+    Example: sunarc epochs list --config sunarc.toml
+    """
+    rows = history.list_epochs(load_settings(config))
+    if as_json:
+        print_json(rows)
+        return
+    cells = [
+        [row["id"], row["started_at"], "closed as wrong" if row["closed"] else row["ended_at"] or "", row["reason"]]
+        for row in rows
+    ]
+    Console(soft_wrap=True).print(table(("id", "from", "until", "reason"), cells))
+
+
+@epochs_cli.command("close")
+def close_epoch(
+    epoch: EpochId,
+    *,
+    config: Config = None,
+    reason: Reason = "the camera had not moved",
+    as_json: AsJson = False,
+) -> None:
+    """Undo a pose epoch that was begun by mistake: the one before continues, its calibration is current again.
+
+    Example: sunarc epochs close imager-2 --reason "the clock was ahead"
+    """
+    row = history.close_epoch(load_settings(config), epoch, at=_moment(None), reason=reason)
+    current = row["calibration"]
+    said = "no calibration was served before it" if current is None else f"calibration {current} is current"
+    _say(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
 
 
 def _say(row: dict[str, Any], text: str, *, as_json: bool) -> None:

@@ -247,5 +247,6 @@ class CaptureWorker:
 
     def _received(self, frame: Frame) -> None:
         """Take the time from a frame, whose exposure has just ended."""
-        self._frame_time.note(frame.time + timedelta(microseconds=frame.exposure_us / 2.0))
+        ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
+        self._frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
         self._report.frame(frame)

@@ -7,13 +7,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from sunarc.archive import Archive, Event
 from sunarc.board import ClockStatus, Reason, StatusBoard
 from sunarc.clock import Clock
 from sunarc.errors import InputError, OutsideError
-from sunarc.workers.clock_steps import ClockReading, ClockStep, step_between
+from sunarc.workers.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
+from sunarc.workers.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
+from sunarc.workers.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
 from sunarc.workers.frame_time import FrameTime
 
 _log = logging.getLogger(__name__)
@@ -23,6 +25,10 @@ UNKNOWN_ERROR_S = 1e9
 _TRANSPORT_S = 1.0  # a camera's time is learnt when its frame has come
 _LEAP_WITHIN_S = 0.1
 _DOUBTS_KEPT = 16
+_CAMERA_OFFSET_S = 0.5
+"""Largest difference between camera and host that is not reported: a busy host triggers late by tenths of a second."""
+_CLEANING_WAIT_S = 3600.0
+"""How long a clock must have been left alone before images are removed by their age."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +68,7 @@ class ClockWatch:
     camera_error_s : bound of the camera's disciplined clock where it dates the frames; None where the host's does.
     finds_steps : false for times that jump by nature: a replay's, or a simulation's that skips its nights.
     board : where the clock's state is shown.
+    largest_clock_error_s : sightings whose clock may be wrong by more say nothing of the present time.
     """
 
     def __init__(
@@ -75,6 +82,7 @@ class ClockWatch:
         camera_error_s: float | None,
         finds_steps: bool,
         board: StatusBoard,
+        largest_clock_error_s: float = 2.0,
     ) -> None:
         self._clock = clock
         self._frame_time = frame_time
@@ -84,12 +92,18 @@ class ClockWatch:
         self._camera_error_s = camera_error_s
         self._finds_steps = finds_steps
         self._board = board
+        self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
+        self._left_alone_since_s = clock.monotonic()
+        self._agreement = ClockAgreement(None)
+        self._gradual = GradualSteps()
+        self._untrusted = UntrustedTimes()
         self._camera_off_s = 0.0
         self._doubts: deque[ClockStep] = deque(maxlen=_DOUBTS_KEPT)
-        self._unwritten: deque[ClockStep] = deque(maxlen=_DOUBTS_KEPT)
+        self._unwritten: deque[tuple[ClockStep, float]] = deque(maxlen=_DOUBTS_KEPT)
         self._last_step: ClockStep | None = None
+        self._is_offset_written = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
@@ -106,38 +120,98 @@ class ClockWatch:
 
     def trusted(self) -> bool:
         """Whether sightings made now can be calibrated with."""
-        return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s
+        if self._last is None:
+            self._compare()
+        return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
 
     def error_s(self, moment: datetime) -> float:
         """Return the bound of the error of a frame's time; `UNKNOWN_ERROR_S` where there is none."""
         self._compare()
         with self._lock:
             doubts = [abs(step.step_s) for step in self._doubts if step.doubts(moment)]
+            if self._untrusted.covers(moment):
+                doubts.append(UNKNOWN_ERROR_S)
         return max([self._bound_s(), *doubts])
+
+    def cleaning_time(self) -> datetime | None:
+        """Return the time that the age of images is counted from; None while the clock is not to be trusted with it."""
+        if not self._frame_time.known or not self.trusted():
+            return None
+        left_alone_s = self._clock.monotonic() - self._left_alone_since_s
+        return self._frame_time.now() if left_alone_s >= _CLEANING_WAIT_S or not self._finds_steps else None
 
     def _bound_s(self) -> float:
         if self._camera_error_s is not None:
-            return max(self._camera_error_s, abs(self._camera_off_s))
+            offsets = self._camera_offsets_s()
+            return max(self._camera_error_s, abs(self._camera_off_s), *(abs(offset) for offset in offsets), 0.0)
+        if self._agreement.wait_s(self._clock.monotonic()) > 0.0:
+            return UNKNOWN_ERROR_S
+        return self._kernel_bound_s()
+
+    def _kernel_bound_s(self) -> float:
         state = self._clock.state()
         if state.synchronised:
             return max(state.error_bound_s, self._options.least_error_s)
         return self._options.assumed_error_s or UNKNOWN_ERROR_S
 
+    def _camera_offsets_s(self) -> tuple[float, ...]:
+        """Return by how much the camera's time differs from that of a good host; empty where that is not known."""
+        compares = self._finds_steps and self._camera_error_s is not None and self._clock.state().synchronised
+        return self._frame_time.host_offsets_s if compares else ()
+
+    def _is_camera_far_off(self) -> bool:
+        smallest_s = min(self._camera_offsets_s(), key=abs, default=0.0)
+        return abs(smallest_s) > self._largest_clock_error_s
+
     def _compare(self) -> None:
         if not self._finds_steps or not self._frame_time.known:
             return
         with self._lock:
-            before, self._last = self._last, self._read()
-            step = None if before is None else step_between(before, self._last, least_s=self._least_step_s)
-            if step is None:
-                return
-            self._doubts.append(step)
-            if self._is_leap_second(step):
-                return
-            self._last_step = step
-            self._unwritten.append(step)
-            if self._camera_error_s is not None:
-                self._camera_off_s = self._camera_off(step.step_s)
+            before, now = self._last, self._read()
+            self._last = now
+            step = None
+            if before is None:
+                self._begin(now)
+            else:
+                step = step_between(before, now, least_s=self._least_step_s)
+                step = step or self._gradual.step_to(now, least_s=self._least_step_s)
+            if step is not None:
+                self._take(step, now)
+            if self._kernel_bound_s() < UNKNOWN_ERROR_S:
+                self._agreement.agreed(now)
+            self._untrusted.note(before, now, step=step, trusted=self.trusted())
+
+    def _begin(self, now: ClockReading) -> None:
+        """Compare the first reading with the record: its newest sighting, and a wait that has not ended."""
+        self._gradual.restart(now)
+        day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
+        try:
+            newest = self._archive.newest_sighting_time(self._camera, largest_clock_error_s=self._largest_clock_error_s)
+            events = self._archive.events(self._camera, since=now.wall - day, until=now.wall + timedelta(seconds=1))
+        except OutsideError as error:
+            _log.warning("could not compare the clock with the record: %s", error)
+            return
+        last = next((event for event in events if event.kind == "clock_step"), None)
+        left_s = 0.0
+        if last is not None and self._camera_error_s is None:
+            left_s = float(last.details.get("distrusted_s", 0.0)) - (now.wall - last.time).total_seconds()
+        self._agreement = ClockAgreement(newest)
+        self._agreement.begin(now, left_s=left_s)
+
+    def _take(self, step: ClockStep, now: ClockReading) -> None:
+        """Take a step into account."""
+        self._doubts.append(step)
+        if self._is_leap_second(step):
+            return
+        self._gradual.restart(now)
+        self._left_alone_since_s = now.monotonic_s
+        self._last_step = step
+        wait_s = 0.0
+        if self._camera_error_s is not None:
+            self._camera_off_s = self._camera_off(step.step_s)
+        elif step.gradual or abs(step.step_s) >= LARGE_STEP_S:
+            wait_s = self._agreement.stepped(now)
+        self._unwritten.append((step, wait_s))
 
     def _is_leap_second(self, step: ClockStep) -> bool:
         return self._clock.state().leap_second and abs(abs(step.step_s) - 1.0) < _LEAP_WITHIN_S
@@ -162,23 +236,23 @@ class ClockWatch:
     def _write_down(self) -> None:
         """Remember the steps, and widen the bounds of sightings that were stored before a step was found."""
         while self._unwritten:
-            step = self._unwritten[0]
+            step, wait_s = self._unwritten[0]
             try:
                 for since, until in step.doubted:
                     self._archive.doubt_times(self._camera, since=since, until=until, error_s=abs(step.step_s))
-                self._archive.add_event(self._event(step))
+                self._archive.add_event(self._event(step, wait_s))
             except OutsideError as error:
                 _log.warning("a step of the clock is not written down yet: %s", error)
                 return
             self._unwritten.popleft()
 
-    def _event(self, step: ClockStep) -> Event:
+    def _event(self, step: ClockStep, wait_s: float) -> Event:
         state = self._clock.state()
         return Event(
             time=step.at,
             kind="clock_step",
             severity="warning",
-            text=f"the {self._whose}'s clock was stepped by {step.step_s:+.3f} s",
+            text=f"the {step_text(self._whose, step)}",
             camera=self._camera,
             details={
                 "step_s": step.step_s,
@@ -186,6 +260,8 @@ class ClockWatch:
                 "noticed_within_s": step.within_s,
                 "synchronised_after": state.synchronised,
                 "error_bound_s": self._bound_s(),
+                "gradual": step.gradual,
+                "distrusted_s": wait_s,
             },
         )
 
@@ -205,37 +281,42 @@ class ClockWatch:
             )
         )
         recent = last is not None and self._clock.monotonic() - last.found_s < self._options.show_step_s
-        self._put("clock_stepped", _stepped(self._whose, last) if last is not None and recent else None)
-        self._put("clock_unsynchronised", None if self.trusted() else _unsynchronised(self._whose))
+        self._put("clock_stepped", stepped(self._whose, last) if last is not None and recent else None)
+        self._show_trust()
+
+    def _show_trust(self) -> None:
+        """Show why the time cannot be calibrated with."""
+        wait_s = self._agreement.wait_s(self._clock.monotonic())
+        offset_s = min(self._camera_offsets_s(), key=abs, default=0.0)
+        is_off = abs(offset_s) > _CAMERA_OFFSET_S
+        without = bool(self._camera_off_s) or (
+            self._camera_error_s is None and self._kernel_bound_s() >= UNKNOWN_ERROR_S
+        )
+        self._put("clock_settling", settling(wait_s) if wait_s > 0.0 else None)
+        self._put("camera_clock_offset", camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None)
+        self._put("clock_unsynchronised", unsynchronised(self._whose) if without else None)
+        if is_off and not self._is_offset_written:
+            reason = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S)
+            self._write_offset(reason, offset_s)
+        self._is_offset_written = is_off
+
+    def _write_offset(self, reason: Reason, offset_s: float) -> None:
+        """Write an event when the camera's time is found not to be the host's."""
+        told = Event(
+            time=self._frame_time.now(),
+            kind=reason.code,
+            severity="alarm",
+            text=f"{reason.text}; {reason.remedy}",
+            camera=self._camera,
+            details={"offset_s": offset_s},
+        )
+        try:
+            self._archive.add_event(told)
+        except OutsideError as error:
+            _log.warning("could not store an event: %s", error)
 
     def _put(self, code: str, reason: Reason | None) -> None:
         if reason is None:
             self._board.clear_reason(code)
         else:
             self._board.set_reason(reason)
-
-
-def _stepped(whose: str, step: ClockStep) -> Reason:
-    return Reason(
-        code="clock_stepped",
-        severity="degraded",
-        text=f"the {whose}'s clock was stepped by {step.step_s:+.3f} s at {step.at:%Y-%m-%dT%H:%M:%SZ}",
-        remedy="see what sets the clock; sightings around the step carry its size as their error",
-    )
-
-
-def _unsynchronised(whose: str) -> Reason:
-    if whose == "camera":
-        return Reason(
-            code="clock_unsynchronised",
-            severity="degraded",
-            text="the camera's clock was stepped and has not come back; no day is judged and no camera solved",
-            remedy='see to its PTP master, or set camera.timestamps = "host"; then restart the service',
-        )
-    return Reason(
-        code="clock_unsynchronised",
-        severity="degraded",
-        text="the host's clock is not synchronised (1 s turns the sky by 0.004 degrees); capture goes on, "
-        "but no day is judged and no camera solved, and sightings made now stay out of fits",
-        remedy="start a time service (systemd-timesyncd or chrony) and let it reach its servers",
-    )

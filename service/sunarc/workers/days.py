@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, date, datetime
 
 import numpy as np
@@ -56,7 +56,9 @@ class DayJudge:
         """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
         longitude = self._site.longitude
         today = solar_date(self._now().timestamp(), longitude=longitude)
-        judged = {day.date for day in self._archive.days(self._camera, since=self._judged_before)}
+        if self._judged_before is not None and self._judged_before > today:
+            self._judged_before = None  # the time went back
+        judged = {day.date for day in self._archive.days(self._camera, since=self._judged_before) if self._stands(day)}
         seen = self._archive.dates_with_points(self._camera, longitude=longitude, since=self._judged_before)
         verdicts = [self._measure(day) for day in seen if day < today and day not in judged]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
@@ -67,11 +69,20 @@ class DayJudge:
         self._judged_before = today
         return verdicts
 
+    def _stands(self, day: Day) -> bool:
+        """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
+        end = datetime.fromtimestamp(day_bounds_unix_s(day.date, longitude=self._site.longitude)[1], UTC)
+        return end <= day.decided_at <= self._now()
+
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self._site.longitude)
         columns = self._archive.sun_point_columns(
             self._camera, since=datetime.fromtimestamp(start, UTC), until=datetime.fromtimestamp(end, UTC)
         )
+        doubtful = np.nan_to_num(columns.clock_error_s) > self._options.largest_clock_error_s
+        share = float(np.mean(doubtful)) if doubtful.size else 0.0
+        if share <= self._options.doubtful_share:  # else the day is judged by its clock
+            columns = columns.select(~doubtful)
         frames = np.arange(start, end, self._cadence_s)
         up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
         measure = measure_day(
@@ -81,6 +92,7 @@ class DayJudge:
             cadence_s=self._cadence_s,
             options=self._options,
         )
+        measure = replace(measure, doubtful_clock=share)
         decided = decide_day(measure, self._options)
         offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(

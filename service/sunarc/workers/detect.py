@@ -12,6 +12,7 @@ from sunarc.archive import sun_point_of
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
+from sunarc.workers.frozen_frames import FrozenFrames
 from sunarc.workers.handover import Handover
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.predictor import SunPredictor
@@ -41,6 +42,7 @@ class DetectWorker:
     clock_error_s : bound of the error of a frame's time, seconds.
     report : told of every detection (the exposure controller listens).
     board : told when the sun was last seen.
+    frozen : rejects sightings in images that the camera had delivered before.
     cadence_s : seconds from cycle to cycle; frames nearer than half of it are one bracket.
     """
 
@@ -56,6 +58,7 @@ class DetectWorker:
         clock_error_s: Callable[[datetime], float],
         report: Callable[[Frame, Detection], None],
         board: StatusBoard,
+        frozen: FrozenFrames,
         cadence_s: float,
     ) -> None:
         self._frames = frames
@@ -67,6 +70,7 @@ class DetectWorker:
         self._clock_error_s = clock_error_s
         self._report = report
         self._board = board
+        self._frozen = frozen
         self._bracket_of = timedelta(seconds=0.5 * cadence_s)
         self._bracket: list[_Look] = []
 
@@ -95,6 +99,7 @@ class DetectWorker:
         )
         detection = self._beside_bracket(frame, detection, expectation)
         detection = self._or_elsewhere(frame, detection, expectation)
+        detection = self._frozen.checked(frame, detection)
         point = sun_point_of(
             detection,
             camera=self._camera,

@@ -88,7 +88,8 @@ class DiskWorker:
     def _look(self) -> None:
         now = self._age_from()
         if now is not None:
-            removed = self._store.expire(now - timedelta(days=self._options.keep_days))
+            keep = self._options.keep_days
+            removed = self._store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
             if removed:
                 _log.info("%d images older than %g days were removed", removed, self._options.keep_days)
         roomy = self._store.make_room()

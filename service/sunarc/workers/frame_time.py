@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from datetime import UTC, datetime, timedelta
 
 from sunarc.clock import Clock
 from sunarc.errors import InputError
+
+_COMPARED = 4
+"""Frames whose time is compared with the host's: a bracket, so that a sighting's own frame is among them."""
 
 
 class FrameTime:
@@ -30,16 +34,31 @@ class FrameTime:
         self._speed = speed
         self._lock = threading.Lock()
         self._last: tuple[datetime, float] | None = None
+        self._offsets_s: deque[float] = deque(maxlen=_COMPARED)
 
     @property
     def known(self) -> bool:
         """Whether a time can be told: at once from the host, after the first frame from a camera."""
         return not self._follows_camera or self._last is not None
 
-    def note(self, captured_at: datetime) -> None:
-        """Take the time from a frame just received."""
+    def note(self, captured_at: datetime, *, host_offset_s: float | None = None) -> None:
+        """Take the time from a frame just received.
+
+        Parameters
+        ----------
+        captured_at : when its exposure ended.
+        host_offset_s : the camera's time less the host's, seconds; None where the host dated the frame.
+        """
         with self._lock:
             self._last = (captured_at, self._clock.monotonic())
+            if host_offset_s is not None:
+                self._offsets_s.append(host_offset_s)
+
+    @property
+    def host_offsets_s(self) -> tuple[float, ...]:
+        """Camera time less host time of the last few frames, seconds; empty where they are not compared."""
+        with self._lock:
+            return tuple(self._offsets_s)
 
     def now(self) -> datetime:
         """Return the frame time, aware, UTC; the host's until a camera has told its own."""

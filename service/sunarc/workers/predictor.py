@@ -31,12 +31,16 @@ class SunPredictor:
     archive : where the calibrations are.
     camera : the camera's name.
     site : where it stands.
+    largest_clock_error_s : the brightness of a sighting whose clock may be wrong by more is not used.
     """
 
-    def __init__(self, archive: Archive, *, camera: str, site: Site) -> None:
+    def __init__(
+        self, archive: Archive, *, camera: str, site: Site, largest_clock_error_s: float | None = None
+    ) -> None:
         self._archive = archive
         self._camera = camera
         self._site = site
+        self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
         self._known: tuple[str, Calibration | None] | None = None
         self._clear: tuple[datetime, ClearSun | None] | None = None
@@ -58,7 +62,12 @@ class SunPredictor:
         return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(moment))
 
     def _learned(self, moment: datetime) -> ClearSun | None:
-        unix_s, levels = self._archive.sun_levels(self._camera, since=moment - _BRIGHTNESS_OF, until=moment)
+        unix_s, levels = self._archive.sun_levels(
+            self._camera,
+            since=moment - _BRIGHTNESS_OF,
+            until=moment,
+            largest_clock_error_s=self._largest_clock_error_s,
+        )
         zenith = sun_angles(unix_s, self._site).apparent_zenith
         day = np.floor((unix_s + self._site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
         return clear_sun(apparent_zenith=zenith, level_per_us=levels, day=day)

@@ -49,9 +49,11 @@ class Task:
         return replace(solved, evidence=replace(solved.evidence, selection=told))
 
 
-def _since_lens(archive: Archive, camera: str) -> datetime | None:
-    """Return when the lens was last changed; None where it never was."""
-    changed = [epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED]
+def _since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
+    """Return when the lens was last changed before now; None where it never was."""
+    changed = [
+        epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED and epoch.started_at <= now
+    ]
     return changed[-1] if changed else None
 
 
@@ -64,10 +66,11 @@ def next_task(
     limits: SelectionOptions,
     options: CalibrationOptions,
     circle: ImageCircle | None,
+    now: datetime,
 ) -> Task | str:
-    """Return what the whole record of a camera asks for; or why there is nothing to solve, in words."""
+    """Return what the record of a camera up to now asks for; or why there is nothing to solve, in words."""
     sizes = {known.name: (known.width, known.height) for known in archive.cameras()}
-    columns = archive.sun_point_columns(camera, since=_since_lens(archive, camera))
+    columns = archive.sun_point_columns(camera, since=_since_lens(archive, camera, now), until=now)
     if camera not in sizes or columns.ids.size == 0:
         return "there are no accepted sightings yet"
     left_out = days_left_out({day.date: day.verdict for day in archive.days(camera)})

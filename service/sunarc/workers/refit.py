@@ -122,6 +122,7 @@ class RefitWorker:
             limits=self._options.selection,
             options=self._calibration,
             circle=None if self._options.image_circle_px is None else _circle(self._options.image_circle_px),
+            now=self._now(),
         )
         if isinstance(task, str):
             self._finish(refit, "failed", task)
@@ -138,7 +139,7 @@ class RefitWorker:
 
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
-        epoch = self._archive.current_epoch(self._camera)
+        epoch = self._archive.current_epoch(self._camera, at=self._now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
             since = f"the camera was moved at {epoch.started_at.isoformat()}, and no usable sighting is younger"

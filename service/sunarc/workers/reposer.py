@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import sunarc
 from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
@@ -17,6 +17,8 @@ from sunarc.workers.points import points_of
 _log = logging.getLogger(__name__)
 _GROWTH = 1.3
 _FEWEST = 4
+_JITTER = timedelta(seconds=1)
+"""A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 
 
 def is_provisional(calibration: Calibration) -> bool:
@@ -38,7 +40,8 @@ class Reposer:
     archive, camera, site : whose sightings, and where.
     options : what makes a pose acceptable.
     wander_deg : 1-sigma by which the mount wanders.
-    now : frame time, which dates calibrations.
+    now : frame time, which dates calibrations; pose epochs and sightings dated later are not used.
+    largest_clock_error_s : a sighting whose clock may be wrong by more is not used.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Reposer:
         options: CalibrationOptions,
         wander_deg: float,
         now: Callable[[], datetime],
+        largest_clock_error_s: float,
     ) -> None:
         self._archive = archive
         self._camera = camera
@@ -57,20 +61,24 @@ class Reposer:
         self._options = options
         self._wander_deg = wander_deg
         self._now = now
+        self._largest_clock_error_s = largest_clock_error_s
         self._tried: _Tried | None = None
 
     def improve(self) -> bool:
         """Pose the camera once more where that is due; return whether the answer is served."""
-        epoch = self._archive.current_epoch(self._camera)
+        now = self._now()
+        epoch = self._archive.current_epoch(self._camera, at=now + _JITTER)
         current = self._archive.current_calibration(self._camera)
         if epoch is None or current is None or epoch.reason == LENS_CHANGED:
             return False
         if current.pose_epoch == epoch.id and not is_provisional(from_document(current.document)):
             return False
         lens = self._lens(current)
-        if lens is None:
+        if lens is None or self._is_of_later(current, epoch):
             return False
-        columns = self._archive.sun_point_columns(self._camera, pose_epoch=epoch.id)
+        columns = self._archive.sun_point_columns(
+            self._camera, pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=self._largest_clock_error_s
+        )
         count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
         if count < max(_FEWEST, _GROWTH * done):
@@ -99,6 +107,11 @@ class Reposer:
             return None if is_provisional(from_document(record.document)) else record
         except InputError:  # gone, damaged, or of another version
             return None
+
+    def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
+        """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
+        started = {known.id: known.started_at for known in self._archive.epochs(self._camera)}
+        return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
         now = self._now()

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, LENS_CHANGED, Archive, Event, SunPoint
+from sunarc.archive import ELSEWHERE, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
 from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import Calibration, from_document
 from sunarc.calibration.watching import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
@@ -22,6 +22,9 @@ from sunarc.workers.reposer import Reposer, is_provisional
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
 _WAITING = 256
+_JITTER = timedelta(seconds=1)
+"""A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
+_FUTURE_EPOCH = "epoch_in_future"
 _MENDED = 4
 """Sightings in a row that agree again before a fault of the clock, the image or the site is taken for mended."""
 
@@ -34,6 +37,8 @@ class WatchWorker:
     archive, camera, site : whose sightings, and where it is said to stand.
     options : when a change is believed.
     reposer : poses the camera anew.
+    now : frame time; sightings and pose epochs dated later are not used.
+    largest_clock_error_s : a sighting whose clock may be wrong by more is not used.
     board : where a change degrades the service.
     """
 
@@ -45,6 +50,8 @@ class WatchWorker:
         site: Site,
         options: WatchOptions,
         reposer: Reposer,
+        now: Callable[[], datetime],
+        largest_clock_error_s: float,
         board: StatusBoard,
     ) -> None:
         self._archive = archive
@@ -52,16 +59,29 @@ class WatchWorker:
         self._site = site
         self._options = options
         self._reposer = reposer
+        self._now = now
+        self._largest_clock_error_s = largest_clock_error_s
         self._board = board
         self._sightings: Handover[Watched] = Handover(capacity=_WAITING)
         self._watch = Watch()
+        self._epoch: str | None = None
+        self._has_future_epochs = False
         self._known: tuple[str, Calibration] | None = None
         self._fault: Change | None = None
         self._agreeing = 0
 
-    def notice(self, moment: datetime, *, x_px: float, y_px: float, sigma_px: float | None) -> None:
-        """Take note of a sighting; never waits."""
-        self._sightings.put(self._watched(moment, x_px, y_px, sigma_px))
+    def notice(
+        self,
+        moment: datetime,
+        *,
+        x_px: float,
+        y_px: float,
+        sigma_px: float | None,
+        clock_error_s: float | None = None,
+    ) -> None:
+        """Take note of a sighting, unless its time is doubtful; never waits."""
+        if clock_error_s is None or clock_error_s <= self._largest_clock_error_s:
+            self._sightings.put(self._watched(moment, x_px, y_px, sigma_px))
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; what was seen before the start is remembered first."""
@@ -71,28 +91,60 @@ class WatchWorker:
             self.look(timeout_s=_POLL_S)
 
     def remember(self) -> None:
-        """Look again at the last sightings of the pose epoch that goes on."""
-        epoch = self._archive.current_epoch(self._camera)
+        """Begin anew with the last sightings of the present pose epoch; none of a doubtful or a later time."""
+        self._watch = Watch()
+        epoch = self._present_epoch()
+        self._epoch = None if epoch is None else epoch.id
+        self._show_future_epochs()
         if epoch is None:
             return
-        seen = self._archive.sun_points(self._camera, since=epoch.started_at, newest_first=True, limit=2 * REMEMBERED)
+        seen = self._archive.sun_points(
+            self._camera,
+            since=epoch.started_at,
+            until=self._latest(),
+            largest_clock_error_s=self._largest_clock_error_s,
+            newest_first=True,
+            limit=2 * REMEMBERED,
+        )
         told = [point for point in seen if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
         for point in reversed(told):
-            self._look_at(_of_point(point, self._watched))
+            self._look_safely(_of_point(point, self._watched))
 
     def look(self, *, timeout_s: float = 0.0) -> bool:
         """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
         seen = self._sightings.get(timeout_s=timeout_s)
         if seen is not None:
-            try:
-                self._look_at(seen)
-            except (np.linalg.LinAlgError, InputError, OutsideError) as error:
-                _log.warning("a sighting could not be held to the calibration: %s", error)
+            if self._is_outdated():
+                self.remember()
+            elif self._has_future_epochs:
+                self._show_future_epochs()
+            self._look_safely(seen)
         return seen is not None
+
+    def _latest(self) -> datetime:
+        return self._now() + _JITTER
+
+    def _present_epoch(self) -> PoseEpoch | None:
+        return self._archive.current_epoch(self._camera, at=self._latest())
+
+    def _is_outdated(self) -> bool:
+        """Return whether the time went back behind what is remembered, or an operator changed the pose epoch."""
+        if len(self._watch) and self._watch.unix_s[-1] > self._latest().timestamp():
+            return True
+        epoch = self._present_epoch()
+        return self._epoch is not None and epoch is not None and epoch.id != self._epoch
+
+    def _look_safely(self, seen: Watched) -> None:
+        try:
+            self._look_at(seen)
+        except (np.linalg.LinAlgError, InputError, OutsideError) as error:
+            _log.warning("could not compare a sighting with the calibration: %s", error)
 
     def _look_at(self, seen: Watched) -> None:
         current = self._current()
         if current is None or (len(self._watch) and seen.unix_s <= self._watch.unix_s[-1]):
+            return
+        if seen.unix_s > self._latest().timestamp():
             return
         self._watch, change = observe(
             self._watch,
@@ -131,7 +183,9 @@ class WatchWorker:
             self._archive.open_epoch(self._camera, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self._archive.admit_elsewhere(self._camera, since=at, reason="the camera had moved")
+        self._archive.admit_elsewhere(self._camera, since=at, until=self._latest())
+        epoch = self._present_epoch()
+        self._epoch = None if epoch is None else epoch.id
         current = self._archive.current_calibration(self._camera)
         if change.kind in LENS_KINDS:
             if current is not None:
@@ -200,6 +254,15 @@ class WatchWorker:
         since = _moment(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
         return any(event.kind == "clock_step" for event in self._archive.events(self._camera, since=since))
 
+    def _show_future_epochs(self) -> None:
+        """Say which pose epochs begin later than now: a clock that was ahead opened them, and they block new ones."""
+        later = [epoch for epoch in self._archive.epochs(self._camera) if epoch.started_at > self._latest()]
+        self._has_future_epochs = bool(later)
+        if later:
+            self._board.set_reason(_of_the_future(later[0]))
+        else:
+            self._board.clear_reason(_FUTURE_EPOCH)
+
     def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Watched:
         east, north, up = sun_directions(moment.timestamp(), self._site).tolist()
         return Watched(
@@ -218,6 +281,16 @@ def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float 
 
 def _moment(unix_s: float) -> datetime:
     return datetime.fromtimestamp(unix_s, UTC)
+
+
+def _of_the_future(epoch: PoseEpoch) -> Reason:
+    return Reason(
+        code=_FUTURE_EPOCH,
+        severity="degraded",
+        text=f"pose epoch {epoch.id} begins at {epoch.started_at.isoformat(timespec='seconds')}, later than now; "
+        "a clock that was ahead dated it",
+        remedy=f"if the clock is right now: sunarc epochs close {epoch.id}",
+    )
 
 
 def _code(change: Change) -> str:

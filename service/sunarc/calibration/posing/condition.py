@@ -132,7 +132,12 @@ def log_normal(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> 
 
 
 def conditioned(belief: Stated, at: Predicted, seen: Sightings) -> Stated:
-    """Return the belief after sightings, all of them believed; their residuals are about an unchanged camera."""
+    """Return the belief after sightings, all of them believed; their residuals are about an unchanged camera.
+
+    Without any sighting it is the belief of before.
+    """
+    if seen.variance.size == 0:
+        return belief
     total = joint_covariance(belief, at) + np.diag(np.repeat(seen.variance, 2))
     factor = (cholesky(total, lower=True), True)
     shared = with_parameters(belief, at)

@@ -146,7 +146,7 @@ def predicted(belief: Stated, camera: Camera, directions: FloatArray) -> Predict
 def joint_covariance(belief: Stated, seen: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the prediction's errors at all places at once, px²; x, y of each in turn."""
     n = seen.rows.shape[0]
-    flat = seen.rows.reshape(2 * n, -1)
+    flat = seen.rows.reshape(2 * n, seen.rows.shape[-1])
     result = flat @ belief.covariance @ flat.T
     if belief.amplitude_px > 0.0:
         mixed = (flat @ _with_field(belief, seen)).reshape(2 * n, 2 * n)
@@ -174,7 +174,7 @@ def with_waves(belief: Stated, seen: Predicted, axis: int) -> FloatArray:
 def _with_field(belief: Stated, seen: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
     both = np.stack([belief.cross[axis] @ seen.waves.T for axis in (0, 1)], axis=-1)
-    return both.reshape(both.shape[0], -1)
+    return both.reshape(both.shape[0], 2 * both.shape[1])
 
 
 def at_every_angle(camera: Camera) -> Camera:

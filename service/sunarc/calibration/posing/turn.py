@@ -23,6 +23,8 @@ _PAIRS = 400
 _CLOSE_SIGMAS = 4.0
 _SMALL_TURN = 0.5
 """How many agreeing sightings a turn by one more power of e must bring."""
+_LEAST_APART = 1e-4
+"""Radians; two directions that are nearer span no plane that a rotation could be read from."""
 _SEED = 20130513
 
 
@@ -64,12 +66,16 @@ def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     pairs = np.array(list(itertools.combinations(range(world.shape[0]), 2)), dtype=np.int64).reshape(-1, 2)
     if pairs.shape[0] > _PAIRS:
         pairs = np.random.default_rng(_SEED).choice(pairs, _PAIRS, replace=False)
-    apart = np.linalg.norm(world[pairs[:, 0]] - world[pairs[:, 1]], axis=-1)
-    pairs = pairs[apart > 1e-4]
+    apart = np.minimum(_distance(world, pairs), _distance(rays, pairs))  # a frozen camera sees one pixel for all
+    pairs = pairs[apart > _LEAST_APART]
     if pairs.shape[0] == 0:
         return np.zeros((0, 3))
     matrix = _triads(rays, pairs) @ np.swapaxes(_triads(world, pairs), -1, -2)
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+
+
+def _distance(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=-1))
 
 
 def _triads(vectors: FloatArray, pairs: IntArray) -> FloatArray:

@@ -1,0 +1,153 @@
+"""Recognising a camera that delivers an image again: its noise, and the sun's place in it, never repeat."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections import OrderedDict, deque
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+
+from sunarc.archive import ELSEWHERE, Archive, Event, SunPoint
+from sunarc.board import Reason, StatusBoard
+from sunarc.cameras import Counts, Frame
+from sunarc.detection import Detection
+from sunarc.errors import OutsideError
+from sunarc.sky import Site, angular_distance, sun_directions
+
+_log = logging.getLogger(__name__)
+FROZEN: Literal["frozen"] = "frozen"
+"""Verdict on a sighting in an image that the camera had delivered before."""
+_IMAGES_KEPT = 64
+_PIXELS_KEPT = 32
+_FEWEST_PIXELS = 100
+"""An image that differs from a constant in fewer pixels (hot ones) may truly come again: black, without noise."""
+_SAME_PX = 1e-6
+"""Two fits of the disc to images with noise differ by a thousand times more."""
+_SUN_MOVED_RAD = np.radians(0.02)
+"""The sun moves so far in 5 s, which is 0.1 px of the coarsest lens."""
+_LASTING = 3
+_CODE = "camera_frozen"
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    time: datetime
+    x_px: float
+    y_px: float
+
+
+class FrozenFrames:
+    """Rejects sightings in images that were delivered before, and reports a camera that repeats its images.
+
+    Parameters
+    ----------
+    archive, camera, site : where events and earlier sightings are, whose, and where the sun is seen from.
+    board : where a camera that repeats its images is shown.
+    """
+
+    def __init__(self, *, archive: Archive, camera: str, site: Site, board: StatusBoard) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._board = board
+        self._images: OrderedDict[bytes, datetime] = OrderedDict()
+        self._places: deque[_Place] | None = None
+        self._in_a_row = 0
+
+    def checked(self, frame: Frame, detection: Detection) -> Detection:
+        """Return the detection, or its rejection where the frame repeats an earlier one."""
+        earlier = self._same_image(frame)
+        if earlier is None:
+            earlier = self._same_place(frame.time, detection)
+        if earlier is None:
+            if self._in_a_row and _tells(frame.image):
+                self._clear()
+            return detection
+        self._count(frame.time, earlier)
+        if detection.x_px is None:
+            return detection
+        reason = f"the camera delivered the image of {earlier.isoformat(timespec='seconds')} again"
+        return replace(detection, accepted=False, verdict=FROZEN, reason=reason)
+
+    def _same_image(self, frame: Frame) -> datetime | None:
+        """Return the time of an earlier frame with the same bytes; None where there is none, or they say nothing."""
+        if not _tells(frame.image):
+            return None
+        digest = hashlib.blake2b(np.ascontiguousarray(frame.image).data, digest_size=16).digest()
+        earlier = self._images.get(digest)
+        if earlier is None:
+            self._images[digest] = frame.time
+            if len(self._images) > _IMAGES_KEPT:
+                self._images.popitem(last=False)
+        return None if earlier == frame.time else earlier  # a replay may play the same file twice
+
+    def _same_place(self, moment: datetime, detection: Detection) -> datetime | None:
+        """Return when the sun was seen in exactly the same place though it has moved since; None where it was not."""
+        if detection.x_px is None or detection.y_px is None or not _is_sun(detection):
+            return None
+        if self._places is None:
+            self._places = self._stored(moment)
+        x_px, y_px = detection.x_px, detection.y_px
+        for place in self._places:
+            if abs(place.x_px - x_px) < _SAME_PX and abs(place.y_px - y_px) < _SAME_PX:
+                before, now = sun_directions(np.array([place.time.timestamp(), moment.timestamp()]), self._site)
+                if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
+                    return place.time
+        self._places.append(_Place(moment, x_px, y_px))
+        return None
+
+    def _stored(self, moment: datetime) -> deque[_Place]:
+        """Return where the sun was seen before this process began."""
+        try:
+            points = self._archive.sun_points(self._camera, until=moment, newest_first=True, limit=_PIXELS_KEPT)
+        except OutsideError as error:
+            _log.warning("could not read earlier sightings: %s", error)
+            points = ()
+        suns = [p for p in points if _is_sun(p)]
+        found = [_Place(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
+        return deque(reversed(found), maxlen=_PIXELS_KEPT)
+
+    def _count(self, moment: datetime, earlier: datetime) -> None:
+        self._in_a_row += 1
+        if self._in_a_row < _LASTING:
+            return
+        reason = _frozen(self._in_a_row, earlier)
+        self._board.set_reason(reason)
+        if self._in_a_row == _LASTING:
+            self._tell(Event(time=moment, kind=_CODE, severity="alarm", text=reason.text, camera=self._camera))
+
+    def _clear(self) -> None:
+        if self._in_a_row >= _LASTING:
+            _log.info("the camera delivers new images again, after %d repeated ones", self._in_a_row)
+        self._in_a_row = 0
+        self._board.clear_reason(_CODE)
+
+    def _tell(self, event: Event) -> None:
+        try:
+            self._archive.add_event(event)
+        except OutsideError as error:
+            _log.warning("could not store an event: %s", error)
+
+
+def _is_sun(seen: Detection | SunPoint) -> bool:
+    """Return whether a disc was fitted: only its place is never the same twice."""
+    return seen.accepted or seen.verdict in {FROZEN, ELSEWHERE}
+
+
+def _tells(image: Counts) -> bool:
+    """Return whether an image differs from a constant in more than a few pixels."""
+    return int(np.count_nonzero(image != image.flat[0])) > _FEWEST_PIXELS
+
+
+def _frozen(count: int, earlier: datetime) -> Reason:
+    return Reason(
+        code=_CODE,
+        severity="degraded",
+        text=f"the camera repeats its images: {count} sun exposures in a row are copies of earlier ones (the last: of "
+        f"{earlier.isoformat(timespec='seconds')}); no sighting is accepted",
+        remedy="restart the camera (power), and update its firmware if it happens again",
+    )

@@ -1,0 +1,95 @@
+"""Another camera under the same name: its serial number says so, and nothing of the old lens is served for it."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from tests.workers.clock_faults import START, Imager
+
+from sunarc.archive import LENS_CHANGED, Archive
+from sunarc.cameras import CameraInfo
+from sunarc.clock import ClockState
+
+from .test_same_camera import INFO, Camera
+
+
+@pytest.fixture
+def imager(tmp_path: Path) -> Imager:
+    made = Imager(tmp_path)
+    open_camera(made, serial="1")
+    made.run(2.0)
+    return made
+
+
+def open_camera(imager: Imager, *, serial: str) -> None:
+    info: CameraInfo = replace(INFO, width=imager.camera.width, height=imager.camera.height, serial=serial)
+    imager.open_camera = lambda: Camera(info)
+    imager.boot()
+    imager.service.open_and_remember()
+
+
+def stored_serial(archive: Archive) -> str:
+    (camera,) = archive.cameras()
+    return camera.serial
+
+
+def test_the_same_serial_changes_nothing(imager: Imager) -> None:
+    open_camera(imager, serial="1")
+    assert imager.served() == "full"
+    assert len(imager.archive.epochs("roof")) == 1
+    assert imager.alarms() == []
+
+
+def test_another_serial_retires_the_calibration_begins_an_epoch_and_is_an_event(imager: Imager) -> None:
+    at = imager.clock.now()
+    open_camera(imager, serial="2")
+    assert imager.served() is None
+    retired = imager.archive.calibration("full")
+    assert (retired.state, retired.valid_until) == ("retired", at)
+    first, second = imager.archive.epochs("roof")
+    assert (first.ended_at, second.started_at, second.reason) == (at, at, LENS_CHANGED)
+    (event,) = imager.alarms()
+    assert event.kind == "camera_replaced"
+    assert (event.details["serial"], event.details["serial_before"]) == ("2", "1")
+    assert stored_serial(imager.archive) == "2"
+    imager.run(10.0)
+    assert imager.served() is None  # no pose is found with the other camera's lens
+    assert {p.pose_epoch for p in imager.archive.sun_points("roof", since=at)} == {second.id}
+    open_camera(imager, serial="2")
+    assert len(imager.alarms()) == 1
+
+
+def test_a_pinned_calibration_is_retired_too(imager: Imager) -> None:
+    imager.archive.pin("full", at=START, reason="good")
+    open_camera(imager, serial="2")
+    assert imager.served() is None
+
+
+@pytest.mark.parametrize("step", [timedelta(days=400), timedelta(days=-400)])
+def test_the_epoch_begins_after_the_last_sighting_where_the_clock_cannot_be_trusted(
+    imager: Imager, step: timedelta
+) -> None:
+    last = imager.archive.sun_points("roof", newest_first=True, limit=1)[0].time
+    imager.clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
+    imager.clock.step(step.total_seconds())
+    open_camera(imager, serial="2")
+    assert imager.archive.epochs("roof")[-1].started_at == last + timedelta(microseconds=1)
+    assert imager.archive.calibration("full").valid_until == last + timedelta(microseconds=1)
+
+
+def test_a_camera_that_tells_no_serial_is_the_one_of_before(imager: Imager) -> None:
+    open_camera(imager, serial="")
+    assert imager.served() == "full"
+    assert stored_serial(imager.archive) == "1"
+
+
+def test_a_refit_takes_the_new_camera_s_sightings_alone(imager: Imager) -> None:
+    open_camera(imager, serial="2")
+    refit = imager.service.request_refit("by hand")
+    worker = imager.service.refit_worker()
+    worker.carry_out(refit, threading.Event(), lambda: None)
+    assert imager.archive.refit(refit.id).message == "there are no accepted sightings yet"
