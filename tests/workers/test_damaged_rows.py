@@ -138,9 +138,24 @@ def run_every_part(path: Path, board: StatusBoard, clock: VirtualClock) -> dict[
     archive = open_archive(path)
     archive.save_camera(CAMERA)  # as at every opening of the camera
     reposer = Reposer(
-        archive=archive, camera="roof", site=SITE, options=CalibrationOptions(), wander_deg=0.0, now=clock.now
+        archive=archive,
+        camera="roof",
+        site=SITE,
+        options=CalibrationOptions(),
+        wander_deg=0.0,
+        now=clock.now,
+        largest_clock_error_s=2.0,
     )
-    watch = WatchWorker(archive=archive, camera="roof", site=SITE, options=WatchOptions(), reposer=reposer, board=board)
+    watch = WatchWorker(
+        archive=archive,
+        camera="roof",
+        site=SITE,
+        options=WatchOptions(),
+        reposer=reposer,
+        now=clock.now,
+        largest_clock_error_s=2.0,
+        board=board,
+    )
     watch.remember()
     predictor = SunPredictor(archive, camera="roof", site=SITE)
     predictor.expectation(NOON)
