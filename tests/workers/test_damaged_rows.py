@@ -10,7 +10,10 @@ from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
+import numpy as np
 import pytest
 from tests.api.conftest import LENS, SITE, calibration
 
@@ -28,13 +31,16 @@ from sunarc.archive import (
 )
 from sunarc.archive.tables import metadata
 from sunarc.board import Reason, StatusBoard
-from sunarc.calibration import CalibrationOptions, DayOptions, to_document
+from sunarc.calibration import CalibrationOptions, DayOptions, SunPoints, to_document
 from sunarc.calibration.watching import WatchOptions
 from sunarc.clock import VirtualClock
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker, Reposer, SunPredictor, WatchWorker
+
+if TYPE_CHECKING:
+    from sunarc.workers.problem import Task
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)
@@ -235,6 +241,23 @@ def test_a_new_calibration_ends_the_condition(path: Path, board: StatusBoard, cl
     archive.close()
     assert "calibration_damaged" not in run_every_part(path, board, clock)
     assert check(path).sound
+
+
+def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
+    path: Path, board: StatusBoard, clock: VirtualClock
+) -> None:
+    none = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    task = cast("Task", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
+    archive = open_archive(path)
+    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
+    archive.close()
+    assert (verdict.accepted, verdict.marginal) == (False, True)
+    flip(path, "calibration", "document", where="id = 'third'", byte=40)
+    archive = open_archive(path)
+    verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
+    archive.close()
+    assert verdict.accepted
+    assert verdict.reasons[0] == "it replaces a damaged calibration"
 
 
 def test_with_every_calibration_damaged_none_is_served_and_the_record_goes_on(
