@@ -198,6 +198,7 @@ def test_no_fit_is_made_of_days_whose_clock_was_doubtful(tmp_path: Path) -> None
         )
         for n in range(30)
     )
+    run.now += timedelta(hours=1)
     refit = run.request("now")
     run.worker.carry_out(refit, threading.Event(), lambda: None)
     assert run.archive.refit(refit.id).message.startswith("none of 30 sightings can be used: 30 with a doubtful")

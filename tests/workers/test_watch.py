@@ -24,6 +24,7 @@ from sunarc.calibration import (
     to_document,
 )
 from sunarc.calibration.watching import WatchOptions
+from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
@@ -255,6 +256,21 @@ def test_a_restart_in_the_midst_of_a_bump_finds_it_all_the_same(imager: Imager) 
     imager.watch.remember()
     imager.see_many(moved, range(10, 14))
     assert [event.kind for event in imager.events()] == ["bump"]
+
+
+def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
+    imager: Imager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OutsideError("cannot use the database: disk is full")
+
+    imager.see_many(TRUTH, range(-5, 0))
+    with monkeypatch.context() as patched:
+        patched.setattr(imager.archive, "current_epoch", refuse)
+        imager.watch.notice(imager.now, x_px=800.0, y_px=800.0, sigma_px=0.02)
+        assert imager.watch.look()
+    imager.see_many(TRUTH, range(5))
+    assert imager.events() == []
 
 
 def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None:

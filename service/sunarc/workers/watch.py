@@ -114,12 +114,18 @@ class WatchWorker:
         """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
         seen = self._sightings.get(timeout_s=timeout_s)
         if seen is not None:
+            self._begin_anew_if_outdated()
+            self._look_safely(seen)
+        return seen is not None
+
+    def _begin_anew_if_outdated(self) -> None:
+        try:
             if self._is_outdated():
                 self.remember()
             elif self._has_future_epochs:
                 self._show_future_epochs()
-            self._look_safely(seen)
-        return seen is not None
+        except OutsideError as error:
+            _log.warning("could not compare the pose epochs with the time: %s", error)
 
     def _latest(self) -> datetime:
         return self._now() + _JITTER
