@@ -94,7 +94,7 @@ def serve(config: Config = None) -> None:
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
     start_log(os.environ)
-    sys.exit(app.serve(load_settings(config)))
+    app.end_process(app.serve(load_settings(config)))
 
 
 @cli.command()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import sunarc
@@ -102,10 +103,14 @@ class Service:
             self._supervised("disk", self.disk_worker),
             self._supervised("refit", self.refit_worker),
             self._supervised("watch", lambda: self.watch),
-            self._supervised("detect", self.detect_worker),
+            replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
             self._supervised("compose", self.compose_worker),
-            self._supervised(
-                "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
+            replace(
+                self._supervised(
+                    "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
+                ),
+                essential=True,
+                severity="not_ready",
             ),
         )
 
@@ -258,5 +263,5 @@ class Service:
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,
-            may_solve=self.clock_watch.trusted,
+            may_solve=lambda: self.frame_time.known and self.clock_watch.trusted(),
         )
