@@ -97,6 +97,15 @@ def serve(config: Config = None) -> None:
     app.end_process(app.serve(load_settings(config)))
 
 
+@cli.command("compile")
+def compile_kernels() -> None:
+    """Compile the numerical kernels into numba's cache, so that the service's first start finds them.
+
+    Example: sunarc compile
+    """
+    offline.compile_kernels()
+
+
 @cli.command()
 def simulate(
     *,
