@@ -157,7 +157,7 @@ def stepped(monkeypatch: pytest.MonkeyPatch) -> SteppedClock:
 
     class Stepped(datetime):
         @classmethod
-        def now(cls, tz: tzinfo | None = None) -> datetime:
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
             return clock.now().astimezone(tz)
 
     monkeypatch.setattr("apscheduler.schedulers.base.datetime", Stepped)

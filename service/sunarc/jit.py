@@ -5,14 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache
 
 _log = logging.getLogger(__name__)
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class TolerantCache(FunctionCache):  # type: ignore[misc]
@@ -41,15 +39,15 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
             _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
 
 
-def njit(**options: object) -> Callable[[Function], Function]:
+def njit(**options: object) -> Callable[[Callable[..., Any]], Any]:
     """Return `numba.njit(cache=True, **options)`, for functions whose cache may fail."""
 
-    def compiled(function: Function) -> Function:
+    def compiled(function: Callable[..., Any]) -> Any:  # noqa: ANN401 - numba's dispatcher
         dispatcher = numba.njit(**options)(function)
         try:
             dispatcher._cache = TolerantCache(dispatcher.py_func)  # noqa: SLF001 - as enable_caching() does
         except RuntimeError as error:  # numba's "no locator available": no folder can be written
             _log.warning("%s; kernels are compiled again at the next start", error)
-        return dispatcher  # type: ignore[no-any-return]
+        return dispatcher
 
     return compiled

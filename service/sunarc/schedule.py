@@ -23,7 +23,7 @@ _LEAST_WAIT_S = 1e-3  # APScheduler lists every fire time up to now: each must b
 _STEP_S = 0.5  # a wall clock that moved less against the monotonic one is left to the next call
 
 
-class MonotonicTrigger(BaseTrigger):
+class MonotonicTrigger(BaseTrigger):  # type: ignore[misc]
     """Fires every `every_s` seconds of monotonic time.
 
     APScheduler compares wall-clock times. This trigger knows the monotonic time at which the job is due and gives its

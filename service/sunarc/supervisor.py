@@ -118,7 +118,7 @@ class Supervisor:
         self._lives = [_Life(worker, clock=clock, board=board, stop=self._stop) for worker in workers]
         self._monitors = [Monitor(loop, board=board) for loop in monitored]
         self._on_check = tuple(on_check)
-        if len({named.name for named in (*workers, *monitored)}) < len(workers) + len(monitored):
+        if len({life.name for life in self._lives} | {loop.name for loop in monitored}) < len(workers) + len(monitored):
             raise ValueError("two workers have the same name")
         self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()

@@ -73,6 +73,7 @@ def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: Virtual
 def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(
     service: Service, clock: VirtualClock
 ) -> None:
+    assert service.settings.camera is not None
     settings = replace(service.settings.camera, timestamps="camera")
     dated_by_camera = Service(
         service.settings.model_copy(update={"camera": settings}),

@@ -60,7 +60,7 @@ def test_a_coroutine_that_blocks_the_loop_leaves_the_heartbeat_to_age_until_it_l
 
     clock, started = SystemClock(), threading.Event()
     heartbeat = Heartbeat(clock.monotonic)
-    config = uvicorn.Config(app, lifespan="off", log_level="warning", timeout_graceful_shutdown=1)  # type: ignore[arg-type]
+    config = uvicorn.Config(app, lifespan="off", log_level="warning", timeout_graceful_shutdown=1)
     server = _Server(config, on_started=started.set, heartbeat=heartbeat)
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
@@ -92,3 +92,10 @@ def test_a_process_whose_threads_are_in_opencv_ends_with_its_code_and_its_output
     for _ in range(2):  # of four that ended by sys.exit all were aborted
         done = ended()
         assert (done.returncode, done.stdout, done.stderr) == (0, "written", "")
+
+
+def test_the_command_line_loads_no_library_that_only_a_fit_or_an_export_needs() -> None:
+    later = "scipy.optimize scipy.interpolate h5py h5netcdf xarray pandas matplotlib"
+    code = f"import sys, sunarc.__main__; print(*[name for name in '{later}'.split() if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
+    assert done.stdout.strip() == ""

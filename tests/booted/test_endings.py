@@ -62,14 +62,15 @@ def test_a_signal_to_the_process_ends_it_and_it_is_started_again(field_computer:
     wait_for(lambda: field.restarts() > before, within_s=60.0, what="the restart", every_s=0.5)
     field.wait_until_ready()
     assert field.main_pid() != pid
-    field.wait_for_sightings(1)
+    assert field.ask("/healthz") is not None
 
 
 def test_sighup_changes_nothing(field_computer: Field) -> None:
     field = field_computer
     pid = field.main_pid()
     field.do("systemctl", "kill", "-s", "HUP", "--kill-whom=main", "sunarc")
-    field.wait_for_sightings(2)
+    time.sleep(3.0)
+    assert field.ask("/healthz") is not None
     assert field.main_pid() == pid
 
 
@@ -102,7 +103,6 @@ def test_orderly_stops_on_a_busy_host_end_with_code_0_and_no_abort(field_compute
     told = field.journal()
     assert "terminate called" not in told
     assert "SIGABRT" not in told
-    field.wait_for_sightings(1)
 
 
 def refit_states(field: Field) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sunarc.detection import Expectation, Image, Sensor, detect_sun
 from sunarc.imaging import merge_hdr
@@ -21,16 +22,18 @@ def compile_kernels() -> None:
     expected = Expectation(
         x_px=_CENTRE_PX + 0.5, y_px=_CENTRE_PX - 0.5, stretch_px_per_rad=((1500.0, 0.0), (0.0, 1500.0))
     )
-    for dtype, full_scale in ((np.uint8, 255), (np.uint16, 4095)):
+    for full_scale in (255, 4095):
         sensor = Sensor(full_scale=full_scale, gain_e_per_count=10_000.0 / full_scale, black_level=0.01 * full_scale)
-        frame = _drawn_sun(full_scale).astype(dtype)
+        drawn = _drawn_sun(full_scale)
+        frame: Image = drawn.astype(np.uint8) if full_scale < 256 else drawn.astype(np.uint16)
         frame.flags.writeable = False  # as the camera's frames are, another type to numba
         for expectation in (None, expected):
             detect_sun(frame, sensor=sensor, expectation=expectation, exposure_us=20.0)
         merge_hdr([frame, frame], [10.0, 40.0], sensor=sensor)
 
 
-def _drawn_sun(full_scale: int) -> Image:
+def _drawn_sun(full_scale: int) -> NDArray[np.float64]:
     y, x = np.mgrid[:_SIZE, :_SIZE]
     edge = np.clip(_SUN_RADIUS_PX + 0.5 - np.hypot(x - _CENTRE_PX, y - _CENTRE_PX), 0.0, 1.0)
-    return (0.01 + 0.6 * edge) * full_scale
+    drawn: NDArray[np.float64] = (0.01 + 0.6 * edge) * full_scale
+    return drawn
