@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.app.status_line import StatusLine
+from sunarc.app.status_line import NO_FRAME_YET, StatusLine, clear_first_frame
 from sunarc.board import Reason, StatusBoard
 from sunarc.clock import VirtualClock
 from sunarc.systemd import Notifier
@@ -96,3 +96,12 @@ def test_more_than_four_conditions_are_counted(line: StatusLine, board: StatusBo
     for code in "abcdef":
         board.set_reason(reason(code))
     assert line.text().endswith("conditions: a, b, c, d and 2 more")
+
+
+def test_a_service_is_not_called_ready_before_its_first_frame(board: StatusBoard) -> None:
+    board.set_reason(NO_FRAME_YET)
+    clear_first_frame(board)
+    assert board.snapshot().health == "degraded"
+    board.note(last_frame_at=START)
+    clear_first_frame(board)
+    assert board.snapshot().health == "ready"

@@ -115,7 +115,7 @@ def begin_refit(field: Field) -> None:
 
 
 def solver(field: Field) -> str:
-    return field.call("pgrep", "-f", "multiprocessing.spawn.*spawn_main").stdout.strip()
+    return field.call("pgrep", "-f", "multiprocessing-fork").stdout.strip()
 
 
 def test_a_refit_outlives_a_stop_and_the_death_of_its_process(field_computer: Field) -> None:
@@ -124,13 +124,14 @@ def test_a_refit_outlives_a_stop_and_the_death_of_its_process(field_computer: Fi
     begin_refit(field)
     wait_for(lambda: solver(field) != "", within_s=30.0, what="the solving process", every_s=0.05)
     field.do("systemctl", "stop", "sunarc")
-    assert refit_states(field) == ["running"]  # and not failed: it is begun again
+    assert "running" in refit_states(field)  # it is begun again
+    assert "failed" not in refit_states(field)
     field.do("systemctl", "start", "sunarc")
     field.wait_until_ready()
     wait_for(lambda: solver(field) != "", within_s=60.0, what="the solving process", every_s=0.05)
     field.do("kill", "-KILL", *solver(field).split())
     wait_for(lambda: "running" not in refit_states(field), within_s=300.0, what="the refit's end", every_s=0.5)
-    assert refit_states(field)[0] in {"accepted", "marginal", "refused"}
+    assert set(refit_states(field)) <= {"requested", "accepted", "marginal", "refused"}
     assert "solving once more" in field.journal()
 
 

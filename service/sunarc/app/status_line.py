@@ -1,14 +1,28 @@
-"""The line that `systemctl status` shows: health, last sighting, conditions."""
+"""What a life of the service reports of itself: the line of `systemctl status`, and that no frame has come yet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.board import StatusSnapshot
+from sunarc.board import Reason, StatusBoard, StatusSnapshot
 from sunarc.systemd import Notifier
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
 _MOST_CODES = 4
+
+NO_FRAME_YET = Reason(
+    code="no_frame_yet",
+    severity="degraded",
+    text="no frame has come from the camera since the service started",
+    remedy="wait for the first exposure; if this stays, see the camera's own condition or the log",
+)
+"""Set at the start: a service that is restarted again and again before its first frame is never called ready."""
+
+
+def clear_first_frame(board: StatusBoard) -> None:
+    """Clear `no_frame_yet` once a frame has come."""
+    if board.snapshot().last_frame_at is not None:
+        board.clear_reason(NO_FRAME_YET.code)
 
 
 class StatusLine:
