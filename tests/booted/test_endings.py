@@ -122,13 +122,13 @@ def test_a_refit_outlives_a_stop_and_the_death_of_its_process(field_computer: Fi
     field = field_computer
     field.remember(days=3)
     begin_refit(field)
-    wait_for(lambda: solver(field) != "", within_s=30.0, what="the solving process", every_s=0.05)
+    wait_for(lambda: solver(field) != "", within_s=120.0, what="the solving process", every_s=0.05)
     field.do("systemctl", "stop", "sunarc")
     assert "running" in refit_states(field)  # it is begun again
     assert "failed" not in refit_states(field)
     field.do("systemctl", "start", "sunarc")
     field.wait_until_ready()
-    wait_for(lambda: solver(field) != "", within_s=60.0, what="the solving process", every_s=0.05)
+    wait_for(lambda: solver(field) != "", within_s=240.0, what="the solving process", every_s=0.05)
     field.do("kill", "-KILL", *solver(field).split())
     wait_for(lambda: "running" not in refit_states(field), within_s=300.0, what="the refit's end", every_s=0.5)
     assert set(refit_states(field)) <= {"requested", "accepted", "marginal", "refused"}
