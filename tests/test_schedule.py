@@ -2,14 +2,16 @@ from __future__ import annotations
 
 import logging
 import threading
+import tracemalloc
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, tzinfo
+from itertools import pairwise
 
 import pytest
 
 from sunarc.board import StatusBoard
-from sunarc.clock import SystemClock
-from sunarc.schedule import Schedule
+from sunarc.clock import SystemClock, VirtualClock
+from sunarc.schedule import MonotonicTrigger, Schedule
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 SOON_S = 0.01
@@ -93,7 +95,7 @@ def test_a_job_that_fails_is_a_reason_until_it_succeeds(
     with caplog.at_level(logging.ERROR):
         make_schedule(job, SOON_S).start()
         assert third_call.wait(PATIENCE_S)
-    assert reasons[:3] == [(), ("the look for ended days failed: OSError: disk full",), ()]
+    assert reasons[:3] == [(), ("checking for completed days failed: OSError: disk full",), ()]
     assert caplog.text.count("Traceback") == 1
 
 
@@ -136,3 +138,104 @@ def test_a_blocked_job_does_not_hold_up_the_stop(make_schedule: MakeSchedule) ->
 def test_nothing_is_called_after_the_stop(make_schedule: MakeSchedule) -> None:
     schedule = make_schedule(lambda: pytest.fail("called"), NEVER_S)
     schedule._call()  # a call that stood in the queue when the schedule was stopped
+
+
+class SteppedClock(SystemClock):
+    """The machine's clocks, the wall clock stepped by hand."""
+
+    def __init__(self) -> None:
+        self.stepped = timedelta(0)
+
+    def now(self) -> datetime:
+        return super().now() + self.stepped
+
+
+@pytest.fixture
+def stepped(monkeypatch: pytest.MonkeyPatch) -> SteppedClock:
+    """Return a clock whose steps APScheduler sees, too."""
+    clock = SteppedClock()
+
+    class Stepped(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return clock.now().astimezone(tz)
+
+    monkeypatch.setattr("apscheduler.schedulers.base.datetime", Stepped)
+    return clock
+
+
+@pytest.mark.parametrize(
+    "step",
+    [timedelta(hours=1), timedelta(hours=-1), timedelta(days=400), timedelta(days=-400)],
+    ids=["hour on", "hour back", "400 days on", "400 days back"],
+)
+def test_a_step_of_the_wall_clock_neither_delays_nor_multiplies_the_calls(
+    stepped: SteppedClock, board: StatusBoard, step: timedelta
+) -> None:
+    every_s, calls, called = 0.3, list[float](), threading.Semaphore(0)
+
+    def job() -> None:
+        calls.append(stepped.monotonic())
+        called.release()
+
+    schedule = Schedule(job, every_s=every_s, clock=stepped, board=board)
+    schedule.start()
+    try:
+        for n in range(6):
+            assert called.acquire(timeout=PATIENCE_S if n == 0 else 3.0)
+            if n == 2:
+                tracemalloc.start()
+                stepped.stepped += step
+            for _ in range(2):  # as the supervisor does, about every second
+                threading.Event().wait(0.05)
+                schedule.follow_clock()
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        schedule.stop()
+    intervals = [after - before for before, after in pairwise(calls)]
+    assert min(intervals) > 0.9 * every_s - 0.11  # a step is followed within a turn, never called early
+    assert max(intervals) < every_s + 1.0
+    assert peak_bytes < 2_000_000  # 400 days of missed calls would be enumerated
+
+
+def test_a_clock_that_was_ahead_at_the_start_and_is_set_right_holds_up_no_call(
+    stepped: SteppedClock, board: StatusBoard
+) -> None:
+    stepped.stepped = timedelta(days=400)
+    called = threading.Semaphore(0)
+    schedule = Schedule(called.release, every_s=0.2, clock=stepped, board=board)
+    schedule.start()
+    try:
+        assert called.acquire(timeout=PATIENCE_S)
+        stepped.stepped = timedelta(0)
+        threading.Event().wait(0.05)
+        schedule.follow_clock()
+        assert called.acquire(timeout=3.0)
+    finally:
+        schedule.stop()
+
+
+def test_the_trigger_gives_one_fire_time_later_than_now_however_late_it_is() -> None:
+    clock = VirtualClock(datetime(2026, 5, 1, tzinfo=UTC))
+    trigger = MonotonicTrigger(every_s=60.0, monotonic=clock.monotonic)
+    due = trigger.get_next_fire_time(None, clock.now())
+    assert due == clock.now() + timedelta(seconds=60)
+    clock.step(400 * 86_400.0)
+    clock.advance(10.0)
+    assert trigger.fire_time(clock.now()) == clock.now() + timedelta(seconds=50)
+    clock.advance(500.0)
+    assert trigger.fire_time(clock.now()) < clock.now()  # due: called at once
+    assert trigger.get_next_fire_time(due, clock.now()) == clock.now() + timedelta(seconds=60)
+
+
+def test_the_heartbeat_is_beaten_by_calls_alone(make_schedule: MakeSchedule) -> None:
+    called = threading.Semaphore(0)
+    schedule = make_schedule(called.release, NEVER_S)
+    schedule.start()
+    assert called.acquire(timeout=PATIENCE_S)
+    assert schedule.stop()
+    age_s = schedule.heartbeat.age_s()
+    threading.Event().wait(0.05)
+    schedule.follow_clock()
+    assert schedule.heartbeat.age_s() >= age_s + 0.05

@@ -13,6 +13,7 @@ import pytest
 from sunarc.board import StatusBoard, WorkerStatus
 from sunarc.clock import SystemClock, VirtualClock
 from sunarc.errors import OutsideError
+from sunarc.heartbeats import Heartbeat, Monitored
 from sunarc.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -170,12 +171,20 @@ def fail_to_make() -> Worker:
     ],
     ids=["raises", "returns", "exits", "cannot be made"],
 )
-def test_a_worker_that_keeps_dying_is_given_up_with_a_reason(
+def test_a_worker_that_keeps_dying_and_is_essential_fails_with_a_reason(
     clock: VirtualClock, board: StatusBoard, make_worker: Callable[[], Worker], last_error: str
 ) -> None:
     told = threading.Event()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=make_worker, options=SupervisorOptions(max_restarts=3))],
+        [
+            Supervised(
+                name="capture",
+                make_worker=make_worker,
+                options=SupervisorOptions(max_restarts=3),
+                essential=True,
+                severity="not_ready",
+            )
+        ],
         clock=clock,
         board=board,
         on_failed=told.set,
@@ -193,11 +202,13 @@ def test_a_worker_that_keeps_dying_is_given_up_with_a_reason(
     assert on_board(board, "capture").state == "failed"
 
 
-def test_the_end_of_one_worker_leaves_the_others_running(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_failure_of_one_worker_leaves_the_others_running(clock: VirtualClock, board: StatusBoard) -> None:
     told, runs = threading.Event(), threading.Event()
     supervisor = Supervisor(
         [
-            Supervised(name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0)),
+            Supervised(
+                name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0), essential=True
+            ),
             Supervised(name="detect", make_worker=Factory([obey_and_tell(runs)])),
         ],
         clock=clock,
@@ -211,10 +222,10 @@ def test_the_end_of_one_worker_leaves_the_others_running(clock: VirtualClock, bo
     assert supervisor.stop() == ()
 
 
-def test_the_process_is_told_once_however_many_workers_are_given_up(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_process_is_told_once_however_many_essential_workers_fail(clock: VirtualClock, board: StatusBoard) -> None:
     tellings: list[str] = []
     workers = [
-        Supervised(name=name, make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0))
+        Supervised(name=name, make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0), essential=True)
         for name in ("capture", "detect")
     ]
     supervisor = Supervisor(workers, clock=clock, board=board, on_failed=lambda: tellings.append("failed"))
@@ -234,7 +245,14 @@ def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: St
 
     told = threading.Event()
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=make_worker, options=SupervisorOptions(max_restarts=7, within_s=1e6))],
+        [
+            Supervised(
+                name="capture",
+                make_worker=make_worker,
+                options=SupervisorOptions(max_restarts=7, within_s=1e6),
+                essential=True,
+            )
+        ],
         clock=clock,
         board=board,
         on_failed=told.set,
@@ -313,6 +331,115 @@ def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock
     assert supervisor.stop() == ()
 
 
+def lives_of(n: int, *, then: Deed) -> Factory:
+    """Return a factory of workers of which `n` die at once."""
+    return Factory([*[die] * n, then])
+
+
+def test_a_failed_worker_that_is_not_essential_is_retried_every_five_minutes_and_the_process_goes_on(
+    board: StatusBoard,
+) -> None:
+    clock, births = VirtualClock(START), list[float]()
+    runs = threading.Event()
+
+    def make_worker() -> Worker:
+        births.append(clock.monotonic())
+        return Doer(die if len(births) < 6 else obey_and_tell(runs))
+
+    supervisor = Supervisor(
+        [Supervised(name="watch", make_worker=make_worker, options=SupervisorOptions(max_restarts=2))],
+        clock=clock,
+        board=board,
+        on_failed=lambda: pytest.fail("the process was to end"),
+    )
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert [after - before for before, after in pairwise(births)] == [1, 2, 300, 300, 300]
+    assert not supervisor.failed.is_set()
+    assert supervisor.check()  # the watchdog is fed
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("worker_failed_watch", "degraded")
+    assert "the cable fell out" in reason.text
+    clock.advance(30.0)
+    supervisor.check()
+    assert board.snapshot().reasons == (reason,)
+    clock.advance(1.0)
+    supervisor.check()
+    assert board.snapshot().reasons == ()
+    assert supervisor.stop() == ()
+
+
+def test_a_worker_that_dies_again_is_a_condition_until_it_has_run_for_half_a_minute(
+    clock: VirtualClock, board: StatusBoard
+) -> None:
+    runs = threading.Event()
+    worker = Supervised(name="detect", make_worker=lives_of(2, then=obey_and_tell(runs)), severity="not_ready")
+    supervisor = Supervisor([worker], clock=clock, board=board)
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    snapshot = board.snapshot()
+    assert [reason.code for reason in snapshot.reasons] == ["worker_restarting_detect"]
+    assert snapshot.health == "not_ready"
+    clock.advance(31.0)
+    supervisor.check()
+    assert board.snapshot().health == "ready"
+    assert supervisor.stop() == ()
+
+
+def test_one_death_is_no_condition(clock: VirtualClock, board: StatusBoard) -> None:
+    runs = threading.Event()
+    worker = Supervised(name="detect", make_worker=lives_of(1, then=obey_and_tell(runs)))
+    supervisor = Supervisor([worker], clock=clock, board=board)
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    assert board.snapshot().reasons == ()
+    assert supervisor.stop() == ()
+
+
+def test_a_monitored_loop_without_a_heartbeat_is_stuck_and_the_watchdog_not_fed(
+    clock: VirtualClock, board: StatusBoard
+) -> None:
+    heartbeat = Heartbeat(clock.monotonic)
+    loop = Monitored(name="web", heartbeat=heartbeat, stale_after_s=30.0)
+    supervisor = Supervisor([], clock=clock, board=board, monitored=[loop])
+    clock.advance(30.0)
+    assert supervisor.check()
+    clock.advance(0.5)
+    assert not supervisor.check()
+    assert [(reason.code, reason.severity) for reason in board.snapshot().reasons] == [
+        ("worker_stuck_web", "not_ready")
+    ]
+    assert on_board(board, "web").heartbeat_age_s == 30.5
+    heartbeat.beat()
+    assert supervisor.check()
+    assert board.snapshot().reasons == ()
+
+
+def test_what_a_periodic_check_raises_is_logged_and_the_watchdog_is_fed_all_the_same(
+    board: StatusBoard, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock, meals = Turns(), list[float]()
+
+    def fail() -> None:
+        raise OSError("no such clock")
+
+    with caplog.at_level(logging.ERROR):
+        supervisor = Supervisor(
+            [], clock=clock, board=board, feed=lambda: meals.append(clock.monotonic()), on_check=[fail]
+        )
+        supervisor.start()
+        for _ in range(2):
+            assert clock.turned.acquire(timeout=PATIENCE_S)
+            clock.advance(1.0)
+            clock.turn.release()
+        assert clock.turned.acquire(timeout=PATIENCE_S)
+        supervisor._stop.set()
+        clock.turn.release()
+        assert supervisor.stop() == ()
+    assert meals == [0.0, 1.0, 2.0]
+    assert "no such clock" in caplog.text
+
+
 def test_being_stuck_is_logged_once(
     clock: VirtualClock, board: StatusBoard, caplog: pytest.LogCaptureFixture, release: threading.Event
 ) -> None:
@@ -333,7 +460,9 @@ def test_being_stuck_is_logged_once(
     with caplog.at_level(logging.ERROR):
         assert not supervisor.check()
         assert not supervisor.check()
-    assert [record.getMessage() for record in caplog.records] == ["detect gave no sign of life for 61 s"]
+    assert [record.getMessage() for record in caplog.records] == ["worker detect: no heartbeat for 61 s"]
+    release.set()
+    assert supervisor.stop() == ()
 
 
 def test_blocked_workers_do_not_hold_up_the_stop(
@@ -389,7 +518,11 @@ def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: Status
         done.set()
 
     supervisor = Supervisor(
-        [Supervised(name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0))],
+        [
+            Supervised(
+                name="capture", make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0), essential=True
+            )
+        ],
         clock=clock,
         board=board,
         on_failed=stop_all,

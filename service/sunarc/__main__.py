@@ -96,7 +96,16 @@ def serve(config: Config = None) -> None:
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
     start_log(os.environ)
-    sys.exit(app.serve(load_settings(config)))
+    app.end_process(app.serve(load_settings(config)))
+
+
+@cli.command("compile")
+def compile_kernels() -> None:
+    """Compile the numerical kernels into numba's cache, so that the service's first start finds them.
+
+    Example: sunarc compile
+    """
+    offline.compile_kernels()
 
 
 @cli.command()

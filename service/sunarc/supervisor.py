@@ -9,14 +9,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sunarc.board import Reason, StatusBoard, WorkerState, WorkerStatus
+from sunarc.board import Reason, Severity, StatusBoard, WorkerState, WorkerStatus
 from sunarc.clock import Clock
 from sunarc.errors import InputError, OutsideError
+from sunarc.heartbeats import Heartbeat, Monitor, Monitored, Staleness
 
 _log = logging.getLogger(__name__)
 
 _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
+_RETRY_FAILED_S = 300.0  # of a worker that died too often; as systemd retries the service (sunarc-retry.timer)
 _LEAST_STALE_S = 5.0
 
 
@@ -29,11 +31,11 @@ class Worker(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupervisorOptions:
-    """When a worker is given up, or taken for stuck.
+    """When a worker has failed, or is taken for stuck.
 
     Attributes
     ----------
-    max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` is given up.
+    max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` has failed.
     stale_after_s : a worker without a heartbeat for longer is stuck; systemd's watchdog is then no longer fed.
     """
 
@@ -61,30 +63,37 @@ class Supervised:
     ----------
     name : of the worker, of its thread and on the board.
     make_worker : called before every life, in the worker's thread; what it raises is a death too.
-    options : when it is given up, or taken for stuck.
+    options : when it has failed, or is taken for stuck.
+    essential : whether its failure ends the process; any other failed worker is retried every 300 s.
+    severity : of the condition on the board while it keeps dying; `not_ready` where no sighting is stored without it.
     """
 
     name: str
     make_worker: Callable[[], Worker]
     options: SupervisorOptions = SupervisorOptions()
+    essential: bool = False
+    severity: Severity = "degraded"
 
 
 class Supervisor:
     """Runs workers until `stop`, each in a thread named after it.
 
-    A dead worker is made anew after a back-off. One that keeps dying is given up: the others go on, `failed` is set,
-    and the process should end with an error. One that is ended by something outside (`OutsideError`: the disk is full)
-    is never given up: it is made anew until what is outside has been mended. A supervisor lives once; `start` and
-    `stop` may be called twice.
+    A dead worker is made anew after a back-off; from its second death within the window until it has run for 30 s
+    this is a condition on the board. One that keeps dying has failed: it is retried every 300 s while the others go
+    on, unless it is essential: then `failed` is set, and the process should end with an error. One that is ended by
+    something outside (`OutsideError`: the disk is full) never fails: it is made anew until the cause is gone.
+    A supervisor lives once; `start` and `stop` may be called twice.
 
     Parameters
     ----------
     workers : what to run, names distinct.
     clock : real time; heartbeats, back-offs and windows are measured by it.
     board : where states and reasons are written.
-    feed : called from a thread of its own every `check_every_s` while no worker is stuck or given up
-        (the watchdog's keep-alive); None starts no such thread.
-    on_failed : called once, when the first worker is given up, from that worker's thread.
+    feed : called from a thread of its own every `check_every_s` while no worker or monitored loop is stuck and no
+        essential worker has failed (the watchdog's keep-alive); None starts no such thread.
+    on_failed : called once, when the first essential worker fails, from that worker's thread.
+    monitored : loops that run elsewhere, watched by their heartbeats.
+    on_check : called at every turn of the watchdog's thread; what they raise is logged.
     """
 
     def __init__(
@@ -96,6 +105,8 @@ class Supervisor:
         feed: Callable[[], None] | None = None,
         check_every_s: float = 5.0,
         on_failed: Callable[[], None] | None = None,
+        monitored: Sequence[Monitored] = (),
+        on_check: Sequence[Callable[[], None]] = (),
     ) -> None:
         self.failed = threading.Event()
         self._stop = threading.Event()
@@ -105,7 +116,9 @@ class Supervisor:
         self._check_every_s = check_every_s
         self._on_failed = on_failed
         self._lives = [_Life(worker, clock=clock, board=board, stop=self._stop) for worker in workers]
-        if len({life.name for life in self._lives}) < len(self._lives):
+        self._monitors = [Monitor(loop, board=board) for loop in monitored]
+        self._on_check = tuple(on_check)
+        if len({life.name for life in self._lives} | {loop.name for loop in monitored}) < len(workers) + len(monitored):
             raise ValueError("two workers have the same name")
         self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()
@@ -142,19 +155,24 @@ class Supervisor:
         return late
 
     def check(self) -> bool:
-        """Look once at all heartbeats, write them on the board, and say whether every worker is alive."""
-        fresh = [life.check() for life in self._lives]
+        """Check all heartbeats, write them on the board, and return whether every worker and loop is alive."""
+        fresh = [life.check() for life in self._lives] + [monitor.check() for monitor in self._monitors]
         return all(fresh)
 
     def _watch(self) -> None:
         while not self._stop.is_set():
             if self.check() and self._feed is not None:
                 self._feed()
+            for called in self._on_check:
+                try:
+                    called()
+                except Exception:  # noqa: BLE001 - the watchdog's thread must go on
+                    _log.exception("a periodic check failed")
             self._clock.wait(self._stop, self._check_every_s)
 
     def _keep(self, life: _Life) -> None:
         life.keep()
-        if not life.given_up:
+        if not life.failed:
             return
         with self._lock:
             first = not self.failed.is_set()
@@ -168,59 +186,67 @@ class _Life:
 
     def __init__(self, worker: Supervised, *, clock: Clock, board: StatusBoard, stop: threading.Event) -> None:
         self.name = worker.name
-        self.given_up = False
+        self.failed = False
         self._worker = worker
         self._clock = clock
         self._board = board
         self._stop = stop
         self._state: WorkerState = "starting"
-        self._beat_at = clock.monotonic()
+        self._beat = Heartbeat(clock.monotonic)
         self._deaths: deque[float] = deque()
         self._restarts = 0
         self._last_error: str | None = None
-        self._stuck = False
+        self._staleness = Staleness(worker.name, stale_after_s=worker.options.stale_after_s, board=board)
         self._hindered = False
+        self._died_too_often = False
         self._born_at = clock.monotonic()
         self._lock = threading.Lock()
 
     def keep(self) -> None:
-        """Live, die and live again, until stopped or given up."""
+        """Live, die and live again, until stopped; an essential worker until it has failed."""
         while not self._stop.is_set():
             self._last_error = self._live()
             if self._stop.is_set():
                 break
-            if self._count_death() > self._worker.options.max_restarts and not self._hindered:
-                self._give_up()
+            if not self._back_off():
                 return
-            self._enter("restarting")
-            self._clock.wait(self._stop, _back_off_s(len(self._deaths)))
             self._restarts += 1
         self._enter("stopped")
 
     def check(self) -> bool:
-        """Write the heartbeat's age on the board, and return whether it is young enough."""
+        """Write the heartbeat's age on the board, and return whether the worker is alive."""
         with self._lock:
-            age_s = self._clock.monotonic() - self._beat_at
-            stuck = self._state == "running" and age_s > self._worker.options.stale_after_s
+            age_s = self._beat.age_s()
+            running = self._state == "running"
             self._write(age_s)
-        if stuck and not self._stuck:
-            _log.error("%s gave no sign of life for %.0f s", self.name, age_s)
-            self._board.set_reason(_stuck_reason(self.name, self._worker.options.stale_after_s))
-        elif self._stuck and not stuck:
-            self._board.clear_reason(_stuck_code(self.name))
-        self._stuck = stuck
-        if self._state == "running" and self._clock.monotonic() - self._born_at > _LONGEST_BACK_OFF_S:
-            self._go_unhindered()
-        return not stuck and not self.given_up
+            if running and self._clock.monotonic() - self._born_at > _LONGEST_BACK_OFF_S:
+                self._recover()
+        stuck = self._staleness.update(age_s if running else 0.0)
+        return not stuck and not self.failed
+
+    def _back_off(self) -> bool:
+        """Wait until the next life; return False when there is none, the worker being essential and having failed."""
+        deaths = self._count_death()
+        if not self._hindered and (self._died_too_often or deaths > self._worker.options.max_restarts):
+            self._fail(deaths)
+            if self.failed:
+                return False
+            self._clock.wait(self._stop, _RETRY_FAILED_S)
+            return True
+        self._enter("restarting")
+        if not self._hindered and deaths > 1:
+            self._board.set_reason(_restarting_reason(self._worker, deaths, self._last_error))
+        self._clock.wait(self._stop, _back_off_s(deaths))
+        return True
 
     def _live(self) -> str | None:
         """Run the worker once; return what it died of, None when it was stopped."""
         self._enter("running")
         self._born_at = self._clock.monotonic()
         try:
-            self._worker.make_worker().run(self._stop, self._heartbeat)
+            self._worker.make_worker().run(self._stop, self._beat.beat)
         except OutsideError as error:
-            _log.error("%s is hindered: %s", self.name, error)
+            _log.error("worker %s is blocked: %s", self.name, error)
             self._hindered = True
             self._board.set_reason(_hindered_reason(self.name, error))
             return str(error)
@@ -239,8 +265,12 @@ class _Life:
             self._deaths.clear()
             self._board.clear_reason(_hindered_code(self.name))
 
-    def _heartbeat(self) -> None:
-        self._beat_at = self._clock.monotonic()
+    def _recover(self) -> None:
+        """Take back what was said of a worker that died, once it has run for longer than the longest back-off."""
+        self._go_unhindered()
+        self._died_too_often = False
+        self._board.clear_reason(_restarting_code(self.name))
+        self._board.clear_reason(_failed_code(self.name))
 
     def _count_death(self) -> int:
         now_s = self._clock.monotonic()
@@ -249,16 +279,19 @@ class _Life:
             self._deaths.popleft()
         return len(self._deaths)
 
-    def _give_up(self) -> None:
-        self.given_up = True
+    def _fail(self, deaths: int) -> None:
+        first, self._died_too_often = not self._died_too_often, True
+        self.failed = self._worker.essential
         self._enter("failed")
-        _log.critical("%s is given up after %d deaths", self.name, len(self._deaths))
-        self._board.set_reason(_given_up_reason(self.name, self._last_error))
+        if first:
+            _log.critical("worker %s died %d times in %g s", self.name, deaths, self._worker.options.within_s)
+        self._board.clear_reason(_restarting_code(self.name))
+        self._board.set_reason(_failed_reason(self._worker, self._last_error))
 
     def _enter(self, state: WorkerState) -> None:
         with self._lock:
             self._state = state
-            self._heartbeat()
+            self._beat.beat()
             self._write(0.0)
 
     def _write(self, age_s: float) -> None:
@@ -285,28 +318,33 @@ def _hindered_reason(name: str, error: OutsideError) -> Reason:
     return Reason(
         code=_hindered_code(name),
         severity="degraded",
-        text=f"the {name} worker is hindered: {error}",
-        remedy="mend what is named; it is tried again by itself",
+        text=f"worker {name} is blocked: {error}",
+        remedy="fix the cause; it is retried automatically",
     )
 
 
-def _stuck_code(name: str) -> str:
-    return f"worker_stuck_{name}"
+def _restarting_code(name: str) -> str:
+    return f"worker_restarting_{name}"
 
 
-def _stuck_reason(name: str, stale_after_s: float) -> Reason:
+def _restarting_reason(worker: Supervised, deaths: int, last_error: str | None) -> Reason:
     return Reason(
-        code=_stuck_code(name),
-        severity="not_ready",
-        text=f"the {name} worker gave no sign of life for more than {stale_after_s:g} s",
-        remedy="systemd restarts the service by its watchdog; without systemd, restart it",
+        code=_restarting_code(worker.name),
+        severity=worker.severity,
+        text=f"worker {worker.name} died {deaths} times in {worker.options.within_s:g} s; last error: {last_error}",
+        remedy="it is restarted automatically; the log has the stack",
     )
 
 
-def _given_up_reason(name: str, last_error: str | None) -> Reason:
+def _failed_code(name: str) -> str:
+    return f"worker_failed_{name}"
+
+
+def _failed_reason(worker: Supervised, last_error: str | None) -> Reason:
+    retried = "the service is restarted" if worker.essential else f"it is retried every {_RETRY_FAILED_S:g} s"
     return Reason(
-        code=f"worker_failed_{name}",
-        severity="not_ready",
-        text=f"the {name} worker died too often, at last of: {last_error}",
-        remedy="see the log for its stack, mend the cause and restart the service",
+        code=_failed_code(worker.name),
+        severity=worker.severity,
+        text=f"worker {worker.name} disabled after repeated failures; last error: {last_error}",
+        remedy=f"fix the cause, the log has the stack; {retried}",
     )

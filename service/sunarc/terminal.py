@@ -8,6 +8,8 @@ from typing import Any
 
 from rich.table import Table
 
+_NAME_CHARACTERS = 40  # half of a terminal's usual width
+
 
 def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
     """Print a value as JSON; NaN is a bug."""
@@ -15,8 +17,18 @@ def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Return a table; None is an empty cell, a float has three places."""
+    """Return a table; None is an empty cell, a float has three places.
+
+    The first column names a row; where the names are short (ids), a narrow terminal cuts the other columns first.
+    """
+    cells = [
+        ["" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row]
+        for row in rows
+    ]
     made = Table(*columns)
-    for row in rows:
-        made.add_row(*("" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row))
+    if columns and max((len(row[0]) for row in cells), default=0) <= _NAME_CHARACTERS:
+        made.columns[0].no_wrap = True
+        made.columns[0].overflow = "ignore"
+    for row in cells:
+        made.add_row(*row)
     return made

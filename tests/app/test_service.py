@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -67,3 +68,27 @@ def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: Virtual
     stop.clear()
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
     assert [refit.message for refit in service.archive.refits("imager")] == ["there are no accepted sightings yet"]
+
+
+def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(
+    service: Service, clock: VirtualClock
+) -> None:
+    assert service.settings.camera is not None
+    settings = replace(service.settings.camera, timestamps="camera")
+    dated_by_camera = Service(
+        service.settings.model_copy(update={"camera": settings}),
+        archive=service.archive,
+        clock=clock,
+        open_camera=no_camera,
+    )
+    refit = service.request_refit("by hand")
+    service.archive.start_refit(refit.id, started_at=NOON)
+    worker, stop = dated_by_camera.refit_worker(), threading.Event()
+    worker.run(stop, lambda: stop.set() if clock.monotonic() > 5.0 else None)
+    assert service.archive.refit(refit.id).state == "running"
+    dated_by_camera.frame_time.note(NOON - timedelta(days=1000))
+    stop.clear()
+    worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
+    done = service.archive.refit(refit.id)
+    assert done.finished_at is not None
+    assert done.finished_at < NOON - timedelta(days=999)  # dated by the camera

@@ -158,6 +158,9 @@ def test_without_its_camera_the_service_serves_says_so_and_stops_when_told(tmp_p
     with sunarc("serve", "--config", str(config), log=log) as service:
         wait_for(lambda: answers(port), within_s=60.0, log=log)
         wait_for(lambda: "camera_lost" in readiness(port), within_s=30.0, log=log)
+        os.kill(service.pid, signal.SIGHUP)  # ignored: the settings are read at the start
+        wait_for(lambda: answers(port), within_s=10.0, log=log)
+        assert service.poll() is None
         os.kill(service.pid, signal.SIGTERM)
         assert service.wait(timeout=5.0) == 0
 

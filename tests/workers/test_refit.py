@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import multiprocessing
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +18,7 @@ from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker
-from sunarc.workers.solve import Problem, SolveFailedError, solve_in_child
+from sunarc.workers.solve import Problem, SolveFailedError, SolverDiedError, solve_in_child
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
 SIZE = (1748, 1748)
@@ -162,6 +163,53 @@ def test_a_refit_that_was_cut_short_waits_to_be_begun_again(carry_out: Carry, ar
     refit = carry_out("a", None)
     assert refit.state == "running"
     assert [waiting.id for waiting in archive.refits("roof", unfinished=True)] == [refit.id]
+
+
+@pytest.mark.parametrize("outcome", [(0, "accepted", 1), (1, "accepted", 2), (2, "failed", 2)])
+def test_a_solve_whose_process_was_killed_is_begun_once_more(
+    worker: RefitWorker,
+    archive: Archive,
+    good: Calibration,
+    monkeypatch: pytest.MonkeyPatch,
+    outcome: tuple[int, str, int],
+) -> None:
+    deaths, state, tries = outcome
+    begun: list[int] = []
+
+    def solved(*_: object, **__: object) -> Calibration:
+        begun.append(1)
+        if len(begun) <= deaths:
+            raise SolverDiedError("the solving process died (signal 9); see the log")
+        return good
+
+    monkeypatch.setattr(worker, "_solve", solved)
+    refit = archive.add_refit(Refit(id="abcdef", camera="roof", requested_at=NOW, reason="test"))
+    worker.carry_out(refit, threading.Event(), lambda: None)
+    assert (archive.refit(refit.id).state, len(begun)) == (state, tries)
+
+
+def solve_and_kill(stop: threading.Event) -> Calibration | None:
+    """Solve, and end the child as a stop of the whole control group does, at the parent's first turn."""
+
+    def kill() -> None:
+        for child in multiprocessing.active_children():
+            child.terminate()
+
+    problem = Problem(points=sightings(every_s=1200.0), site=SGP, image_size=SIZE, options=CalibrationOptions())
+    return solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=stop, heartbeat=kill)
+
+
+def test_a_child_that_was_killed_is_told_from_one_that_failed() -> None:
+    with pytest.raises(SolverDiedError, match=r"died \(signal 15\)"):
+        solve_and_kill(threading.Event())
+
+
+def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinished() -> None:
+    stop = threading.Event()
+    later = threading.Timer(0.8, stop.set)
+    later.start()
+    assert solve_and_kill(stop) is None
+    later.join()
 
 
 def solve(*, time_limit_s: float = 120.0, stop: threading.Event | None = None) -> Calibration | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from functools import partial
 
@@ -121,10 +122,14 @@ class Service:
             self._supervised("database", self.database_worker),
             self._supervised("refit", self.refit_worker),
             self._supervised("watch", lambda: self.watch),
-            self._supervised("detect", self.detect_worker),
+            replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
             self._supervised("compose", self.compose_worker),
-            self._supervised(
-                "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
+            replace(
+                self._supervised(
+                    "capture", self.replay_worker if self.settings.source == "replay" else self.capture_worker
+                ),
+                essential=True,
+                severity="not_ready",
             ),
         )
 
@@ -311,5 +316,5 @@ class Service:
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,
-            may_solve=self.clock_watch.trusted,
+            may_solve=lambda: self.frame_time.known and self.clock_watch.trusted(),
         )

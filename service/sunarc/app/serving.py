@@ -1,42 +1,52 @@
-"""The service's life: footing, workers, schedule and web server, started and stopped in order."""
+"""The service's life: state folder, workers, schedule and web server, started and stopped in order."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
+import logging
+import multiprocessing
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
-from typing import cast
+from typing import NoReturn, cast
 
 import uvicorn
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
+from sunarc.app.status_line import NO_FRAME_YET, StatusLine, clear_first_frame
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
+from sunarc.heartbeats import Heartbeat, Monitored
 from sunarc.schedule import Schedule
 from sunarc.settings import Settings
 from sunarc.supervisor import Supervisor
-from sunarc.systemd import Notifier, credential, notifier_from, watchdog_interval_s
+from sunarc.systemd import credential, notifier_from, watchdog_interval_s
 
 _STOP_WITHIN_S = 4.0
 _KEEP_ALIVE_S = 20
+_LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds
+_LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
 
 
 def serve(settings: Settings) -> int:
     """Run the service until SIGTERM or SIGINT; return the process's exit code.
 
+    SIGHUP is ignored: settings are read at the start, and a closed terminal is no reason to stop.
+
     Raises
     ------
     OutsideError : the state folder cannot be used, or another service uses it; the port is taken.
     """
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     require_unlocked(settings.state)  # before the port: a second service mostly has the first one's port too
     listening = listen(settings.api.host, settings.api.port)
     prepare_state(settings.state)
@@ -59,19 +69,49 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         recovered=recovered,
     )
     notifier = notifier_from(os.environ)
-    server = _web_server(service, on_started=lambda: notifier.ready(f"serving at {_address(settings)}"))
+    status = StatusLine(
+        notifier, snapshot=service.board.snapshot, address=_address(settings), monotonic=clock.monotonic
+    )
+    server = _web_server(service, on_started=status.ready)
+    schedule = _schedule(service)
+    service.board.set_reason(NO_FRAME_YET)
     for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
         signal.signal(number, lambda *_: None)
     with ExitStack() as stack:
         stack.enter_context(listening)
         stack.callback(service.archive.close)
-        supervisor = stack.enter_context(_supervised(service, notifier, on_failed=lambda: _stop_serving(server)))
-        stack.enter_context(_scheduled(service))
+        supervisor = stack.enter_context(
+            _supervised(
+                service,
+                feed=notifier.watchdog,
+                on_failed=lambda: _stop_serving(server),
+                monitored=_monitored(service, server=server, schedule=schedule),
+                on_check=(schedule.follow_clock, partial(clear_first_frame, service.board), status.update),
+            )
+        )
+        stack.enter_context(_running(schedule))
         gc.collect()
         gc.freeze()  # else looking through all modules again holds every thread up for a tenth of a second
         server.run(sockets=[listening])
         notifier.stopping()
     return 3 if supervisor.failed.is_set() else 0
+
+
+def end_process(code: int) -> NoReturn:
+    """End the process at once, its output written; the orderly part is over.
+
+    An interpreter that finalizes ends its remaining threads wherever they next ask for the lock. Inside OpenCV or
+    another library in C++ that is `std::terminate`, and the process dies of SIGABRT ("terminate called without an
+    active exception"). What a thread still does after the time given to it to stop is therefore cut here, and with
+    it the process of a solve, which would otherwise go on alone.
+    """
+    for child in multiprocessing.active_children():
+        child.kill()
+    logging.shutdown()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
 
 
 def _make_room(settings: Settings) -> None:
@@ -81,7 +121,7 @@ def _make_room(settings: Settings) -> None:
     Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6)).balance(images.usage().free_bytes)
 
 
-def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.Server:
+def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
     options = _with_credentials(service.settings.api)
     app = create_app(
         archive=service.archive,
@@ -107,6 +147,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> uvicorn.
             forwarded_allow_ips=["127.0.0.1", "::1"],
         ),
         on_started=on_started,
+        heartbeat=Heartbeat(service.clock.monotonic),
     )
 
 
@@ -120,16 +161,29 @@ def _with_credentials(options: ApiOptions) -> ApiOptions:
 
 
 class _Server(uvicorn.Server):
-    """A web server that says when it listens; before that, nobody is told that the service is ready."""
+    """A web server that says when it listens, and whose event loop has a heartbeat.
 
-    def __init__(self, config: uvicorn.Config, *, on_started: Callable[[], None]) -> None:
+    Parameters
+    ----------
+    config : of the server.
+    on_started : called once it listens; before that, nobody is told that the service is ready.
+    heartbeat : beaten at every turn of the loop, every 0.1 s.
+    """
+
+    def __init__(self, config: uvicorn.Config, *, on_started: Callable[[], None], heartbeat: Heartbeat) -> None:
         super().__init__(config)
+        self.heartbeat = heartbeat
         self._on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen, and say so."""
         await super().startup(sockets)
         self._on_started()
+
+    async def on_tick(self, counter: int) -> bool:
+        """Beat, and return whether to end."""
+        self.heartbeat.beat()
+        return await super().on_tick(counter)
 
 
 def _address(settings: Settings) -> str:
@@ -140,16 +194,37 @@ def _stop_serving(server: uvicorn.Server) -> None:
     server.should_exit = True
 
 
+def _monitored(service: Service, *, server: _Server, schedule: Schedule) -> tuple[Monitored, ...]:
+    stale_after_s = min(service.settings.supervisor.stale_after_s, _LOOP_STALE_S)
+    return (
+        Monitored(name="web", heartbeat=server.heartbeat, stale_after_s=stale_after_s),
+        Monitored(
+            name="schedule",
+            heartbeat=schedule.heartbeat,
+            stale_after_s=service.settings.refit.check_every_s + _LONGEST_CALL_S,
+        ),
+    )
+
+
 @contextmanager
-def _supervised(service: Service, notifier: Notifier, *, on_failed: Callable[[], None]) -> Iterator[Supervisor]:
+def _supervised(
+    service: Service,
+    *,
+    feed: Callable[[], None],
+    on_failed: Callable[[], None],
+    monitored: Sequence[Monitored],
+    on_check: Sequence[Callable[[], None]],
+) -> Iterator[Supervisor]:
     interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
     supervisor = Supervisor(
         service.workers(),
         clock=service.clock,
         board=service.board,
-        feed=notifier.watchdog,
+        feed=feed,
         check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
         on_failed=on_failed,
+        monitored=monitored,
+        on_check=on_check,
     )
     supervisor.start()
     try:
@@ -158,14 +233,17 @@ def _supervised(service: Service, notifier: Notifier, *, on_failed: Callable[[],
         supervisor.stop(within_s=_STOP_WITHIN_S)
 
 
-@contextmanager
-def _scheduled(service: Service) -> Iterator[None]:
-    schedule = Schedule(
+def _schedule(service: Service) -> Schedule:
+    return Schedule(
         service.look_around,
         every_s=service.settings.refit.check_every_s,
         clock=service.clock,
         board=service.board,
     )
+
+
+@contextmanager
+def _running(schedule: Schedule) -> Iterator[None]:
     schedule.start()
     try:
         yield

@@ -38,7 +38,7 @@ class DiskOptions:
     """
 
     keep_days: float = 30.0
-    keep_free_mb: float = 500.0
+    keep_free_mb: float = 1200.0
     reserve_mb: float = 32.0
     check_every_s: float = 10.0
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from sunarc.optics import Camera, ideal_angle, ideal_radius, project, rising_limit, rotation_matrix
 from sunarc.optics.forward import decentering_shift
@@ -51,6 +50,8 @@ def fit_backward(camera: Camera) -> BackwardModel:
 
     def misfit(coefficients: FloatArray) -> FloatArray:
         return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - wanted)).ravel()
+
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = least_squares(misfit, _first(camera), method="lm", x_scale=np.r_[np.full(10, 1e-3), np.full(3, 0.1)]).x
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from sunarc.calibration.covariance import Uncertain, direction_covariance, uncertainties
+from sunarc.jit import njit
 from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
 
 FloatArray = NDArray[np.float64]
@@ -148,7 +148,7 @@ def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _place(  # noqa: PLR0917 - compiled functions take positions
     constants: FloatArray, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
 ) -> tuple[float, float]:
@@ -167,7 +167,7 @@ def _place(  # noqa: PLR0917 - compiled functions take positions
     return ring, spoke + spokes if spoke < 0.0 else spoke
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _weights(place: float, last: int) -> tuple[int, float, float, float, float]:
     """Return the first of four nodes and the weights of a cubic spline."""
     node = min(int(place), last)
@@ -177,12 +177,12 @@ def _weights(place: float, last: int) -> tuple[int, float, float, float, float]:
     return node, t * t * t / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, third, s * s * s / 6.0
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _seen(size: tuple[int, int], x: float, y: float) -> float:
     return 1.0 if -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _write_angles(  # noqa: PLR0917 - compiled functions take positions
     constants: FloatArray,
     sheet: FloatArray,
@@ -214,7 +214,7 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
         result[i, 5], result[i, 6] = max(total, 0.0), _seen(size, x, y)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
     constants: FloatArray,
     sheets: FloatArray,

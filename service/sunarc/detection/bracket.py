@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from sunarc.detection.values import Detection, FloatArray
 from sunarc.errors import InputError
@@ -116,6 +115,8 @@ def _joined(accepted_ones: list[Detection]) -> Detection:
         sigma_px=math.sqrt(max(1.0, chi2 / freedom) / float(weight.sum())),
     )
     scatter = f"of {len(accepted_ones)} frames, chi² {chi2:.1f} for {freedom}"
+    from scipy.special import chdtri  # noqa: PLC0415 - the service starts sooner without it
+
     if chi2 > float(chdtri(freedom, _SIGNIFICANCE)):
         return replace(
             joined,

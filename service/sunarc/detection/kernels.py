@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sunarc.detection.values import FloatArray
+from sunarc.jit import njit
 
 Indices = NDArray[np.intp]
 Compared = tuple[float, FloatArray, FloatArray, FloatArray]
@@ -19,7 +19,7 @@ Compared = tuple[float, FloatArray, FloatArray, FloatArray]
 _STEPPED = 0.1  # counts² of noise below which it does not blur the steps of rounding
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def compared(  # noqa: PLR0917 - compiled functions take positions
     planes: FloatArray,
     moved: Indices,
@@ -80,7 +80,7 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     return misfit, residual, weight, jacobian
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the normal matrix (p, p) and the gradient (p,) of weighted least squares."""
     n, p = jacobian.shape
@@ -98,7 +98,7 @@ def normal_of(jacobian: FloatArray, weight: FloatArray, residual: FloatArray) ->
     return matrix, gradient
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def information_sums(
     jacobian: FloatArray, weight: FloatArray, residual: FloatArray, covariance: FloatArray
 ) -> FloatArray:

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from sunarc.detection.values import FloatArray, Image
+from sunarc.jit import njit
 
 _TILE = 64
 
@@ -37,7 +37,7 @@ class Spot(NamedTuple):
         return semi_axes(self.axes)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _tile_maxima(image: Image, tile: int) -> Image:
     """Return the largest minimum over 2×2 pixels of every tile, (tiles down, across); a lone hot pixel never counts."""
     height, width = image.shape
@@ -117,7 +117,7 @@ def _moments(mean: FloatArray, *, x0: float, y0: float) -> Spot:
     return Spot(x + x0, y + y0, level, background, symmetric_root(4.0 * covariance + 1e-3 * np.eye(2)))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _moments_above(mean: FloatArray, cut: float) -> tuple[float, float, float, float, float]:
     """Return the centre of what exceeds a level, weighted by it, and about that the unweighted second moments."""
     height, width = mean.shape

@@ -11,8 +11,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sunarc.jit import njit
 
 FloatArray = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
     return Sources(positions, weights, 1.0 - limb_darkening / 3.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _spread(first: int, last: int, center: float, psf: float, out: FloatArray) -> None:
     """Fill out (3, …) for pixels first … last: the share of a source, and its derivatives by center and psf."""
     root = math.sqrt(0.5)
@@ -90,7 +91,7 @@ def _spread(first: int, last: int, center: float, psf: float, out: FloatArray) -
         z, below, density = z_next, above, density_next
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     shape: tuple[int, int],
     x: float,

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
@@ -65,6 +64,8 @@ def ocam_model(camera: Camera) -> OcamModel:
 
     def misfit(parameters: FloatArray) -> FloatArray:
         return np.asarray(_forward(parameters, rays) - wanted).ravel()
+
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = least_squares(misfit, start, x_scale="jac", method="trf").x
     row_column = _forward(found, rays)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
 from sunarc.optics import Camera, rotation_matrix
@@ -55,6 +54,8 @@ def fisheye_model(camera: Camera) -> FisheyeModel:
 
     def misfit(parameters: FloatArray) -> FloatArray:
         return np.asarray(_projected(parameters, sky) - sky.pixels).ravel()
+
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = least_squares(misfit, start, x_scale=scale, method="lm").x
     fx, fy, cx, cy = found[:4]

@@ -8,11 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import h5netcdf
-import h5py
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from sunarc.calibration import BackProjectionMap, Calibration, lookup
 from sunarc.exports.sky import FitError, fit_error, sky_of
@@ -57,6 +54,8 @@ class Table:
 
 def netcdf_bytes(table: Table) -> bytes:
     """Return a NetCDF-4 file."""
+    import h5netcdf  # noqa: PLC0415 - the service starts sooner without it
+
     target = io.BytesIO()
     with h5netcdf.File(target, "w") as file:
         for variable in table.variables.values():
@@ -73,6 +72,8 @@ def netcdf_bytes(table: Table) -> bytes:
 def _content(values: NDArray[Any]) -> dict[str, Any]:
     """Return what h5netcdf is told of an array; texts are of any length."""
     if values.dtype.kind == "U":
+        import h5py  # noqa: PLC0415 - the service starts sooner without it
+
         return {"dtype": h5py.string_dtype(), "data": values.astype(object)}
     return {"data": values}
 
@@ -200,6 +201,8 @@ def _bilinear_error(
     camera: Camera, x: NDArray[np.int64], y: NDArray[np.int64], directions: NDArray[np.float64]
 ) -> FitError:
     sky = sky_of(camera, within=camera.max_angle)
+    from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
+
     between = RegularGridInterpolator((y, x), directions, bounds_error=False, fill_value=None)(sky.pixels[:, ::-1])
     between /= np.linalg.norm(between, axis=-1, keepdims=True)
     return fit_error(camera, sky, project(camera, between))

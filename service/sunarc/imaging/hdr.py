@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from sunarc.detection import Image, Sensor
 from sunarc.errors import InputError
+from sunarc.jit import njit
 
 _FULL = 65535.0
 _SATURATED = 0.98
@@ -83,7 +83,7 @@ def _require_alike(images: Sequence[Image], exposures_us: Sequence[float]) -> No
         raise InputError(field="exposures_us", problem="not positive", remedy="give microseconds")
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _merge(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     stack: Image,
     exposures: NDArray[np.float64],

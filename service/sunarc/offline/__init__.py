@@ -2,9 +2,10 @@
 
 fitting.py: sightings to a calibration · placing.py: directions to pixels and back · detecting.py: the sun in images ·
 ingesting.py: an archive of images to sightings · storing.py: the archive in and out · export_command_line.py: other
-formats · files.py: what is handed over.
+formats · files.py: what is handed over · compiling.py: the kernels, ahead of their first use.
 """
 
+from sunarc.offline.compiling import compile_kernels
 from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay
 from sunarc.offline.fitting import calibrate_file, image_circle_of
 from sunarc.offline.importing import import_points
@@ -23,6 +24,7 @@ __all__ = [
     "backup_database",
     "calibrate_file",
     "check_database",
+    "compile_kernels",
     "detect_in_files",
     "detect_in_image",
     "draw_overlay",

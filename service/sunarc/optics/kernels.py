@@ -1,6 +1,6 @@
 """The loops over many directions and pixels, compiled; the numpy path beside them says what they must equal.
 
-Compiled once and kept on disk (`cache=True`), without the interpreter's lock (`nogil`), never in parallel by
+Compiled once and kept on disk, without the interpreter's lock (`nogil`), never in parallel by
 themselves: who wants two threads starts two.
 """
 
@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sunarc.jit import njit
 from sunarc.optics.projections import PROJECTIONS
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,7 @@ _BLOCK = 512
 """Pixels taken together, so that the simple loops run in vector registers."""
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[float, float]:
     if code == 0:
         ideal, slope = math.tan(theta), 1.0 / math.cos(theta) ** 2
@@ -46,7 +46,7 @@ def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[floa
     return ideal + tau * tau * value, slope + (2.0 * tau * value + tau * tau * derivative) / _RIGHT_ANGLE
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def pixels_of(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
 ) -> FloatArray:
@@ -80,7 +80,7 @@ def pixels_of(  # noqa: PLR0917 - compiled functions take positions
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray,
     code: int,
@@ -113,7 +113,7 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     return pixels, rows
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _shape_at(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, code: int, max_angle: float, x: float, y: float, z: float, shape: FloatArray
 ) -> bool:
@@ -135,7 +135,7 @@ def _shape_at(  # noqa: PLR0917 - compiled functions take positions
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: FloatArray, row: FloatArray) -> None:
     """Write the pixel and its derivatives by K, k and p."""
     theta, radius, u, v, profile = shape[0], shape[1], shape[3], shape[4], shape[5]
@@ -163,7 +163,7 @@ def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: Floa
     row[0, 22], row[1, 22] = sixth * (ax * bx + skew * by), sixth * ay * by
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, mirror: float, shape: FloatArray, x: float, y: float, z: float, row: FloatArray
 ) -> None:
@@ -187,7 +187,7 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
         row[0, 8 + a], row[1, 8 + a] = ax * cx + skew * cy, ay * cy
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, row: FloatArray) -> None:
     """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
     e, north, up = direction[0], direction[1], direction[2]
@@ -201,7 +201,7 @@ def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, ro
             row[c, 5 + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
 def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positions
     constants: FloatArray, rotation: FloatArray, table: FloatArray, rounds: int, pixels: FloatArray, result: FloatArray
 ) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.detection import Bayer
+from sunarc.jit import njit
 
 _SEEN_BY = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most sensitive colour's
 
@@ -18,7 +18,7 @@ def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int,
         light[row::2, column::2] *= _SEEN_BY[letter]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
     """Let what a well cannot hold run along its column, half up and half down, until wells with room have taken it.
 

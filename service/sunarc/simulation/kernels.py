@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from sunarc.jit import njit
 
 Float32Array = NDArray[np.float32]
 
@@ -12,7 +13,7 @@ _TEXELS_PER_HEIGHT = 200.0
 _FLATTENING = 0.12  # keeps the far rim of the clouds at a finite distance, as the Earth's curvature does
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@njit(nogil=True, inline="always")
 def transmittance_towards(  # noqa: PLR0917 - numba inlines positional arguments best
     layer: NDArray[np.float32],
     offset_x: np.float32,
@@ -36,7 +37,7 @@ def transmittance_towards(  # noqa: PLR0917 - numba inlines positional arguments
     return np.float32(upper + fy * (lower - upper))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def sky_light(  # noqa: PLR0917 - numba takes arguments by position
     field: Float32Array,
     sun: Float32Array,
@@ -86,7 +87,7 @@ def sky_light(  # noqa: PLR0917 - numba takes arguments by position
             out[row, column] = light + np.abs(sees) * (glare * wide + halo * near) / (near * wide)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def count_light(  # noqa: PLR0917 - numba takes arguments by position
     light: Float32Array,
     smear_e: Float32Array,

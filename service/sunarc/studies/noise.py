@@ -7,7 +7,6 @@ from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 FloatArray = NDArray[np.float64]
 
@@ -45,6 +44,8 @@ def cloud_noise(rng: np.random.Generator, n: int, *, core_px: float, share: floa
 
     def too_wide(size: float) -> float:
         return float(np.std(np.linalg.norm(drawn(size), axis=-1))) - sd_px
+
+    from scipy.optimize import brentq  # noqa: PLC0415 - the service starts sooner without it
 
     return drawn(float(brentq(too_wide, 1e-3, 1e3)))
 

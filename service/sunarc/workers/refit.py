@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import uuid
 from collections.abc import Callable
@@ -28,9 +29,10 @@ from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.sky import Site, solar_date
 from sunarc.workers.problem import Task, next_task
-from sunarc.workers.solve import SolveFailedError, solve_in_child
+from sunarc.workers.solve import SolveFailedError, SolverDiedError, solve_in_child
 from sunarc.workers.soundness import Soundness
 
+_log = logging.getLogger(__name__)
 _POLL_S = 0.5
 _DAYS_OF_SPREAD = 60
 
@@ -128,14 +130,26 @@ class RefitWorker:
             self._finish(refit, "failed", task)
             return
         try:
-            solved = self._solve(
-                task.problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
-            )
+            solved = self._solved(task, stop, heartbeat)
         except SolveFailedError as error:
             self._finish(refit, "failed", str(error))
             return
         if solved is not None:
             self._judge(refit, task, task.with_selection(solved))
+
+    def _solved(self, task: Task, stop: threading.Event, heartbeat: Callable[[], None]) -> Calibration | None:
+        """Solve, and once more where the process died: it may have been killed for another's need of memory."""
+
+        def solve() -> Calibration | None:
+            return self._solve(
+                task.problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
+            )
+
+        try:
+            return solve()
+        except SolverDiedError as error:
+            _log.warning("%s; solving once more", error)
+            return solve()
 
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, SunPoints, calibrate
 from sunarc.clock import Clock
@@ -16,10 +17,16 @@ from sunarc.sky import Site
 
 _POLL_S = 0.25
 _NICENESS = 10
+_STOP_FOLLOWS_S = 1.0
+_OOM_SCORE = "500"  # of 1000, added to the child's own: short of memory, the kernel ends the solve and not capture
 
 
 class SolveFailedError(Exception):
-    """The child process ended without an answer, or took too long."""
+    """The solve gave no answer, or took too long."""
+
+
+class SolverDiedError(SolveFailedError):
+    """The child process ended without an answer: it was killed, or the machine is short of memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +56,8 @@ def solve_in_child(
 
     Raises
     ------
-    SolveFailedError : when the process died or took longer than `time_limit_s`.
+    SolverDiedError : when the process died.
+    SolveFailedError : when it failed, or took longer than `time_limit_s`.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
     context = multiprocessing.get_context("spawn")
@@ -59,6 +67,11 @@ def solve_in_child(
     sending.close()
     try:
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    except EOFError:
+        process.join(_STOP_FOLLOWS_S)
+        if clock.wait(stop, _STOP_FOLLOWS_S):  # both are ended by one stop, the child a moment before this is told
+            return None
+        raise SolverDiedError(f"the solving process died ({_end(process.exitcode)}); see the log") from None
     finally:
         receiving.close()
         process.kill()
@@ -77,10 +90,7 @@ def _answer(
     while not stop.is_set():
         heartbeat()
         if receiving.poll(_POLL_S):
-            try:
-                answer = receiving.recv()
-            except EOFError:
-                raise SolveFailedError("the solving process died; see the log") from None
+            answer = receiving.recv()
             if not isinstance(answer, Calibration):
                 raise SolveFailedError(f"the solve failed: {answer}")
             return answer
@@ -89,9 +99,15 @@ def _answer(
     return None
 
 
+def _end(exit_code: int | None) -> str:
+    return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
+
+
 def _solve(sending: Connection[object, object], problem: Problem) -> None:
     with suppress(PermissionError):  # the unit's filter knows no priorities: it then runs as an equal
         os.nice(_NICENESS)
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE, encoding="ascii")
     try:
         answer: object = calibrate(
             problem.points,

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from sunarc.calibration.assemble import Fitted, no_field
 from sunarc.calibration.options import CalibrationOptions
@@ -115,6 +114,8 @@ def _minimised(
         return np.concatenate([rows[..., moving].reshape(-1, moving.size), of_penalties])
 
     first = whole.to_vector()[moving]
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
+
     found = least_squares(misfit, first, jac=slopes, method="lm", x_scale="jac", max_nfev=400)
     return replace(built(found.x), max_angle=camera.max_angle), np.asarray(found.jac), np.asarray(found.fun)
 

@@ -1,0 +1,84 @@
+"""What a life of the service reports of itself: the line of `systemctl status`, and that no frame has come yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sunarc.board import Reason, StatusBoard, StatusSnapshot
+from sunarc.systemd import Notifier
+
+_LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
+_MOST_CODES = 4
+
+NO_FRAME_YET = Reason(
+    code="no_frame_yet",
+    severity="degraded",
+    text="no frame has come from the camera since the service started",
+    remedy="wait for the first exposure; if this stays, see the camera's own condition or the log",
+)
+"""Set at the start: a service that is restarted again and again before its first frame is never called ready."""
+
+
+def clear_first_frame(board: StatusBoard) -> None:
+    """Clear `no_frame_yet` once a frame has come."""
+    if board.snapshot().last_frame_at is not None:
+        board.clear_reason(NO_FRAME_YET.code)
+
+
+class StatusLine:
+    """Keeps systemd's status text current; sends it when it has changed, at most every 10 s.
+
+    Parameters
+    ----------
+    notifier : to whom.
+    snapshot : the status board.
+    address : where the service answers.
+    monotonic : seconds that never jump.
+    """
+
+    def __init__(
+        self,
+        notifier: Notifier,
+        *,
+        snapshot: Callable[[], StatusSnapshot],
+        address: str,
+        monotonic: Callable[[], float],
+    ) -> None:
+        self._notifier = notifier
+        self._snapshot = snapshot
+        self._address = address
+        self._monotonic = monotonic
+        self._sent = ""
+        self._sent_at_s: float | None = None
+
+    def ready(self) -> None:
+        """Report that the service is up."""
+        self._note(self.text())
+        self._notifier.ready(self._sent)
+
+    def update(self) -> None:
+        """Send the line again where it has changed; before `ready`, nothing."""
+        if self._sent_at_s is None or self._monotonic() - self._sent_at_s < _LEAST_INTERVAL_S:
+            return
+        text = self.text()
+        if text != self._sent:
+            self._note(text)
+            self._notifier.status(text)
+
+    def text(self) -> str:
+        """Return the line as it is now."""
+        snapshot = self._snapshot()
+        seen = snapshot.last_sighting_at
+        parts = [
+            f"serving at {self._address}",
+            snapshot.health.replace("_", " "),
+            "no sighting yet" if seen is None else f"last sighting {seen:%Y-%m-%d %H:%M:%S} UTC",
+        ]
+        codes = [reason.code for reason in snapshot.reasons]
+        if codes:
+            more = f" and {len(codes) - _MOST_CODES} more" if len(codes) > _MOST_CODES else ""
+            parts.append(f"conditions: {', '.join(codes[:_MOST_CODES])}{more}")
+        return "; ".join(parts)
+
+    def _note(self, text: str) -> None:
+        self._sent, self._sent_at_s = text, self._monotonic()

@@ -1,0 +1,110 @@
+"""Heartbeats of loops: recorded by the loop, checked by the supervisor, shown on the status board."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sunarc.board import Reason, StatusBoard, WorkerStatus
+
+_log = logging.getLogger(__name__)
+
+
+class Heartbeat:
+    """Monotonic time at which a loop last turned.
+
+    Parameters
+    ----------
+    monotonic : seconds that never jump.
+    """
+
+    def __init__(self, monotonic: Callable[[], float]) -> None:
+        self._monotonic = monotonic
+        self._beat_at_s = monotonic()
+
+    def beat(self) -> None:
+        """Record a turn of the loop."""
+        self._beat_at_s = self._monotonic()
+
+    def age_s(self) -> float:
+        """Return the seconds since the last turn."""
+        return self._monotonic() - self._beat_at_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Monitored:
+    """A loop that has a thread or an event loop of its own, watched by its heartbeat.
+
+    Attributes
+    ----------
+    name : on the status board.
+    heartbeat : beaten by the loop.
+    stale_after_s : seconds without a heartbeat after which the loop is stuck, and the watchdog no longer fed.
+    """
+
+    name: str
+    heartbeat: Heartbeat
+    stale_after_s: float
+
+
+class Monitor:
+    """Checks the heartbeat of a loop that runs elsewhere.
+
+    Parameters
+    ----------
+    loop : what to check.
+    board : where it is shown.
+    """
+
+    def __init__(self, loop: Monitored, *, board: StatusBoard) -> None:
+        self._loop = loop
+        self._board = board
+        self._staleness = Staleness(loop.name, stale_after_s=loop.stale_after_s, board=board)
+
+    def check(self) -> bool:
+        """Write the heartbeat's age on the board, and return whether the loop is alive."""
+        age_s = self._loop.heartbeat.age_s()
+        self._board.set_worker(WorkerStatus(name=self._loop.name, state="running", heartbeat_age_s=age_s))
+        return not self._staleness.update(age_s)
+
+
+class Staleness:
+    """Whether a heartbeat is too old; logged once, and a condition on the board while it is.
+
+    Parameters
+    ----------
+    name : of the worker or loop.
+    stale_after_s : seconds without a heartbeat that are too many.
+    board : where the condition is shown.
+    """
+
+    def __init__(self, name: str, *, stale_after_s: float, board: StatusBoard) -> None:
+        self._name = name
+        self._stale_after_s = stale_after_s
+        self._board = board
+        self._stuck = False
+
+    def update(self, age_s: float) -> bool:
+        """Take the heartbeat's age, and return whether it is too old."""
+        stuck = age_s > self._stale_after_s
+        if stuck and not self._stuck:
+            _log.error("worker %s: no heartbeat for %.0f s", self._name, age_s)
+            self._board.set_reason(_stuck_reason(self._name, self._stale_after_s))
+        elif self._stuck and not stuck:
+            self._board.clear_reason(_stuck_code(self._name))
+        self._stuck = stuck
+        return stuck
+
+
+def _stuck_code(name: str) -> str:
+    return f"worker_stuck_{name}"
+
+
+def _stuck_reason(name: str, stale_after_s: float) -> Reason:
+    return Reason(
+        code=_stuck_code(name),
+        severity="not_ready",
+        text=f"worker {name}: no heartbeat for more than {stale_after_s:g} s",
+        remedy="systemd restarts the service by its watchdog; without systemd, restart it",
+    )

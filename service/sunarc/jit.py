@@ -1,0 +1,53 @@
+"""numba's `njit` with a cache on disk that may fail: the kernel is then compiled in memory, at each start anew."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache
+
+_log = logging.getLogger(__name__)
+
+
+class TolerantCache(FunctionCache):  # type: ignore[misc]
+    """A function's cache on disk; what cannot be read is compiled again, what cannot be written is left out.
+
+    numba lets an error of the cache folder (full, not writable, a file cut short by a power cut) end the call of the
+    kernel, though the kernel itself is compiled by then.
+    """
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """Return the stored kernel; None where there is none that can be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # noqa: BLE001 - whatever unpickling a damaged file raises
+            _log.warning("compiled kernel in %s cannot be read (%s); compiling it again", self.cache_path, error)
+            with suppress(OSError):
+                self.flush()  # else the damaged index would be read again to store the kernel
+            return None
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Store a compiled kernel; after a failure, store no more of this function."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            self.disable()
+            _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
+
+
+def njit(**options: object) -> Callable[[Callable[..., Any]], Any]:
+    """Return `numba.njit(cache=True, **options)`, for functions whose cache may fail."""
+
+    def compiled(function: Callable[..., Any]) -> Any:  # noqa: ANN401 - numba's dispatcher
+        dispatcher = numba.njit(**options)(function)
+        try:
+            dispatcher._cache = TolerantCache(dispatcher.py_func)  # noqa: SLF001 - as enable_caching() does
+        except RuntimeError as error:  # numba's "no locator available": no folder can be written
+            _log.warning("%s; kernels are compiled again at the next start", error)
+        return dispatcher
+
+    return compiled

@@ -1,0 +1,101 @@
+"""The service's process: its web server's heartbeat, the signals it gets, and how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import subprocess
+import sys
+import threading
+import urllib.request
+from collections.abc import Callable
+
+import uvicorn
+
+from sunarc.app.serving import _Server
+from sunarc.clock import SystemClock
+from sunarc.heartbeats import Heartbeat
+
+PATIENCE_S = 20.0  # only a failing test waits as long
+
+# A thread is inside OpenCV, which has given the interpreter's lock back, whenever the process ends.
+IN_OPENCV = """
+import sys, threading
+import cv2, numpy as np
+from sunarc.app import end_process
+
+image, begun = np.ones((1500, 1500), np.uint16), threading.Event()
+
+def blur():
+    while True:
+        cv2.medianBlur(image, 5)
+        begun.set()
+
+for _ in range(3):
+    threading.Thread(target=blur, daemon=True).start()
+begun.wait()
+print("written", end="")
+end_process(0)
+"""
+
+
+def wait_for(reached: Callable[[], bool]) -> bool:
+    clock, pause = SystemClock(), threading.Event()
+    end_s = clock.monotonic() + PATIENCE_S
+    while not reached() and clock.monotonic() < end_s:
+        pause.wait(0.02)
+    return reached()
+
+
+def test_a_coroutine_that_blocks_the_loop_leaves_the_heartbeat_to_age_until_it_lets_go() -> None:
+    blocked, release = threading.Event(), threading.Event()
+
+    async def app(scope: object, _receive: object, send: Callable[[dict[str, object]], object]) -> None:
+        del scope
+        blocked.set()
+        release.wait(PATIENCE_S)  # as a coroutine does that forgets to await
+        await asyncio.sleep(0)
+        await send({"type": "http.response.start", "status": 200, "headers": []})  # type: ignore[misc]
+        await send({"type": "http.response.body", "body": b"done"})  # type: ignore[misc]
+
+    clock, started = SystemClock(), threading.Event()
+    heartbeat = Heartbeat(clock.monotonic)
+    config = uvicorn.Config(app, lifespan="off", log_level="warning", timeout_graceful_shutdown=1)
+    server = _Server(config, on_started=started.set, heartbeat=heartbeat)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        port = listening.getsockname()[1]
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
+        thread.start()
+        assert started.wait(PATIENCE_S)
+        threading.Event().wait(0.6)
+        assert heartbeat.age_s() < 0.5
+        asking = threading.Thread(
+            target=lambda: urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE_S).close()
+        )
+        asking.start()
+        assert blocked.wait(PATIENCE_S)
+        assert wait_for(lambda: heartbeat.age_s() > 1.0)
+        release.set()
+        asking.join(PATIENCE_S)
+        assert wait_for(lambda: heartbeat.age_s() < 0.5)
+        server.should_exit = True
+        thread.join(PATIENCE_S)
+
+
+def ended() -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", IN_OPENCV]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
+
+
+def test_a_process_whose_threads_are_in_opencv_ends_with_its_code_and_its_output() -> None:
+    for _ in range(2):  # of four that ended by sys.exit all were aborted
+        done = ended()
+        assert (done.returncode, done.stdout, done.stderr) == (0, "written", "")
+
+
+def test_the_command_line_loads_no_library_that_only_a_fit_or_an_export_needs() -> None:
+    later = "scipy.optimize scipy.interpolate h5py h5netcdf xarray pandas matplotlib"
+    code = f"import sys, sunarc.__main__; print(*[name for name in '{later}'.split() if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
+    assert done.stdout.strip() == ""

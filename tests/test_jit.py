@@ -1,0 +1,74 @@
+"""Kernels whose cache on disk fails: they are compiled, and answer, all the same."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+KERNEL = """
+import os, sys
+from sunarc.jit import njit
+
+@njit(nogil=True)
+def twice(x: float) -> float:
+    return 2.0 * x
+
+for _ in range(2):
+    assert twice(21.0) == 42.0
+print(sum(twice.stats.cache_hits.values()), end="")
+"""
+
+
+def run(folder: Path, *, before: str = "") -> subprocess.CompletedProcess[str]:
+    """Run a kernel in a process of its own, its cache in `folder`."""
+    script = folder.parent / "kernel.py"
+    script.write_text(before + KERNEL)
+    environment = {"NUMBA_CACHE_DIR": str(folder), "PATH": "/usr/bin:/bin", "HOME": "/nonexistent"}
+    return subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_kernel_is_compiled_once_and_then_read_from_the_disk(tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    assert (run(folder).stdout, run(folder).stdout) == ("0", "1")
+
+
+@pytest.mark.parametrize(("kind", "rest"), [("nbi", b""), ("nbc", b"torn")], ids=["empty index", "torn kernel"])
+def test_a_cache_that_a_power_cut_damaged_is_written_anew(tmp_path: Path, kind: str, rest: bytes) -> None:
+    folder = tmp_path / "cache"
+    run(folder)
+    (damaged,) = folder.rglob(f"*.{kind}")
+    damaged.write_bytes(rest)
+    done = run(folder)
+    assert (done.returncode, done.stdout) == (0, "0"), done.stderr
+    assert "cannot be read" in done.stderr
+    assert run(folder).stdout == "1"
+
+
+FULL = """
+import errno, os, numba.core.caching as caching
+def full(self, name, data):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+caching.IndexDataCacheFile._save_data = full
+"""
+
+
+def test_a_full_disk_leaves_a_kernel_in_memory(tmp_path: Path) -> None:
+    done = run(tmp_path / "cache", before=FULL)
+    assert (done.returncode, done.stdout) == (0, "0"), done.stderr
+    assert "No space left on device; kernels are compiled again at the next start" in done.stderr
+
+
+def test_a_cache_folder_that_cannot_be_made_leaves_a_kernel_in_memory(tmp_path: Path) -> None:
+    unusable = "import os; os.environ['NUMBA_CACHE_DIR'] = '/dev/null/cache'\n"
+    for locator in (
+        "InTreeCacheLocator",
+        "InTreeCacheLocatorFsAgnostic",
+        "UserWideCacheLocator",
+    ):  # as in /usr, for a user without a home
+        unusable += f"import numba.core.caching as c; c.{locator}.from_function = classmethod(lambda *_: None)\n"
+    done = run(tmp_path / "cache", before=unusable)
+    assert (done.returncode, done.stdout) == (0, "0"), done.stderr
+    assert "no locator available" in done.stderr

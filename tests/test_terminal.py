@@ -1,0 +1,34 @@
+"""Tables as a narrow terminal shows them."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+from rich.console import Console
+
+from sunarc.terminal import table
+
+ID = "20130514T063000Z-ab12cd"
+
+
+def shown(*rows: list[object], width: int) -> str:
+    out = StringIO()
+    Console(file=out, width=width, soft_wrap=True).print(table(("id", "state", "from", "until", "1-sigma"), rows))
+    return out.getvalue()
+
+
+def test_an_id_is_never_cut() -> None:
+    row: list[object] = [ID, "superseded", "2013-05-14 06:30", "2013-05-15 06:30", "0.0031°"]
+    for width in (50, 60, 80, 200):
+        assert ID in shown(row, width=width)
+
+
+def test_a_long_name_leaves_room_for_the_other_columns() -> None:
+    row: list[object] = ["/srv/images/2013/05/14/" + 80 * "x" + ".png", "clear", "a", "b", 0.25]
+    assert "clear" in shown(row, width=80)
+
+
+def test_nothing_and_numbers() -> None:
+    out = shown(["a", None, 1.23456, 7, True], width=80)
+    assert "1.235" in out
+    assert "None" not in out
