@@ -17,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from sunarc.api.npy_header import NpyHeaderError, read_npy_header
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.errors import InputError
 
@@ -26,7 +27,7 @@ Rows = NDArray[np.float64] | NDArray[np.float32]
 _CHUNK = 65_536
 _AHEAD = 2
 _SENT_AT_ONCE = 524_288
-_MOST_HEADER_BYTES = 10_000
+_FLOATS = tuple(np.dtype(order + kind) for order in "<>" for kind in ("f4", "f8"))
 _REMEDY = "send what numpy.save writes: two dimensions, float64 or float32, C order"
 
 
@@ -63,22 +64,21 @@ def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
     columns : how many columns it may have.
     most : so many rows at most.
     """
-    stream = io.BytesIO(body)
     try:
-        version = npy.read_magic(stream)
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, fortran_order, dtype = read(stream, max_header_size=_MOST_HEADER_BYTES)
-    except (ValueError, SyntaxError, TypeError) as error:
-        raise InputError(field="body", problem="is no .npy file", remedy=_REMEDY) from error
-    if dtype.kind != "f" or dtype.itemsize not in (4, 8) or fortran_order or len(shape) != 2:
-        order = "Fortran" if fortran_order else "C"
-        raise InputError(field="body", problem=f"holds {dtype} of shape {shape} in {order} order", remedy=_REMEDY)
-    count, width = shape
+        header = read_npy_header(body)
+    except NpyHeaderError as error:
+        raise InputError(field="body", problem=f"is no .npy file: {error}", remedy=_REMEDY) from None
+    dtype = header.dtype
+    if dtype is None or dtype not in _FLOATS or header.fortran_order or len(header.shape) != 2:
+        order = "Fortran" if header.fortran_order else "C"
+        kind = header.descr if dtype is None else dtype
+        raise InputError(field="body", problem=f"holds {kind} of shape {header.shape} in {order} order", remedy=_REMEDY)
+    count, width = header.shape
     if width not in columns:
         wanted = " or ".join(str(number) for number in columns)
         raise InputError(field="body", problem=f"has {width} columns", remedy=f"give {wanted} columns")
     require_few(count, most=most, field="body")
-    content = memoryview(body)[stream.tell() :]
+    content = memoryview(body)[header.offset :]
     if len(content) != count * width * dtype.itemsize:
         raise InputError(field="body", problem=f"is cut short, or longer than its {count} rows", remedy=_REMEDY)
     return np.frombuffer(content, dtype=dtype).reshape(count, width).astype(dtype.newbyteorder("="), copy=False)
