@@ -206,11 +206,12 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
 
         def request_refit(reason: str) -> Refit:
             asked.append(reason)
-            return kept.add_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
+            return kept.request_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
 
         if token:
             (tmp_path / "token").write_text(TOKEN + "\n")
             options["token_file"] = tmp_path / "token"
+        options.setdefault("allowed_hosts", ("imager",))
         app = create_app(
             archive=kept,
             camera="roof",

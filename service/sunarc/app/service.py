@@ -120,8 +120,8 @@ class Service:
             return 0.0
 
     def request_refit(self, reason: str) -> Refit:
-        """Ask for a refit; the refit worker finds it in the archive."""
-        return self.archive.add_refit(
+        """Ask for a refit, or join the one that waits; the refit worker finds it in the archive."""
+        return self.archive.request_refit(
             Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
         )
 
