@@ -9,6 +9,7 @@ from functools import partial
 
 import sunarc
 from sunarc.app.cameras import require_same_camera
+from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
@@ -73,6 +74,7 @@ class Service:
         self.predictor = SunPredictor(archive, camera=settings.name, site=settings.site)
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
+        restore_last_known(self.board, archive=archive, images=self.images, camera=settings.name)
         self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
