@@ -190,8 +190,13 @@ def serving(**options: Any) -> Iterator[tuple[uvicorn.Server, int]]:  # noqa: AN
             thread.join()
 
 
-def connect(port: int) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), timeout=10.0)
+def connect(port: int, *, receive_buffer: int | None = None) -> socket.socket:
+    connection = socket.socket()
+    connection.settimeout(10.0)
+    if receive_buffer is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+    connection.connect(("127.0.0.1", port))
+    return connection
 
 
 def ask(connection: socket.socket, path: str = "/") -> bytes:
@@ -234,16 +239,17 @@ def test_the_next_head_on_a_connection_is_not_waited_for_either(begun: bytes) ->
         assert 0.2 < time.monotonic() - begun_s < 3.0  # noqa: TID251 - a real connection
 
 
-def test_an_answer_that_is_read_steadily_is_not_cut_and_one_that_is_not_is() -> None:
-    with serving(request_within_s=0.4) as (_, port), connect(port) as connection:
+def test_an_answer_that_is_read_steadily_is_not_cut_and_one_that_stands_still_is() -> None:
+    with serving(request_within_s=0.4) as (_, port), connect(port, receive_buffer=65_536) as connection:
         connection.sendall(b"GET /large HTTP/1.1\r\nhost: x\r\n\r\n")
-        for _ in range(40):  # five times as long as it may stand still
-            assert len(connection.recv(50_000))
+        answer = connection.makefile("rb")
+        for _ in range(60):  # 12 MB, more than all buffers, in eight times as long as it may stand still
+            assert len(answer.read(200_000)) == 200_000
             threading.Event().wait(0.05)
         threading.Event().wait(2.0)
-        taken = 0
+        taken = 12_000_000
         with suppress(ConnectionResetError):
-            while more := connection.recv(1_000_000):
+            while more := answer.read(100_000):
                 taken += len(more)
         assert taken < 45_000_000
 
