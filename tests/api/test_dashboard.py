@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,9 +201,17 @@ def is_accessible(page: Page) -> None:
     assert [(one["impact"], one["id"], one["nodes"][0]["html"]) for one in found] == []
 
 
-def _rejected(time: datetime, **where: float) -> SunPoint:
+def _rejected(number: int) -> SunPoint:
+    """Return one of many looks after noon at which something far from the sun was found."""
     return SunPoint(
-        camera="roof", pose_epoch="roof-1", time=time, method="disc", accepted=False, verdict="cloudy", **where
+        camera="roof",
+        pose_epoch="roof-1",
+        time=NOON + timedelta(seconds=number),
+        method="disc",
+        accepted=False,
+        verdict="cloudy",
+        x_px=300.0,
+        y_px=300.0 + number,
     )
 
 
@@ -211,9 +219,7 @@ def _rejected(time: datetime, **where: float) -> SunPoint:
 @in_a_browser
 def test_what_the_dashboard_sums_up_is_of_the_accepted_sightings_and_of_cycles(make: Any, picture: Path) -> None:  # noqa: ANN401 - a fixture that is a function
     made: Made = make(image=picture, history="filled")
-    made.archive.add_sun_points(
-        _rejected(NOON + timedelta(seconds=number), x_px=300.0, y_px=300.0 + number) for number in range(1200)
-    )
+    made.archive.add_sun_points(_rejected(number) for number in range(1200))
     days = made.archive.days("roof")
     made.archive.save_day(replace(days[0], n=435, n_cycles=379, n_possible=418, decided_at=NOON))
     points = made.client.get("/v1/sun-points?residuals=true&accepted=true").json()["sun_points"]

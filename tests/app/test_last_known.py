@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -48,11 +49,11 @@ def start(tmp_path: Path) -> Callable[[], Service]:
 
 def look(service: Service, time: datetime, *, accepted: bool) -> None:
     epoch = service.archive.epoch_at("imager", time, reason="first frame")
-    where = {"x_px": 4.0, "y_px": 3.0, "sigma_px": 0.1} if accepted else {}
-    point = SunPoint(
-        camera="imager", pose_epoch=epoch.id, time=time, method="disc", accepted=accepted, verdict="clear", **where
+    rejected = SunPoint(
+        camera="imager", pose_epoch=epoch.id, time=time, method="disc", accepted=False, verdict="hidden"
     )
-    service.archive.add_sun_points([point])
+    seen = replace(rejected, accepted=True, verdict="clear", x_px=4.0, y_px=3.0, sigma_px=0.1)
+    service.archive.add_sun_points([seen if accepted else rejected])
 
 
 def test_a_new_service_knows_of_nothing(start: Callable[[], Service]) -> None:
