@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from types import TracebackType
 from typing import Self
 
-from sunarc.api.problems import Fault, RefusedError
+from starlette.types import Message, Receive, Scope, Send
+
+from sunarc.api.problems import Fault, RefusedError, UnreadError
 
 
 class Holdings:
@@ -96,3 +99,36 @@ class Holding:
         self.ended = True
         if self._until is not None:
             self._until.reschedule(asyncio.get_running_loop().time())
+
+
+async def answer_held(
+    holding: Holding, answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
+) -> None:
+    """Answer a request until its holding is ended: then with 503, or by cutting off the answer that has begun.
+
+    Parameters
+    ----------
+    holding : what the request holds.
+    answer : answers it, by what it is given.
+    scope, receive, send : of the request.
+    """
+    started = False
+
+    async def sending(message: Message) -> None:
+        nonlocal started
+        started = True
+        await send(message)
+
+    try:
+        async with asyncio.timeout(None) as until:
+            holding.ends(until)
+            await answer(sending)
+    except TimeoutError:
+        if not holding.ended:
+            raise
+        if not started:
+            problem, remedy = "ended, since others need the room that it held", "ask again, in parts"
+            refused = UnreadError(
+                HTTPStatus.SERVICE_UNAVAILABLE, Fault(field="request", problem=problem, remedy=remedy)
+            )
+            await refused.response(scope["path"])(scope, receive, send)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter, OrderedDict
+from collections import OrderedDict
+from functools import partial
 from http import HTTPStatus
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sunarc.api.client_address import ClientAddressError, client_network
-from sunarc.api.problems import Fault, problem_response
+from sunarc.api.holdings import Holdings, answer_held
+from sunarc.api.problems import Fault, RefusedError, problem_response
 from sunarc.api.tokens import bears_wrong_token
 
 _MOST_CLIENTS = 4096
@@ -110,7 +112,7 @@ class RateLimit:
 
 
 class ConcurrencyLimit:
-    """Refuses what is too much at once: of all clients (503), and of one address (429), which may have half.
+    """Refuses what is too much at once (503), or ends the oldest request of an address that has more under way.
 
     A request is counted from when its body is there to when its answer is written.
 
@@ -122,32 +124,22 @@ class ConcurrencyLimit:
 
     def __init__(self, app: ASGIApp, *, at_once: int) -> None:
         self._app = app
-        self._at_once = at_once
-        self._at_once_of_one = max(1, at_once // 2)
-        self._under_way: Counter[str | None] = Counter()
+        self._under_way = Holdings(at_once)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let one request pass, or refuse it."""
         if scope["type"] != "http" or is_always_answered(scope):
             await self._app(scope, receive, send)
             return
-        client = client_network(scope)
-        if self._under_way.total() >= self._at_once:
-            refusal = too_many("too many requests at once", scope, HTTPStatus.SERVICE_UNAVAILABLE)
-            await refusal(scope, receive, send)
-        elif client is not None and self._under_way[client] >= self._at_once_of_one:
-            await too_many("too many requests at once from this address", scope)(scope, receive, send)
-        else:
-            await self._answer(client, scope, receive, send)
-
-    async def _answer(self, client: str | None, scope: Scope, receive: Receive, send: Send) -> None:
-        self._under_way[client] += 1
-        try:
-            await self._app(scope, receive, send)
-        finally:
-            self._under_way[client] -= 1
-            if not self._under_way[client]:
-                del self._under_way[client]
+        with self._under_way.open(client_network(scope)) as request:
+            try:
+                request.grow(1)
+            except RefusedError:
+                refusal = too_many("too many requests at once", scope, HTTPStatus.SERVICE_UNAVAILABLE)
+                await refusal(scope, receive, send)
+            else:
+                answer = partial(self._app, scope, receive)
+                await answer_held(request, answer, scope=scope, receive=receive, send=send)
 
 
 def too_many(

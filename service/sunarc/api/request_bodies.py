@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from http import HTTPStatus
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from sunarc.api.client_address import client_network
-from sunarc.api.holdings import Holding, Holdings
+from sunarc.api.holdings import Holding, Holdings, answer_held
 from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
 
@@ -41,25 +42,11 @@ class BodyReader:
         if scope["type"] != "http" or scope["method"] in _WITHOUT_BODY:
             await self._app(scope, receive, send)
             return
-        started = False
-
-        async def sending(message: Message) -> None:
-            nonlocal started
-            started = True
-            await send(message)
-
         with self._holdings.open(client_network(scope)) as holding:
-            try:
-                async with asyncio.timeout(None) as until:
-                    holding.ends(until)
-                    await self._pass(scope, receive, sending, holding)
-            except TimeoutError:
-                if not holding.ended:
-                    raise
-                if not started:
-                    await _ended().response(scope["path"])(scope, receive, send)
+            answer = partial(self._pass, scope, receive, holding)
+            await answer_held(holding, answer, scope=scope, receive=receive, send=send)
 
-    async def _pass(self, scope: Scope, receive: Receive, send: Send, holding: Holding) -> None:
+    async def _pass(self, scope: Scope, receive: Receive, holding: Holding, send: Send) -> None:
         most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
         try:
             body = await self._read(receive, holding, most)
@@ -144,10 +131,3 @@ def too_large(most: int) -> UnreadError:
 
 def _refused(status: HTTPStatus, problem: str) -> UnreadError:
     return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))
-
-
-def _ended() -> UnreadError:
-    fault = Fault(
-        field="request", problem="ended, since others need the memory that it held", remedy="ask again, in parts"
-    )
-    return UnreadError(HTTPStatus.SERVICE_UNAVAILABLE, fault)
