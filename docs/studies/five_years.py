@@ -163,7 +163,7 @@ def measure(path: Path) -> None:
         latest_image=lambda: None,
         options=ApiOptions(),
     )
-    with TestClient(app) as client:
+    with TestClient(app, base_url="http://localhost") as client:
         for page in ("/v1/status", "/metrics", "/v1/calibration", "/v1/days", "/v1/events", "/v1/sun-points"):
             _measured(f"GET {page}, first", lambda page=page: client.get(page).raise_for_status())
             _measured(f"GET {page}, again", lambda page=page: client.get(page).raise_for_status())

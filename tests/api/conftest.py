@@ -196,21 +196,30 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
     """Return what builds an application on an archive of its own; `image` is what it finds as the latest one."""
     opened: list[Archive] = []
 
-    def build(*, image: Path | None = None, token: bool = True, history: str = "empty", **options: Any) -> Made:  # noqa: ANN401 - of ApiOptions
-        shutil.copy(archives / f"{history}.sqlite", tmp_path / f"{len(opened)}.sqlite")
-        kept = open_archive(tmp_path / f"{len(opened)}.sqlite")
-        opened.append(kept)
+    def build(
+        *,
+        image: Path | None = None,
+        token: bool = True,
+        history: str = "empty",
+        archive: Archive | None = None,
+        **options: Any,  # noqa: ANN401 - of ApiOptions
+    ) -> Made:
+        if archive is None:
+            shutil.copy(archives / f"{history}.sqlite", tmp_path / f"{len(opened)}.sqlite")
+            opened.append(open_archive(tmp_path / f"{len(opened)}.sqlite"))
+        kept = archive or opened[-1]
         started_at, clock = NOON - timedelta(hours=9), VirtualClock(NOON)
         board = StatusBoard(version="0.1.0", started_at=started_at, monotonic=clock.monotonic)
         asked: list[str] = []
 
         def request_refit(reason: str) -> Refit:
             asked.append(reason)
-            return kept.add_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
+            return kept.request_refit(Refit(id=f"r{len(asked)}", camera="roof", requested_at=NOON, reason=reason))
 
         if token:
             (tmp_path / "token").write_text(TOKEN + "\n")
             options["token_file"] = tmp_path / "token"
+        options.setdefault("allowed_hosts", ("imager",))
         app = create_app(
             archive=kept,
             camera="roof",

@@ -19,6 +19,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
 from tests.api.conftest import LENS, NOON, SITE
 
+from sunarc.archive import SunPoint
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 
@@ -198,6 +199,45 @@ def can_be_used_by_keyboard(page: Page) -> None:
 def is_accessible(page: Page) -> None:
     found = Axe().run(page).response["violations"]
     assert [(one["impact"], one["id"], one["nodes"][0]["html"]) for one in found] == []
+
+
+def _rejected(number: int) -> SunPoint:
+    """Return one of many looks after noon at which something far from the sun was found."""
+    return SunPoint(
+        camera="roof",
+        pose_epoch="roof-1",
+        time=NOON + timedelta(seconds=number),
+        method="disc",
+        accepted=False,
+        verdict="cloudy",
+        x_px=300.0,
+        y_px=300.0 + number,
+    )
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_what_the_dashboard_sums_up_is_of_the_accepted_sightings_and_of_cycles(make: Any, picture: Path) -> None:  # noqa: ANN401 - a fixture that is a function
+    made: Made = make(image=picture, history="filled")
+    made.archive.add_sun_points(_rejected(number) for number in range(1200))
+    days = made.archive.days("roof")
+    made.archive.save_day(replace(days[0], n=435, n_cycles=379, n_possible=418, decided_at=NOON))
+    points = made.client.get("/v1/sun-points?residuals=true&accepted=true").json()["sun_points"]
+    rmse = float(np.sqrt(np.mean([point["residual"]["distance_px"] ** 2 for point in points])))
+    assert 0.02 < rmse < 0.07
+    with serving(made) as address, browser() as chromium:  # of a service that has seen no frame since its start
+        page = opened(chromium, address).page
+        shown(page)
+        told = page.inner_text("#residual-sum")
+        assert f"last {len(points)} accepted sightings" in told
+        assert float(re.findall(r": ([\d.]+) px", told)[0]) == pytest.approx(rmse, rel=0.01)
+        page.click(f"button[data-date='{days[0].date}']")
+        assert "sun seen in 379 of 418 cycles" in page.inner_text("#day")
+        page.click(f"button[data-date='{days[1].date}']")  # of a version that did not count cycles
+        assert "700 sightings" in page.inner_text("#day")
+        assert page.is_visible("#image")
+        assert "Last seen at" in page.inner_text("#sun")
+        assert "not yet" not in page.inner_text("#sun")
 
 
 @pytest.mark.browser

@@ -9,8 +9,6 @@ import httpx
 import numpy as np
 import pytest
 
-from sunarc.api.arrays import Gate
-from sunarc.api.problems import RefusedError
 from sunarc.calibration import from_document, project_with_covariance, sigma_px, unproject_with_sigma
 from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles
 
@@ -220,15 +218,6 @@ def test_too_many_rows_are_refused(make: Any) -> None:  # noqa: ANN401 - a fixtu
     made = make(history="filled", max_rows=10)
     body, headers = npy(np.zeros((11, 2))), {"content-type": "application/x-npy"}
     assert made.client.post("/v1/back-project", content=body, headers=headers).status_code == 413
-
-
-def test_no_more_large_requests_than_places_are_answered_at_once() -> None:
-    gate = Gate(1)
-    with gate.entered(), pytest.raises(RefusedError) as refused, gate.entered():
-        pass
-    assert (refused.value.status, refused.value.headers) == (429, {"retry-after": "1"})
-    with gate.entered():
-        pass
 
 
 def test_a_large_answer_gives_its_place_back(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function

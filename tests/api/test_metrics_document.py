@@ -7,13 +7,14 @@ import os
 import re
 import types
 import typing
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from sunarc.board import Notes, Reason
+from sunarc.archive import Event
+from sunarc.board import ClockStatus, Notes, Reason
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -88,3 +89,38 @@ def test_every_rule_says_what_is_the_matter_and_what_to_do() -> None:
         assert set(rule["annotations"]) == {"summary", "remedy"}, rule["alert"]
         assert rule["labels"]["severity"] in {"critical", "warning", "info"}, rule["alert"]
         assert re.fullmatch(r"\d+[smhd]", rule.get("for", "0s")), rule["alert"]
+
+
+SOON = ("sunarc_clock_", "sunarc_disk_", "sunarc_worker_", "sunarc_reason")
+"""Written by a worker's first look, seconds after the start, or there only while something is the matter."""
+
+
+def test_what_alerts_go_by_is_there_as_soon_as_the_service_answers(empty: Made) -> None:
+    samples = re.findall(r"^(sunarc_\w+)(?:\{[^}]*\})? ", empty.client.get("/metrics").text, re.MULTILINE)
+    for rule in rules():
+        for name in re.findall(r"\bsunarc_\w+", rule["expr"]):
+            there = name in samples or name.startswith(SOON) or f"({name} or sunarc_started_seconds)" in rule["expr"]
+            there |= name == "sunarc_calibration_sky_rms_degrees"  # of the current calibration; there is none
+            assert there, (rule["alert"], name)
+    assert "sunarc_started_seconds" in samples
+
+
+def test_a_camera_that_has_not_answered_yet_is_not_connected(empty: Made) -> None:
+    text = empty.client.get("/metrics").text
+    assert "sunarc_camera_connected 0.0" in text
+    assert "sunarc_capture_cycles_total 0.0" in text
+
+
+def test_a_step_of_the_clock_is_remembered_over_a_restart(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    def step_s(one: Made) -> list[str]:
+        return re.findall(r"^sunarc_clock_last_step_seconds (\S+)", one.client.get("/metrics").text, re.MULTILINE)
+
+    fresh: Made = make()
+    assert step_s(fresh) == []
+    stepped = Event(time=fresh.noon, kind="clock_step", severity="warning", text="stepped", camera="roof")
+    fresh.archive.add_event(stepped)
+    restarted = make(archive=fresh.archive)
+    assert [float(value) for value in step_s(restarted)] == [fresh.noon.timestamp()]
+    later = fresh.noon + timedelta(hours=1)
+    restarted.board.note(clock=ClockStatus(synchronised=True, last_step_s=1.0, last_step_at=later))
+    assert [float(value) for value in step_s(restarted)] == [later.timestamp()]

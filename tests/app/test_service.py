@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -55,6 +56,13 @@ def test_days_wait_for_a_synchronised_clock_and_are_then_judged(service: Service
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
     service.look_around()
     assert [day.verdict for day in service.archive.days("imager")] == ["unusable"]
+
+
+def test_sixty_three_requests_at_once_are_solved_once_or_twice(service: Service) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        asked = list(pool.map(service.request_refit, [f"request {number}" for number in range(63)]))
+    assert len({refit.id for refit in asked}) == 1
+    assert [refit.reason for refit in service.archive.refits("imager")] == [asked[0].reason]
 
 
 def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: VirtualClock) -> None:

@@ -49,6 +49,23 @@ def test_a_refit_is_followed_to_its_end(archive: Archive) -> None:
     assert archive.refits("roof") == (ended,)
 
 
+def test_refits_that_are_asked_for_while_one_waits_are_one(archive: Archive) -> None:
+    def asked(number: int, camera: str = "roof") -> str:
+        refit = Refit(id=f"{camera}{number}", camera=camera, requested_at=NOW + timedelta(seconds=number), reason="x")
+        return archive.request_refit(refit).id
+
+    archive.save_camera(replace(archive.cameras()[0], name="mast"))
+    assert [asked(number) for number in range(3)] == ["roof0"] * 3
+    assert asked(3, "mast") == "mast3"
+    archive.start_refit("roof0", started_at=NOW)  # it may have read the sightings already
+    assert [asked(number) for number in range(4, 7)] == ["roof4"] * 3
+    archive.finish_refit("roof0", state="refused", finished_at=NOW)
+    archive.start_refit("roof4", started_at=NOW)
+    archive.finish_refit("roof4", state="failed", finished_at=NOW)
+    assert asked(7) == "roof7"
+    assert len(archive.refits("roof")) == 3
+
+
 def test_an_unknown_refit_is_not_found(archive: Archive) -> None:
     with pytest.raises(NotFoundError, match="no refit r9"):
         archive.finish_refit("r9", state="failed", finished_at=NOW)

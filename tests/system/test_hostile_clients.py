@@ -117,7 +117,7 @@ def send_endlessly(running: Running, head: str, *, chunked: bool) -> tuple[int, 
             return sent, b""
 
 
-HEAD = "POST /v1/back-project HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n"
+HEAD = "POST /v1/back-project HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
 
 
 def test_two_gigabytes_are_refused_before_they_are_read(flat: Running) -> None:

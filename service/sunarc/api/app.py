@@ -15,22 +15,27 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.staticfiles import StaticFiles
 
 import sunarc
-from sunarc.api.arrays import Gate
+from sunarc.api.allowed_hosts import AllowedHosts, host_names
+from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
 from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
+from sunarc.api.fault_log import FaultLog
 from sunarc.api.geolocation import geolocation_routes
 from sunarc.api.health import health_routes
-from sunarc.api.limits import Limits
+from sunarc.api.holdings import Holdings
+from sunarc.api.limits import ConcurrencyLimit, RateLimit
 from sunarc.api.maps import map_routes
 from sunarc.api.metrics import StatusCollector
 from sunarc.api.options import ApiOptions
 from sunarc.api.overlay import overlay_routes
-from sunarc.api.problems import add_problem_handlers, answers
+from sunarc.api.places import Places
+from sunarc.api.problems import FaultGuard, add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
+from sunarc.api.request_bodies import BodyReader
 from sunarc.api.schema import describe
 from sunarc.api.served import CurrentRecords, Served
 from sunarc.api.sun import sun_routes
@@ -91,13 +96,14 @@ def create_app(
     app.include_router(camera_routes(served))
     app.include_router(health_routes(served, numbers))
     _add_dashboard(app)
-    add_problem_handlers(app)
+    faults = FaultLog()
+    add_problem_handlers(app, faults)
     describe(app)
-    _add_guards(app, served)
+    _add_guards(app, served, faults)
     return app
 
 
-def _add_guards(app: FastAPI, served: Served) -> None:
+def _add_guards(app: FastAPI, served: Served, faults: FaultLog) -> None:
     """Put what every request passes before the application, the innermost first."""
     options = served.options
     app.add_middleware(
@@ -106,10 +112,19 @@ def _add_guards(app: FastAPI, served: Served) -> None:
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
     )
+    app.add_middleware(ConcurrencyLimit, at_once=options.max_at_once)
+    app.add_middleware(
+        BodyReader,
+        max_body_bytes=options.max_body_bytes,
+        max_array_bytes=options.max_array_bytes,
+        within_s=options.request_within_s,
+        holdings=Holdings(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
+    )
     reading = read_token(options.read_token_file, setting="api.read_token_file")
+    tokens = tuple(token for token in (reading, served.token) if token is not None)
     if reading is not None:
-        app.add_middleware(ReadingNeeds, tokens=(reading,) if served.token is None else (reading, served.token))
-    app.add_middleware(Limits, per_s=options.requests_per_s, burst=options.burst, at_once=options.max_at_once)
+        app.add_middleware(ReadingNeeds, tokens=tokens)
+    app.add_middleware(RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
     if options.cors_origins:
         app.add_middleware(
             CORSMiddleware,
@@ -118,23 +133,20 @@ def _add_guards(app: FastAPI, served: Served) -> None:
             allow_headers=["authorization", "content-type", "if-none-match"],
             expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
         )
-    app.add_middleware(
-        Boundary,
-        max_body_bytes=options.max_body_bytes,
-        max_array_bytes=options.max_array_bytes,
-        within_s=options.request_within_s,
-    )
+    app.add_middleware(AllowedHosts, names=host_names(options))
+    app.add_middleware(FaultGuard, faults=faults)
+    app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 
 
 def _add_camera_routes(app: FastAPI, served: Served) -> None:
     """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
-    gate = Gate(served.options.max_large_at_once)
+    places = Places(served.options.max_large_at_once)
     for of_camera in (
         calibration_routes(served),
         decision_routes(served),
-        direction_routes(served, gate),
-        map_routes(served, gate),
-        geolocation_routes(served, gate),
+        direction_routes(served, places),
+        map_routes(served),
+        geolocation_routes(served, places),
         sun_routes(served),
         overlay_routes(served),
         record_routes(served),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -19,7 +18,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from sunarc.api.arrays import NPY, Gate, Rows, read_rows, rows_response
+from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
+from sunarc.api.client_address import client_network
+from sunarc.api.places import Places
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.api.served import Served
 from sunarc.archive import CalibrationRecord
@@ -75,12 +76,12 @@ class Computation:
 
 
 async def compute(
-    computation: Computation, served: Served, gate: Gate, request: Request, at: datetime | None
+    computation: Computation, served: Served, places: Places, request: Request, at: datetime | None
 ) -> Response:
     """Answer a request in kind: JSON with JSON, .npy with .npy."""
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
     if media_type == NPY:
-        return await _rows(computation, served, gate, request, at)
+        return await _rows(computation, served, places, request, at)
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
@@ -90,8 +91,12 @@ async def compute(
         if ours_now and served.ready.known(served.record_or_none(None)) is not None:
             return _json(computation, served, request, body, at)
         return await run_in_threadpool(_json, computation, served, request, body, at)
-    with gate.entered():
-        return await run_in_threadpool(_json, computation, served, request, body, at)
+    client = client_network(request.scope)
+    places.require_room(client)
+    async with places.place(client):
+        answer = await run_in_threadpool(_json, computation, served, request, body, at)
+    request.state.holding.grow(len(answer.body))
+    return answer
 
 
 def read_asked(model: type[Asked], body: bytes) -> Asked:
@@ -128,21 +133,22 @@ def _json(computation: Computation, served: Served, request: Request, body: byte
 
 
 async def _rows(
-    computation: Computation, served: Served, gate: Gate, request: Request, at: datetime | None
+    computation: Computation, served: Served, places: Places, request: Request, at: datetime | None
 ) -> Response:
-    with ExitStack() as stack:
-        stack.enter_context(gate.entered())
-        body = await request.body()
-        rows = read_rows(body, columns=computation.columns, most=served.options.max_rows)
-        rows = rows.astype(np.float64) if computation.double else rows
-        answering = await run_in_threadpool(_answering, served, request, at)
-        return rows_response(
-            rows,
-            partial(computation.answer, answering),
-            width=len(computation.told),
-            headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.told)},
-            held=stack.pop_all(),
-        )
+    client = client_network(request.scope)
+    places.require_room(client)
+    rows = read_rows(await request.body(), columns=computation.columns, most=served.options.max_rows)
+    rows = rows.astype(np.float64) if computation.double else rows
+    width = len(computation.told)
+    request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
+    answering = await run_in_threadpool(_answering, served, request, at)
+    return rows_response(
+        rows,
+        partial(computation.answer, answering),
+        width=width,
+        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.told)},
+        place=partial(places.place, client),
+    )
 
 
 def _answering(served: Served, request: Request, at: datetime | None) -> Answering:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
+import struct
+import sys
+import termios
 from http import HTTPStatus
 from typing import Any, cast
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from sunarc.api.options import ApiOptions
+from sunarc.api.options import MIN_RATE_BYTES_PER_S, ApiOptions
 from sunarc.api.problems import problem_response
 
 
@@ -21,7 +25,7 @@ class BoundedConnection(H11Protocol):
 
     Parameters
     ----------
-    options : `max_connections`, and `request_within_s` for a head to come and for an answer to be taken.
+    options : `max_connections`, and `request_within_s` for a head to come and for an answer to be read.
     how : what uvicorn hands to its protocols.
     """
 
@@ -50,15 +54,21 @@ class BoundedConnection(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop waiting."""
-        self._stop(self._head_timer, self._write_timer)
+        self._stop_head_timer()
+        self._stop_write_timer()
         super().connection_lost(exc)
 
     def handle_events(self) -> None:
-        """Wait no longer for a head that is there."""
+        """Wait no longer for a head that is there; begin to wait for the rest of one that has begun.
+
+        uvicorn waits for the next request only until its first byte.
+        """
         before = self.cycle
         super().handle_events()
         if self.cycle is not before:
-            self._stop(self._head_timer)
+            self._stop_head_timer()
+        if self._head_timer is None and self.idle and self.conn.trailing_data[0]:
+            self._head_timer = self.loop.call_later(self._patience_s, self.transport.abort)
 
     def on_response_complete(self) -> None:
         """Go idle; a body that nobody reads any more ends with its connection."""
@@ -68,14 +78,45 @@ class BoundedConnection(H11Protocol):
             self.transport.close()
 
     def pause_writing(self) -> None:
-        """Begin to wait for a client that does not read."""
+        """Begin to watch whether the client reads what waits for it."""
         super().pause_writing()
-        self._write_timer = self.loop.call_later(self._patience_s, self.transport.abort)
+        self._watch_reading(self._unread_bytes())
 
     def resume_writing(self) -> None:
-        """Stop waiting: it reads."""
-        self._stop(self._write_timer)
+        """Stop watching: it reads."""
+        self._stop_write_timer()
         super().resume_writing()
+
+    def _watch_reading(self, unread_bytes: int) -> None:
+        """End the connection unless, until the timer ends, the client has read at the lowest rate or faster."""
+
+        def check() -> None:
+            now_unread_bytes = self._unread_bytes()
+            if unread_bytes - now_unread_bytes < self._patience_s * MIN_RATE_BYTES_PER_S:
+                self.transport.abort()
+            else:
+                self._watch_reading(now_unread_bytes)
+
+        self._stop_write_timer()
+        self._write_timer = self.loop.call_later(self._patience_s, check)
+
+    def _unread_bytes(self) -> int:
+        """Return what was written and is not acknowledged by the client: here, and in the kernel's buffer.
+
+        The kernel's buffer holds megabytes and asks for more only when a good part of it is free, so that a client
+        that reads steadily seems to read nothing for minutes if only this side's buffer is looked at.
+        """
+        return self.transport.get_write_buffer_size() + _in_kernel_bytes(self.transport)
+
+    def _stop_head_timer(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
+    def _stop_write_timer(self) -> None:
+        if self._write_timer is not None:
+            self._write_timer.cancel()
+            self._write_timer = None
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, in the shape of all refusals."""
@@ -90,8 +131,12 @@ class BoundedConnection(H11Protocol):
             self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
-    @staticmethod
-    def _stop(*timers: asyncio.TimerHandle | None) -> None:
-        for timer in timers:
-            if timer is not None:
-                timer.cancel()
+
+def _in_kernel_bytes(transport: asyncio.Transport) -> int:
+    """Return how many bytes of a socket are sent and not acknowledged, or not sent yet (tcp(7), SIOCOUTQ)."""
+    answer = bytearray(struct.calcsize("i"))
+    try:
+        fcntl.ioctl(transport.get_extra_info("socket").fileno(), termios.TIOCOUTQ, answer)
+    except OSError:
+        return 0  # closed in this moment
+    return int.from_bytes(answer, sys.byteorder)

@@ -9,9 +9,10 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from sunarc.api.arrays import Gate, Rows, require_few
+from sunarc.api.arrays import Rows, require_few
 from sunarc.api.computing import Answering, Computation, body_of, compute, read_asked, rows_told
 from sunarc.api.fields import Time
+from sunarc.api.places import Places
 from sunarc.api.problems import answers
 from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.served import Served
@@ -21,7 +22,7 @@ from sunarc.sky import direction_from_angles
 FloatArray = NDArray[np.float64]
 
 
-def direction_routes(served: Served, gate: Gate) -> APIRouter:
+def direction_routes(served: Served, places: Places) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
     failures = answers(404, 408, 413, 415, 422)
@@ -34,7 +35,7 @@ def direction_routes(served: Served, gate: Gate) -> APIRouter:
     )
     async def back_project(request: Request, at: Time | None = None) -> Response:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
-        return await compute(_BACK_PROJECTION, served, gate, request, at)
+        return await compute(_BACK_PROJECTION, served, places, request, at)
 
     @routes.post(
         "/project",
@@ -44,7 +45,7 @@ def direction_routes(served: Served, gate: Gate) -> APIRouter:
     )
     async def project(request: Request, at: Time | None = None) -> Response:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
-        return await compute(_PROJECTION, served, gate, request, at)
+        return await compute(_PROJECTION, served, places, request, at)
 
     return routes
 

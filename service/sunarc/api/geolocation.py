@@ -9,11 +9,12 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 
-from sunarc.api.arrays import Gate, Rows, require_few
+from sunarc.api.arrays import Rows, require_few
 from sunarc.api.computing import Answering, Computation, body_of, compute, read_asked, rows_told
 from sunarc.api.directions import known_rows
 from sunarc.api.fields import Time
 from sunarc.api.geolocation_schemas import GeolocateAnswer, GeolocateRequest
+from sunarc.api.places import Places
 from sunarc.api.problems import answers
 from sunarc.api.served import Served
 from sunarc.geolocation import Located, clouds, shadows
@@ -37,7 +38,7 @@ LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 """Columns of what is told of a cloud and its shadow."""
 
 
-def geolocation_routes(served: Served, gate: Gate) -> APIRouter:
+def geolocation_routes(served: Served, places: Places) -> APIRouter:
     """Return the route that tells where clouds are."""
     routes = APIRouter(tags=["directions"])
 
@@ -49,7 +50,7 @@ def geolocation_routes(served: Served, gate: Gate) -> APIRouter:
     )
     async def geolocate(request: Request, at: Time | None = None) -> Response:
         """Tell where clouds of a given height and their shadows are, now or at the moment `at`, and how sure."""
-        return await compute(_GEOLOCATION, served, gate, request, at)
+        return await compute(_GEOLOCATION, served, places, request, at)
 
     return routes
 

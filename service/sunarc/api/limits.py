@@ -5,17 +5,24 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import OrderedDict
+from functools import partial
 from http import HTTPStatus
-from ipaddress import IPv6Address, ip_address
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.problems import Fault, problem_response
+from sunarc.api.client_address import ClientAddressError, client_network
+from sunarc.api.holdings import Holdings, answer_held
+from sunarc.api.problems import Fault, RefusedError, problem_response
+from sunarc.api.tokens import bears_wrong_token
 
 _MOST_CLIENTS = 4096
-_NETWORK_OF_ONE_CLIENT = 64  # bits; whoever has one IPv6 address has 2^64
 _PRICE_OF_A_WRONG_TOKEN = 20.0
 _ALWAYS_ANSWERED = "/healthz"
+
+
+def is_always_answered(scope: Scope) -> bool:
+    """Return whether a request is a probe that no limit refuses: a watchdog must hear from a busy service."""
+    return bool(scope["path"] == _ALWAYS_ANSWERED and scope["method"] in {"GET", "HEAD"})
 
 
 class Allowances:
@@ -33,96 +40,115 @@ class Allowances:
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def take(self, client: str, price: float, *, now_s: float) -> float:
-        """Take from a client's bucket; return the seconds to wait where it holds too little, else 0."""
-        left, at_s = self._left.pop(client, (self._burst, now_s))
-        left = min(self._burst, left + (now_s - at_s) * self._per_s)
-        enough = left >= price
+        """Take from a client's bucket; return the seconds to wait where it holds less than one request, else 0.
+
+        A price above what is left makes a debt, which the client waits for: refused for its price, a wrong token
+        would be told from a right one.
+        """
+        left = self._filled(client, now_s)
+        enough = left >= 1.0
         self._left[client] = (left - price if enough else left, now_s)
         if len(self._left) > _MOST_CLIENTS:
             self._left.popitem(last=False)
-        return 0.0 if enough else (price - left) / self._per_s
+        return 0.0 if enough else (1.0 - left) / self._per_s
 
-    def empty(self, client: str, price: float, *, now_s: float) -> None:
-        """Take from a client's bucket what is there, up to a price."""
+    def give_back(self, client: str, price: float, *, now_s: float) -> None:
+        """Put back what was taken for nothing."""
+        self._left[client] = (min(self._burst, self._filled(client, now_s) + price), now_s)
+
+    def _filled(self, client: str, now_s: float) -> float:
         left, at_s = self._left.pop(client, (self._burst, now_s))
-        left = min(self._burst, left + (now_s - at_s) * self._per_s)
-        self._left[client] = (max(0.0, left - price), now_s)
+        return min(self._burst, left + (now_s - at_s) * self._per_s)
 
 
-class Limits:
-    """Refuses what is too much: per client (429), and at once (503).
+class RateLimit:
+    """Refuses what one client asks too often (429), and clients whose address a proxy garbles (400).
 
     A client on loopback is not counted: it is the host itself, or a proxy that does not tell for whom it asks.
 
     Parameters
     ----------
     app : what is behind it.
-    per_s, burst : see `Allowances`; no limit per client where `per_s` is 0.
-    at_once : requests that are answered at the same time.
+    per_s, burst : see `Allowances`; no limit where `per_s` is 0.
+    tokens : digests of those that are right; a request that bears another one and is refused costs 20.
     """
 
-    def __init__(self, app: ASGIApp, *, per_s: float, burst: int, at_once: int) -> None:
+    def __init__(self, app: ASGIApp, *, per_s: float, burst: int, tokens: tuple[bytes, ...]) -> None:
         self._app = app
         self._allowances = Allowances(per_s=per_s, burst=burst) if per_s > 0.0 else None
-        self._at_once = at_once
-        self._under_way = 0
+        self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let one request pass, or refuse it."""
-        if scope["type"] != "http" or scope["path"] == _ALWAYS_ANSWERED:
+        if scope["type"] != "http" or is_always_answered(scope):
             await self._app(scope, receive, send)
             return
-        client = _client(scope)
-        wait_s = self._wait_s(client)
-        if wait_s > 0.0:
-            await _refused(HTTPStatus.TOO_MANY_REQUESTS, scope, wait_s=wait_s)(scope, receive, send)
-        elif self._under_way >= self._at_once:
-            await _refused(HTTPStatus.SERVICE_UNAVAILABLE, scope, wait_s=1.0)(scope, receive, send)
-        else:
-            self._under_way += 1
-            try:
-                await self._app(scope, receive, send if client is None else self._watched(client, send))
-            finally:
-                self._under_way -= 1
-
-    def _wait_s(self, client: str | None) -> float:
+        try:
+            client = client_network(scope)
+        except ClientAddressError as error:
+            await _garbled(scope, error)(scope, receive, send)
+            return
         if self._allowances is None or client is None:
-            return 0.0
-        return self._allowances.take(client, 1.0, now_s=asyncio.get_running_loop().time())
+            await self._app(scope, receive, send)
+            return
+        price = _PRICE_OF_A_WRONG_TOKEN if bears_wrong_token(scope, self._tokens) else 1.0
+        wait_s = self._allowances.take(client, price, now_s=asyncio.get_running_loop().time())
+        if wait_s > 0.0:
+            await too_many("too many requests from this address", scope, wait_s=wait_s)(scope, receive, send)
+        else:
+            priced = send if price == 1.0 else self._refunding(self._allowances, client, price - 1.0, send)
+            await self._app(scope, receive, priced)
 
-    def _watched(self, client: str, send: Send) -> Send:
-        """Make guessing tokens slow."""
+    @staticmethod
+    def _refunding(allowances: Allowances, client: str, price: float, send: Send) -> Send:
+        """Give the price back where the token was not needed: a proxy's own, or a page's where reading is open."""
 
         async def sending(message: Message) -> None:
-            if self._allowances is not None and message.get("status") == HTTPStatus.UNAUTHORIZED:
-                now_s = asyncio.get_running_loop().time()
-                self._allowances.empty(client, _PRICE_OF_A_WRONG_TOKEN, now_s=now_s)
+            if message["type"] == "http.response.start" and message["status"] != HTTPStatus.UNAUTHORIZED:
+                allowances.give_back(client, price, now_s=asyncio.get_running_loop().time())
             await send(message)
 
         return sending
 
 
-def _client(scope: Scope) -> str | None:
-    """Return whom a request counts against; None for the host itself."""
-    host = scope["client"][0] if scope.get("client") else None
-    if host is None or host.startswith("127.") or host == "::1":
-        return None
-    if ":" not in host:
-        return str(host)
-    address = ip_address(host.partition("%")[0])
-    if isinstance(address, IPv6Address) and address.ipv4_mapped is None:
-        return str(int(address) >> _NETWORK_OF_ONE_CLIENT)
-    return str(host)
+class ConcurrencyLimit:
+    """Refuses what is too much at once (503), or ends the oldest request of an address that has more under way.
+
+    A request is counted from when its body is there to when its answer is written.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    at_once : requests that are answered at the same time.
+    """
+
+    def __init__(self, app: ASGIApp, *, at_once: int) -> None:
+        self._app = app
+        self._under_way = Holdings(at_once)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let one request pass, or refuse it."""
+        if scope["type"] != "http" or is_always_answered(scope):
+            await self._app(scope, receive, send)
+            return
+        with self._under_way.open(client_network(scope)) as request:
+            try:
+                request.grow(1)
+            except RefusedError:
+                refusal = too_many("too many requests at once", scope, HTTPStatus.SERVICE_UNAVAILABLE)
+                await refusal(scope, receive, send)
+            else:
+                answer = partial(self._app, scope, receive)
+                await answer_held(request, answer, scope=scope, receive=receive, send=send)
 
 
-def _refused(status: HTTPStatus, scope: Scope, *, wait_s: float) -> ASGIApp:
+def too_many(
+    problem: str, scope: Scope, status: HTTPStatus = HTTPStatus.TOO_MANY_REQUESTS, *, wait_s: float = 1.0
+) -> ASGIApp:
+    """Return the refusal of what is too much, with the seconds to wait."""
     seconds = math.ceil(wait_s)
-    mine = status == HTTPStatus.TOO_MANY_REQUESTS
-    fault = Fault(
-        field="request",
-        problem="too many requests from this address" if mine else "too many requests at once",
-        remedy=f"wait {seconds} s and ask again, with more pixels in one request where there are many",
-    )
+    remedy = f"wait {seconds} s and ask again, with more pixels in one request where there are many"
+    fault = Fault(field="request", problem=problem, remedy=remedy)
     return problem_response(
         status,
         path=scope["path"],
@@ -130,3 +156,10 @@ def _refused(status: HTTPStatus, scope: Scope, *, wait_s: float) -> ASGIApp:
         errors=[fault],
         headers={"retry-after": str(seconds)},
     )
+
+
+def _garbled(scope: Scope, error: ClientAddressError) -> ASGIApp:
+    remedy = "let the proxy set X-Forwarded-For to the client's address alone"
+    fault = Fault(field="x-forwarded-for", problem=str(error), remedy=remedy)
+    detail = f"{fault.field}: {fault.problem}; {fault.remedy}"
+    return problem_response(HTTPStatus.BAD_REQUEST, path=scope["path"], detail=detail, errors=[fault])

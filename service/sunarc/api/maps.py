@@ -6,7 +6,6 @@ import hashlib
 import math
 import mmap
 import tempfile
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Annotated, Any
@@ -18,9 +17,12 @@ from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
 import sunarc
-from sunarc.api.arrays import BytesResponse, Gate
+from sunarc.api.arrays import BytesResponse
 from sunarc.api.calibrations import matches
+from sunarc.api.client_address import client_network
 from sunarc.api.fields import Time
+from sunarc.api.holdings import Holding, Holdings
+from sunarc.api.places import Places
 from sunarc.api.problems import answers
 from sunarc.api.served import Kept, Served
 from sunarc.archive import CalibrationRecord
@@ -30,6 +32,8 @@ from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_ta
 from sunarc.sky import sun_directions
 
 _MOST_FILES = 4
+_MOST_SENT = 16
+"""Maps with a mask of the sun that are being sent: so many files at most are there besides those that are kept."""
 _MAP: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
@@ -44,9 +48,10 @@ Radius = Annotated[
 ]
 
 
-def map_routes(served: Served, gate: Gate) -> APIRouter:
+def map_routes(served: Served) -> APIRouter:
     """Return the route that tells what every pixel sees."""
     routes = APIRouter(tags=["directions"])
+    making, sending = Places(1), Holdings(_MOST_SENT)
     kept = Kept(_file, key=_tag, most=_MOST_FILES)
 
     @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
@@ -65,12 +70,18 @@ def map_routes(served: Served, gate: Gate) -> APIRouter:
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
         if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
-        with ExitStack() as stack:
-            stack.enter_context(gate.entered())
-            file = await run_in_threadpool(kept.get, asked)
-            return file.sent(MEDIA_TYPES[wanted], headers, stack.pop_all())
+        client = client_network(request.scope)
+        file = kept.known(asked) or await _made(kept, asked, making, client)
+        return file.sent(MEDIA_TYPES[wanted], headers, sending.open(client), own=sun is not None)
 
     return routes
+
+
+async def _made(kept: Kept[_Map, _MapFile], asked: _Map, making: Places, client: str | None) -> _MapFile:
+    """Return a map's file, which may have to be made: one at a time."""
+    making.require_room(client)
+    async with making.place(client):
+        return await run_in_threadpool(kept.get, asked)
 
 
 def _chosen(served: Served, request: Request, at: datetime | None) -> tuple[Served, CalibrationRecord]:
@@ -110,9 +121,10 @@ class _MapFile:
             file.flush()
             self._bytes = mmap.mmap(file.fileno(), len(content), access=mmap.ACCESS_READ)
 
-    def sent(self, media_type: str, headers: dict[str, str], held: ExitStack) -> BytesResponse:
-        """Return the answer that sends it."""
-        return BytesResponse(self._bytes, media_type=media_type, headers=headers, held=held)
+    def sent(self, media_type: str, headers: dict[str, str], holding: Holding, *, own: bool) -> BytesResponse:
+        """Return the answer that sends it; one that hardly another client asks for counts as held by who reads it."""
+        counted = 1 if own else 0
+        return BytesResponse(self._bytes, media_type=media_type, headers=headers, holding=holding, counted=counted)
 
 
 def _file(asked: _Map) -> _MapFile:

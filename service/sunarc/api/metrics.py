@@ -13,6 +13,7 @@ from sunarc.api.calibrations import summary
 from sunarc.api.served import Served
 from sunarc.board import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
+_EVENTS_LOOKED_AT = 1000
 _CAPTURE_COUNTS = {
     "cycles": "Slots served by day.",
     "complete": "Those whose normal exposures all succeeded.",
@@ -37,6 +38,7 @@ class StatusCollector(Collector):
 
     def __init__(self, served: Served) -> None:
         self._served = served
+        self._stored_step_at = _stored_step_at(served)
 
     def describe(self) -> Iterator[Metric]:
         """Name nothing beforehand, so that registering asks nobody."""
@@ -59,7 +61,8 @@ class StatusCollector(Collector):
             {(reason.code, reason.severity): 1.0 for reason in snapshot.reasons},
         )
         yield from _workers(snapshot)
-        yield from _facts(snapshot)
+        yield _single("sunarc_started_seconds", "Unix time at which the service started.", _unix_s(snapshot.started_at))
+        yield from _facts(snapshot, self._stored_step_at)
         yield from _capture(snapshot.capture)
         yield from self._calibration()
 
@@ -95,14 +98,20 @@ def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
     )
 
 
-def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
-    connected = None if snapshot.camera is None else float(snapshot.camera.connected)
+def _stored_step_at(served: Served) -> datetime | None:
+    """Return when the frames' clock was last set before the service started, as its events have it."""
+    events = served.archive.events(served.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
+    return next((event.time for event in events if event.kind == "clock_step"), None)
+
+
+def _facts(snapshot: StatusSnapshot, stored_step_at: datetime | None) -> Iterator[Metric]:
+    connected = float(snapshot.camera is not None and snapshot.camera.connected)  # not so yet is 0: alerts go by it
     error_s = None if snapshot.clock is None else snapshot.clock.max_error_s
     temperature = None if snapshot.camera is None else snapshot.camera.temperature_c
     yield _single("sunarc_camera_temperature_celsius", "Where the camera tells it.", temperature)
     yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
     synchronised = None if snapshot.clock is None else snapshot.clock.synchronised
-    stepped_at = None if snapshot.clock is None else _unix_s(snapshot.clock.last_step_at)
+    stepped_at = _unix_s((snapshot.clock and snapshot.clock.last_step_at) or stored_step_at)
     yield _single("sunarc_clock_synchronised", "1 while a time service disciplines the host's clock.", synchronised)
     yield _single("sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at)
     yield _single("sunarc_clock_error_seconds", "Bound of the host clock's error.", error_s)
@@ -114,8 +123,7 @@ def _facts(snapshot: StatusSnapshot) -> Iterator[Metric]:
 def _capture(capture: CaptureStatus | None) -> Iterator[Metric]:
     for name, text in _CAPTURE_COUNTS.items():
         family = CounterMetricFamily(f"sunarc_capture_{name}", text)
-        if capture is not None:
-            family.add_metric((), getattr(capture, name))
+        family.add_metric((), 0.0 if capture is None else getattr(capture, name))
         yield family
     jitter = None if capture is None else capture.jitter_s
     jitter_max = None if capture is None else capture.jitter_max_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from http import HTTPStatus
@@ -13,7 +14,9 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from sunarc.api.fault_log import FaultLog
 from sunarc.errors import ConflictError, InputError, NotFoundError, OutsideError, SunarcError
 
 MEDIA_TYPE = "application/problem+json"
@@ -125,12 +128,66 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": HTTPStatus(status).phrase, **described} for status in statuses}
 
 
-def add_problem_handlers(app: FastAPI) -> None:
-    """Answer every failure of an application with a problem document."""
+def add_problem_handlers(app: FastAPI, faults: FaultLog) -> None:
+    """Answer every failure of an application with a problem document; `FaultGuard` does so for what is left."""
+
+    async def ours(request: Request, error: Exception) -> JSONResponse:
+        if _is_fault(error):
+            name = _recorded(faults, error, request.scope)
+            return internal_problem(request.url.path, name)
+        return _ours(request, error)
+
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(SunarcError, _ours)
-    app.add_exception_handler(Exception, _unforeseen)
+    app.add_exception_handler(SunarcError, ours)
+
+
+class FaultGuard:
+    """Answers with a problem what nothing behind it has answered; the stack goes to the log once.
+
+    The web framework's own guard hands the exception on to the server, which would write its stack each time.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    faults : the log.
+    """
+
+    def __init__(self, app: ASGIApp, *, faults: FaultLog) -> None:
+        self._app = app
+        self._faults = faults
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let one request pass; an answer that has begun is cut off."""
+        started = False
+
+        async def sending(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, sending)
+        except Exception as error:  # noqa: BLE001 - that is its purpose
+            name = _recorded(self._faults, error, scope)
+            if not started and scope["type"] == "http":
+                await internal_problem(scope["path"], name)(scope, receive, send)
+
+
+def _recorded(faults: FaultLog, error: Exception, scope: Scope) -> str:
+    request = f"{scope.get('method', '')} {scope.get('path', '')}".strip()
+    return faults.record(error, request=request, now_s=asyncio.get_running_loop().time())
+
+
+def refusal_response(path: str, error: RefusedError) -> JSONResponse:
+    """Return the answer to a request for a path that is refused by its form."""
+    return problem_response(error.status, path=path, detail=str(error), errors=[error.fault], headers=error.headers)
+
+
+def internal_problem(path: str, name: str) -> JSONResponse:
+    """Return the answer to a request that met a fault of the service."""
+    detail = f"internal error; see the service log for fault {name}"
+    return problem_response(HTTPStatus.INTERNAL_SERVER_ERROR, path=path, detail=detail)
 
 
 _STATUSES = {NotFoundError: HTTPStatus.NOT_FOUND, ConflictError: HTTPStatus.CONFLICT}
@@ -145,6 +202,7 @@ _KINDS = {
     HTTPStatus.CONFLICT: "conflict",
     HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "too-large",
     HTTPStatus.UNSUPPORTED_MEDIA_TYPE: "media-type",
+    HTTPStatus.MISDIRECTED_REQUEST: "misdirected",
     HTTPStatus.UNPROCESSABLE_ENTITY: "invalid",
     HTTPStatus.TOO_MANY_REQUESTS: "too-many",
     HTTPStatus.INTERNAL_SERVER_ERROR: "internal",
@@ -184,31 +242,21 @@ def _methods(request: Request) -> set[str]:
     return {method.upper() for operations in found for method in operations}
 
 
+def _is_fault(error: Exception) -> bool:
+    """Whether an error says something of the service, and nothing of the request or of what is outside."""
+    return not isinstance(error, RefusedError | InputError | OutsideError)
+
+
 def _ours(request: Request, error: Exception) -> JSONResponse:
     path = request.url.path
-    match error:
-        case RefusedError():
-            return problem_response(
-                error.status, path=path, detail=str(error), errors=[error.fault], headers=error.headers
-            )
-        case InputError():
-            status = _STATUSES.get(type(error), HTTPStatus.UNPROCESSABLE_ENTITY)
-            fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
-            return problem_response(status, path=path, detail=str(error), errors=[fault])
-        case OutsideError():
-            _log.error("%s %s: %s", request.method, path, error)
-            return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error))
-        case _:
-            return _unforeseen(request, error)
-
-
-def _unforeseen(request: Request, error: Exception) -> JSONResponse:
-    _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    return problem_response(
-        HTTPStatus.INTERNAL_SERVER_ERROR,
-        path=request.url.path,
-        detail="this is a fault of the service; its journal says more",
-    )
+    if isinstance(error, RefusedError):
+        return refusal_response(path, error)
+    if isinstance(error, InputError):
+        status = _STATUSES.get(type(error), HTTPStatus.UNPROCESSABLE_ENTITY)
+        fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
+        return problem_response(status, path=path, detail=str(error), errors=[fault])
+    _log.error("%s %s: %s", request.method, path, error)
+    return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error))
 
 
 def _fault(error: Mapping[str, Any]) -> Fault:

@@ -28,7 +28,7 @@ def refit_routes(served: Served) -> APIRouter:
         responses=answers(400, 403, 408, 413, 415, 422),
     )
     def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> RefitOut:
-        """Ask for a refit with all sightings; the answer says where to follow it."""
+        """Ask for a refit with all sightings; the answer says where to follow it. One that waits already is joined."""
         refit = served.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
         return _out(refit)

@@ -84,8 +84,24 @@ class ReadingNeeds:
         await refusal(scope, receive, send)
 
     def _borne(self, scope: Scope) -> bool:
-        scheme, _, given = Headers(scope=scope).get("authorization", "").partition(" ")
-        return scheme.lower() == "bearer" and any(_same(given.strip(), token) for token in self._tokens)
+        given = _given(scope)
+        return given is not None and _is_one_of(given, self._tokens)
+
+
+def bears_wrong_token(scope: Scope, tokens: tuple[bytes, ...]) -> bool:
+    """Return whether a request bears a token that is none of those of the digests; not so where there are none."""
+    given = _given(scope)
+    return bool(tokens) and given is not None and not _is_one_of(given, tokens)
+
+
+def _given(scope: Scope) -> str | None:
+    scheme, _, given = Headers(scope=scope).get("authorization", "").partition(" ")
+    return given.strip() if scheme.lower() == "bearer" else None
+
+
+def _is_one_of(given: str, tokens: tuple[bytes, ...]) -> bool:
+    """Compare with every token, so that the time does not tell which one is meant."""
+    return sum(_same(given, token) for token in tokens) > 0
 
 
 def _is_open(path: str) -> bool:

@@ -11,6 +11,7 @@ from functools import partial
 
 import sunarc
 from sunarc.app.cameras import note_other_camera, require_same_camera
+from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Recovery, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
@@ -92,6 +93,7 @@ class Service:
         )
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
+        restore_last_known(self.board, archive=archive, images=self.images, camera=settings.name)
         self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
@@ -144,8 +146,8 @@ class Service:
             return 0.0
 
     def request_refit(self, reason: str) -> Refit:
-        """Ask for a refit; the refit worker finds it in the archive."""
-        return self.archive.add_refit(
+        """Ask for a refit, or join the one that waits; the refit worker finds it in the archive."""
+        return self.archive.request_refit(
             Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
         )
 

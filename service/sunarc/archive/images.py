@@ -123,6 +123,11 @@ class ImageStore:
                     return max(images)
         return None
 
+    def newest_at(self, *, kind: str) -> datetime | None:
+        """Return when the newest image of a kind was captured, or None; see `newest`."""
+        path = self.newest(kind=kind)
+        return None if path is None or not _OURS.fullmatch(path.name) else _captured_at(path)
+
     def make_room(self, needed_bytes: int = 0) -> bool:
         """Remove the oldest images until this much can be written; return whether it can."""
         with self._readable():

@@ -42,6 +42,21 @@ class Journal(Store):
             connection.execute(insert(tables.refit).values(asdict(refit)))
         return refit
 
+    def request_refit(self, refit: Refit) -> Refit:
+        """Write down that a refit is asked for, or return the one of its camera that has been asked for already.
+
+        One that has not begun yet will see every sighting that this one would: there is never more than one of them,
+        beside the one that runs.
+        """
+        c = tables.refit.c
+        waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
+        with self._writing() as connection:
+            found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
+            if found:
+                return found[0]
+            connection.execute(insert(tables.refit).values(asdict(refit)))
+        return refit
+
     def start_refit(self, refit_id: str, *, started_at: datetime) -> Refit:
         """Write down that a refit has begun."""
         return self._change_refit(refit_id, state="running", started_at=started_at)

@@ -10,7 +10,7 @@ const known = { days: new Map(), drawn: "", chosen: null };
 export function drawCalendar(days, today) {
   known.days = new Map(days.map((day) => [day.date, day]));
   const now = today?.slice(0, 10);
-  const drawn = JSON.stringify([now, days.map((day) => [day.date, day.verdict, day.n])]);
+  const drawn = JSON.stringify([now, days.map((day) => [day.date, day.verdict, day.n, day.n_cycles, day.n_possible])]);
   if (drawn === known.drawn || !now) return;
   known.drawn = drawn;
   $("days-legend").replaceChildren(...Object.entries(SIGNS).map(([verdict, sign]) => {
@@ -63,11 +63,16 @@ function cell(date, now) {
   return td;
 }
 
+// A bracket makes several sightings in one cycle: only cycles can be counted against cycles.
+function seen(day) {
+  return day.n_cycles === null ? `${day.n} sightings` : `sun seen in ${day.n_cycles} of ${day.n_possible} cycles`;
+}
+
 function tell(date) {
   known.chosen = date ?? null;
   const day = known.days.get(date);
   for (const button of $("calendar").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.date === date));
   $("day").textContent = day
-    ? `${day.date}: ${day.verdict}; seen ${day.n} of ${day.n_possible}${day.sd_px === null ? "" : `, scatter ${telling(day.sd_px)} px`}. ${day.reasons.join("; ")}.`
+    ? `${day.date}: ${day.verdict}; ${seen(day)}${day.sd_px === null ? "" : `, scatter ${telling(day.sd_px)} px`}. ${day.reasons.join("; ")}.`
     : "No day has ended yet.";
 }

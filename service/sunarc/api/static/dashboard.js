@@ -98,10 +98,10 @@ async function refreshSky() {
   });
 }
 
-const redrawResiduals = () => drawResiduals(known.points, known.overlay, known.status?.image_size);
+const redrawResiduals = () => drawResiduals(known.points, known.overlay, known.status?.image_size, known.status?.calibration?.pose_epoch);
 
 async function refreshResiduals() {
-  known.points = (await ask("/v1/sun-points?residuals=true&limit=1000")).sun_points;
+  known.points = (await ask("/v1/sun-points?residuals=true&accepted=true&limit=1000")).sun_points;
   redrawResiduals();
 }
 

@@ -2,14 +2,13 @@
 import { $, element, label, node, path, symbol, telling, ticksOf, timeTicks } from "./draw.js";
 import { compass } from "./sky.js";
 
-export function drawResiduals(points, overlay, size) {
+// Of the accepted sightings alone, and of those since the camera last moved: the calibration says nothing of others.
+export function drawResiduals(points, overlay, size, poseEpoch) {
   const unit = document.querySelector("input[name=unit]:checked").value;
-  const known = points.filter((point) => point.residual);
-  const rejected = points.filter((point) => !point.accepted).length;
-  const rms = (pick) => Math.sqrt(known.reduce((sum, point) => sum + pick(point.residual) ** 2, 0) / known.length);
+  const known = points.filter((point) => point.accepted && point.residual && (!poseEpoch || point.pose_epoch === poseEpoch));
   $("residual-sum").textContent = known.length
-    ? `RMSE of the last ${known.length} sightings: ${telling(rms((r) => r.distance_px))} px, ${telling(rms((r) => r.distance_deg ?? 0))}°. ${rejected} looks gave no sighting.`
-    : "No sighting with a calibration to compare it with yet.";
+    ? `RMSE of the last ${known.length} accepted sightings: ${telling(rmse(known, "distance_px"), " px")}, ${telling(rmse(known, "distance_deg"), "°")}.`
+    : "No accepted sighting with a calibration to compare it with yet.";
   $("plots").hidden = !known.length;
   if (!known.length) return;
   const series = unit === "px"
@@ -24,6 +23,11 @@ export function drawResiduals(points, overlay, size) {
     item.prepend(key);
     return item;
   }));
+}
+
+function rmse(points, field) {
+  const values = points.map((point) => point.residual[field]).filter((value) => value !== null);
+  return values.length ? Math.sqrt(values.reduce((sum, value) => sum + value ** 2, 0) / values.length) : null;
 }
 
 function drawByTime(points, series) {

@@ -6,9 +6,10 @@ const EXPECTED = "M0-4.4V-2M0 4.4V2M-4.4 0H-2M4.4 0H2M2.7 0A2.7 2.7 0 1 1-2.7 0A
 const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
 
 export async function showImage(status) {
-  const stamp = status.last_frame_at ?? "";
+  const stamp = status.last_frame_at ?? "none since the start";
   const image = $("image");
-  if (!stamp || image.dataset.stamp === stamp) return;
+  if (image.dataset.stamp === stamp) return;
+  image.dataset.stamp = stamp;
   const address = await askImage("/v1/image/latest");
   if (!address) return;
   const next = new Image();
@@ -16,7 +17,6 @@ export async function showImage(status) {
   await next.decode();
   const before = image.src;
   image.src = address;
-  image.dataset.stamp = stamp;
   image.hidden = false;
   $("no-image").hidden = true;
   if (before) URL.revokeObjectURL(before);

@@ -1,0 +1,134 @@
+"""What clients make the service hold while they send or read: bounded in all, and shared fairly among addresses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from http import HTTPStatus
+from types import TracebackType
+from typing import Self
+
+from starlette.types import Message, Receive, Scope, Send
+
+from sunarc.api.problems import Fault, RefusedError, UnreadError
+
+
+class Holdings:
+    """Keeps the sum of what is held within a limit.
+
+    Where room is short, an address that holds less than another takes it from that one, whose oldest request is ended;
+    an address that holds the most is refused instead. So nobody keeps others out by holding on.
+
+    Parameters
+    ----------
+    limit : of the sum, in bytes or pieces.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._open: dict[Holding, None] = {}  # in the order in which they were opened
+        self._of_client: Counter[str | None] = Counter()
+
+    def open(self, client: str | None) -> Holding:
+        """Return an empty holding of a client's request; a context manager. On the event loop alone."""
+        return Holding(self, client)
+
+    def enter(self, holding: Holding) -> None:
+        """Begin to count a holding."""
+        self._open[holding] = None
+
+    def leave(self, holding: Holding) -> None:
+        """Count a holding no longer."""
+        self._open.pop(holding, None)
+        self._of_client[holding.client] -= holding.amount
+        if not self._of_client[holding.client]:
+            del self._of_client[holding.client]
+        holding.amount = 0
+
+    def grow(self, holding: Holding, amount: int) -> None:
+        """Count more of a holding; RefusedError (429) where there is no room, nor an address that holds more."""
+        while self._of_client.total() + amount > self._limit:
+            heaviest, most = self._of_client.most_common(1)[0] if self._of_client else (holding.client, 0)
+            if self._of_client[holding.client] + amount >= most:
+                fault = Fault(field="request", problem="too much at once", remedy="ask again in a second, or in parts")
+                raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+            oldest = next(one for one in self._open if one.client == heaviest and one.amount)
+            self.leave(oldest)
+            oldest.end()
+        holding.amount += amount
+        self._of_client[holding.client] += amount
+
+
+class Holding:
+    """What one request holds.
+
+    Parameters
+    ----------
+    holdings : where it is counted.
+    client : whose it is.
+    """
+
+    def __init__(self, holdings: Holdings, client: str | None) -> None:
+        self._holdings = holdings
+        self._until: asyncio.Timeout | None = None
+        self.client = client
+        self.amount = 0
+        self.ended = False
+
+    def __enter__(self) -> Self:
+        self._holdings.enter(self)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, stack: TracebackType | None
+    ) -> None:
+        self._holdings.leave(self)
+
+    def grow(self, amount: int) -> None:
+        """Hold more; see `Holdings.grow`."""
+        if not self.ended:
+            self._holdings.grow(self, amount)
+
+    def ends(self, until: asyncio.Timeout) -> None:
+        """Say what ends the request when another takes its room."""
+        self._until = until
+
+    def end(self) -> None:
+        """End the request: another took its room."""
+        self.ended = True
+        if self._until is not None:
+            self._until.reschedule(asyncio.get_running_loop().time())
+
+
+async def answer_held(
+    holding: Holding, answer: Callable[[Send], Awaitable[None]], *, scope: Scope, receive: Receive, send: Send
+) -> None:
+    """Answer a request until its holding is ended: then with 503, or by cutting off the answer that has begun.
+
+    Parameters
+    ----------
+    holding : what the request holds.
+    answer : answers it, by what it is given.
+    scope, receive, send : of the request.
+    """
+    started = False
+
+    async def sending(message: Message) -> None:
+        nonlocal started
+        started = True
+        await send(message)
+
+    try:
+        async with asyncio.timeout(None) as until:
+            holding.ends(until)
+            await answer(sending)
+    except TimeoutError:
+        if not holding.ended:
+            raise
+        if not started:
+            problem, remedy = "ended, since others need the room that it held", "ask again, in parts"
+            refused = UnreadError(
+                HTTPStatus.SERVICE_UNAVAILABLE, Fault(field="request", problem=problem, remedy=remedy)
+            )
+            await refused.response(scope["path"])(scope, receive, send)

@@ -1,0 +1,68 @@
+"""Places for large computations: few at a time, by turns among addresses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict, deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from http import HTTPStatus
+
+from sunarc.api.problems import Fault, RefusedError
+
+
+class Places:
+    """Lets so many large computations run at once, so that the processors are shared; the others wait.
+
+    A place is taken when all that is computed on is there, and left when the numbers are: not while a request is being
+    sent, nor while its answer is being read. Addresses that wait take turns.
+
+    Parameters
+    ----------
+    most : how many run; an address of which more requests wait than that is refused (429).
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._free = most
+        self._waiting: OrderedDict[str | None, deque[asyncio.Future[None]]] = OrderedDict()
+
+    def require_room(self, client: str | None) -> None:
+        """Raise RefusedError (429) where too much of an address waits already. On the event loop alone."""
+        if len(self._waiting.get(client, ())) >= self._most:
+            fault = Fault(field="request", problem="too many large requests at once", remedy="ask again in a second")
+            raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+
+    @asynccontextmanager
+    async def place(self, client: str | None) -> AsyncIterator[None]:
+        """Wait for a place, and hold it. On the event loop alone."""
+        await self._take(client)
+        try:
+            yield
+        finally:
+            self._leave()
+
+    async def _take(self, client: str | None) -> None:
+        if self._free:
+            self._free -= 1
+            return
+        turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(client, deque()).append(turn)
+        try:
+            await turn
+        except asyncio.CancelledError:
+            if turn.done() and not turn.cancelled():
+                self._leave()  # it was handed a place in the same moment
+            raise
+
+    def _leave(self) -> None:
+        """Hand the place to the address whose turn it is."""
+        while self._waiting:
+            client, turns = self._waiting.popitem(last=False)
+            turn = turns.popleft()
+            if turns:
+                self._waiting[client] = turns
+            if not turn.done():
+                turn.set_result(None)
+                return
+        self._free += 1

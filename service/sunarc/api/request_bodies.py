@@ -1,0 +1,133 @@
+"""Bodies of requests, read whole before anything is done with them: how large, how slow, how much memory."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from http import HTTPStatus
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from sunarc.api.client_address import client_network
+from sunarc.api.holdings import Holding, Holdings, answer_held
+from sunarc.api.options import MIN_RATE_BYTES_PER_S
+from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
+
+_WITHOUT_BODY = frozenset({"GET", "HEAD", "OPTIONS"})
+
+
+class BodyReader:
+    """Reads the body of a request, and hands the request on when it is there; nothing is occupied by one that is not.
+
+    Parameters
+    ----------
+    app : what is behind it.
+    max_body_bytes, max_array_bytes : a larger body, or one of .npy, is refused (413).
+    within_s : a body that is not there after so many seconds, and of which in so many seconds hardly any more came, is
+        refused (408).
+    holdings : bounds the memory of all bodies.
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, max_body_bytes: int, max_array_bytes: int, within_s: float, holdings: Holdings
+    ) -> None:
+        self._app = app
+        self._max_body_bytes = max_body_bytes
+        self._max_array_bytes = max_array_bytes
+        self._within_s = within_s
+        self._holdings = holdings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let one request pass when its body is there, or refuse it; end it where others need its memory more."""
+        if scope["type"] != "http" or scope["method"] in _WITHOUT_BODY:
+            await self._app(scope, receive, send)
+            return
+        with self._holdings.open(client_network(scope)) as holding:
+            answer = partial(self._pass, scope, receive, holding)
+            await answer_held(holding, answer, scope=scope, receive=receive, send=send)
+
+    async def _pass(self, scope: Scope, receive: Receive, holding: Holding, send: Send) -> None:
+        most = self._max_array_bytes if is_array(scope) else self._max_body_bytes
+        try:
+            body = await self._read(receive, holding, most)
+        except UnreadError as error:
+            await error.response(scope["path"])(scope, receive, send)
+        except RefusedError as error:
+            await refusal_response(scope["path"], error)(scope, receive, send)
+        else:
+            if body is not None:
+                scope["state"] = {**scope.get("state", {}), "holding": holding}
+                await self._app(scope, _replayed(body, receive), send)
+
+    async def _read(self, receive: Receive, holding: Holding, most: int) -> bytes | None:
+        """Return the body; None where the client went away."""
+        parts: list[bytes] = []
+        read, progress = 0, _Progress(self._within_s)
+        while True:
+            try:
+                async with asyncio.timeout_at(progress.end_s):
+                    message = await receive()
+            except TimeoutError:
+                if holding.ended:
+                    raise
+                problem = f"too little of it came within {self._within_s:g} s"
+                raise _refused(HTTPStatus.REQUEST_TIMEOUT, problem) from None
+            if message["type"] != "http.request":
+                return None
+            part = message.get("body", b"")
+            read += len(part)
+            if read > most:
+                raise too_large(most)
+            holding.grow(len(part))
+            parts.append(part)
+            if not message.get("more_body", False):
+                return b"".join(parts)
+            progress.came(len(part))
+
+
+class _Progress:
+    """Whether a body comes steadily: in each stretch of `within_s`, so many bytes as the lowest rate makes.
+
+    Attributes
+    ----------
+    end_s : when the present stretch ends, by the event loop's time.
+    """
+
+    def __init__(self, within_s: float) -> None:
+        self._within_s = within_s
+        self._came = 0
+        self.end_s = asyncio.get_running_loop().time() + within_s
+
+    def came(self, count: int) -> None:
+        """Count bytes; a stretch with enough of them begins anew."""
+        self._came += count
+        if self._came >= self._within_s * MIN_RATE_BYTES_PER_S:
+            self._came, self.end_s = 0, asyncio.get_running_loop().time() + self._within_s
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    given = False
+
+    async def replaying() -> Message:
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return replaying
+
+
+def is_array(scope: Scope) -> bool:
+    """Return whether a request says that its body is .npy."""
+    kind: bytes = next((value for name, value in scope["headers"] if name == b"content-type"), b"")
+    return kind.partition(b";")[0].strip().lower() == b"application/x-npy"
+
+
+def too_large(most: int) -> UnreadError:
+    """Return the refusal of a body that is too large."""
+    return _refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"larger than {most} bytes")
+
+
+def _refused(status: HTTPStatus, problem: str) -> UnreadError:
+    return UnreadError(status, Fault(field="body", problem=problem, remedy="send it in parts"))

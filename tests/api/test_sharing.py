@@ -1,0 +1,147 @@
+"""Places and memory are shared among addresses; who holds the most gives way."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+import pytest
+
+from sunarc.api.holdings import Holding, Holdings
+from sunarc.api.places import Places
+from sunarc.api.problems import RefusedError
+
+
+def run(scenario: Coroutine[Any, Any, None]) -> None:
+    asyncio.run(asyncio.wait_for(scenario, 10.0))
+
+
+async def settle() -> None:
+    """Let every task do what it can."""
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+def test_no_more_are_computed_at_once_than_there_are_places() -> None:
+    async def scenario() -> None:
+        places, running, most = Places(3), 0, 0
+
+        async def computing(client: str) -> None:
+            nonlocal running, most
+            async with places.place(client):
+                running += 1
+                most = max(most, running)
+                await asyncio.sleep(0)
+                running -= 1
+
+        await asyncio.gather(*(computing(str(number % 4)) for number in range(40)))
+        assert (most, running) == (3, 0)
+
+    run(scenario())
+
+
+def test_addresses_that_wait_take_turns() -> None:
+    async def scenario() -> None:
+        places, order, go = Places(1), [], asyncio.Event()
+
+        async def computing(client: str) -> None:
+            async with places.place(client):
+                await go.wait()
+                order.append(client)
+
+        tasks = [asyncio.create_task(computing(client)) for client in "aaaab"]
+        await settle()
+        go.set()
+        await asyncio.gather(*tasks)
+        assert "".join(order) in {"aabaa", "abaaa"}
+
+    run(scenario())
+
+
+def test_of_an_address_no_more_wait_than_there_are_places_and_another_still_may() -> None:
+    async def scenario() -> None:
+        places, go = Places(2), asyncio.Event()
+
+        async def computing(client: str) -> None:
+            places.require_room(client)
+            async with places.place(client):
+                await go.wait()
+
+        tasks = []
+        for _ in range(4):  # two run, two wait
+            tasks.append(asyncio.create_task(computing("a")))
+            await settle()
+        with pytest.raises(RefusedError) as refused:
+            places.require_room("a")
+        assert (refused.value.status, refused.value.headers) == (429, {"retry-after": "1"})
+        places.require_room("b")
+        go.set()
+        await asyncio.gather(*tasks)
+
+    run(scenario())
+
+
+def test_who_goes_away_while_waiting_leaves_no_place_taken() -> None:
+    async def scenario() -> None:
+        places = Places(1)
+
+        async def computing() -> None:
+            async with places.place("a"):
+                await asyncio.sleep(3600.0)
+
+        tasks = [asyncio.create_task(computing()) for _ in range(5)]
+        await settle()
+        for task in tasks:
+            task.cancel()
+            await settle()
+        async with places.place("b"):
+            assert all(task.cancelled() for task in tasks)
+
+    run(scenario())
+
+
+def test_the_address_that_holds_the_most_loses_its_oldest_to_one_that_holds_less() -> None:
+    async def scenario() -> None:
+        holdings = Holdings(100)
+
+        async def holding(client: str, amount: int, made: list[Holding]) -> None:
+            with holdings.open(client) as mine:
+                made.append(mine)
+                mine.grow(amount)
+                async with asyncio.timeout(None) as until:
+                    mine.ends(until)
+                    await asyncio.sleep(3600.0)
+
+        made: list[Holding] = []
+        tasks = [asyncio.create_task(holding(client, 30, made)) for client in ("a", "a", "b")]
+        await settle()
+        with holdings.open("a") as more, pytest.raises(RefusedError) as refused:
+            more.grow(11)  # it would hold the most itself
+        assert refused.value.status == 429
+        with holdings.open("c") as other:
+            other.grow(11)
+            await settle()
+            assert [one.ended for one in made] == [True, False, False]
+            with pytest.raises(TimeoutError):
+                await tasks[0]
+        for task in tasks[1:]:
+            task.cancel()
+        await asyncio.wait(tasks)
+        with holdings.open("d") as all_of_it:
+            all_of_it.grow(100)  # what was held was given back, once
+
+    run(scenario())
+
+
+def test_equals_do_not_end_one_another() -> None:
+    async def scenario() -> None:
+        holdings = Holdings(2)
+        with holdings.open("a") as one, holdings.open("b") as two, holdings.open("c") as three:
+            one.grow(1)
+            two.grow(1)
+            with pytest.raises(RefusedError):
+                three.grow(1)
+            assert not one.ended
+
+    run(scenario())
