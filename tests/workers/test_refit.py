@@ -204,6 +204,17 @@ def test_a_child_that_was_killed_is_told_from_one_that_failed() -> None:
         solve_and_kill(threading.Event())
 
 
+def test_a_child_that_dies_before_it_has_read_its_problem_is_one_that_was_killed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(_self: object) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", broken)
+    with pytest.raises(SolverDiedError):
+        solve_and_kill(threading.Event())
+
+
 def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinished() -> None:
     stop = threading.Event()
     later = threading.Timer(0.8, stop.set)

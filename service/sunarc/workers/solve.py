@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, SunPoints, calibrate
@@ -63,19 +64,20 @@ def solve_in_child(
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_solve, args=(sending, problem), name="solve", daemon=True)
-    process.start()
-    sending.close()
     try:
+        process.start()
+        sending.close()
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
-    except EOFError:
-        process.join(_STOP_FOLLOWS_S)
+    except (EOFError, BrokenPipeError):  # it died before it answered, or before it had read its problem
+        exit_code = _exit_code(process)
         if clock.wait(stop, _STOP_FOLLOWS_S):  # both are ended by one stop, the child a moment before this is told
             return None
-        raise SolverDiedError(f"the solving process died ({_end(process.exitcode)}); see the log") from None
+        raise SolverDiedError(f"the solving process died ({_end(exit_code)}); see the log") from None
     finally:
         receiving.close()
-        process.kill()
-        process.join()
+        if process.pid is not None:
+            process.kill()
+            process.join()
 
 
 def _answer(
@@ -97,6 +99,13 @@ def _answer(
         if monotonic() > end:
             raise SolveFailedError(f"the solve took longer than {time_limit_s:g} s")
     return None
+
+
+def _exit_code(process: SpawnProcess) -> int | None:
+    if process.pid is None:  # it died while it was being started
+        return None
+    process.join(_STOP_FOLLOWS_S)
+    return process.exitcode
 
 
 def _end(exit_code: int | None) -> str:
