@@ -1,6 +1,6 @@
 """The same calibration in others' formats; each says how far it is from ours.
 
-sky.py: where they are compared · opencv.py, ocam.py, mrcal.py: others' models, fitted to ours · tables.py: NetCDF and
+sky.py: where they are compared · opencv.py, ocam.py, asi_core.py, mrcal.py: others' models, fitted to ours · tables.py: NetCDF and
 npz, of a calibration and of the map of what every pixel sees · formats.py: all of them by name.
 """
 
