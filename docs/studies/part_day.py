@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
 from sunarc.optics import local_stretch, project
+from sunarc.simulation import true_camera
 from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -24,10 +25,12 @@ FloatArray = NDArray[np.float64]
 _CHI_SQUARE_95 = 5.991
 
 
-def one_lens(seed: int, *, hours: float, sigma_px: float, field_px: float) -> tuple[float, float, float, bool]:
+def one_lens(
+    seed: int, *, hours: float, sigma_px: float, field_px: float, simulator: bool = False
+) -> tuple[float, float, float, bool]:
     """Return the true and the stated error over the sky (degrees), the share covered, and the verdict."""
     rng = np.random.default_rng(seed)
-    truth = pop.random_camera(rng)
+    truth = true_camera(seed - 1000) if simulator else pop.random_camera(rng)
     count = round(hours * 12.0)
     times = pop.sun_track(np.zeros(1), cadence_s=300.0)[:count]
     field = pop.smooth_field(np.random.default_rng(seed), amplitude_px=field_px, length_px=425.0)
@@ -55,6 +58,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, action="append")
     parser.add_argument("--sigma", type=float, action="append")
     parser.add_argument("--field", type=float, action="append")
+    parser.add_argument("--simulator", action="store_true", help="the lenses of `sunarc simulate --lens-seed`")
     parser.add_argument("--verbose", action="store_true")
     chosen = parser.parse_args()
     print(f"{'hours':>6s}{'sigma':>7s}{'field':>7s}{'true':>9s}{'stated':>9s}{'cover':>8s}{'P25':>8s}{'served':>8s}")
@@ -62,7 +66,12 @@ def main() -> None:
         for sigma in chosen.sigma or (0.003, 0.03):
             for field in chosen.field or (0.0, 0.1, 0.3):
                 seeds = range(1000 + chosen.first, 1000 + chosen.first + chosen.lenses)
-                found = np.array([one_lens(s, hours=hours, sigma_px=sigma, field_px=field) for s in seeds])
+                found = np.array(
+                    [
+                        one_lens(s, hours=hours, sigma_px=sigma, field_px=field, simulator=chosen.simulator)
+                        for s in seeds
+                    ]
+                )
                 if chosen.verbose:
                     print(np.round(found, 3))
                 true, stated, cover, served = found.T

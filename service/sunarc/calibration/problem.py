@@ -85,8 +85,8 @@ class Problem:
     template : projection, image size and handedness; its parameters do not count.
     prior : what is known of the lens.
     n_epochs : number of poses.
-    n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction, one
-        for each cause, in units of `Observations.refraction_sd`.
+    n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
+        one for each cause, in units of `Observations.refraction_sd`.
     """
 
     template: Camera

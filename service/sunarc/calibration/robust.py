@@ -156,7 +156,9 @@ def _in_assumed_air(
     """Return the state with the air as it is assumed, unless the sightings prove another one."""
     information, assumed = noise.information(seen), replace(problem, n_air=0)
     system = linear_system(problem, seen, bins, state.unknowns, information=information, basis=grid.basis)
-    known = linear_system(assumed, seen, bins, state.unknowns[: assumed.size], information=information, basis=grid.basis)
+    known = linear_system(
+        assumed, seen, bins, state.unknowns[: assumed.size], information=information, basis=grid.basis
+    )
     if log_evidence(system.normal(), grid) - log_evidence(known.normal(), grid) > _PROOF_OF_AIR:
         return state
     scales = likely_scales(known.normal(), grid)

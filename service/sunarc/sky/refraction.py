@@ -1,7 +1,7 @@
 """Astronomical refraction: how large it is, how well it is known, and directions in other air.
 
 References: G. Bennett, "The calculation of astronomical refraction in marine navigation", Journal of Navigation 35
-(1982); the dependence on pressure and temperature is that of the solar position algorithm (I. Reda and A. Andreas 2004).
+(1982); pressure and temperature enter as in the solar position algorithm (I. Reda and A. Andreas 2004).
 """
 
 from __future__ import annotations
