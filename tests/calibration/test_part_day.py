@@ -6,13 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tests.calibration.conftest import times_of
 
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
 from sunarc.calibration import robust as robust_module
 from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_directions
-from tests.calibration.conftest import times_of
 
 _CHI_SQUARE_95 = 5.991
 

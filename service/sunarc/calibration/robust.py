@@ -30,6 +30,7 @@ from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
 from sunarc.calibration.scales import Grid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.solve import information, most_probable
+from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -98,13 +99,7 @@ def fit_robustly(
     problem: Problem, seen: Observations, usable: Usable, start: FloatArray, *, options: CalibrationOptions
 ) -> RobustFit:
     """Return the fit of all sightings from a start in the right valley."""
-    grid = scale_grid(
-        width=problem.template.width,
-        height=problem.template.height,
-        floor_px=options.field_floor_px,
-        radial_px=options.tolerances.radial_px,
-        decentering_px=options.tolerances.decentering_px,
-    )
+    grid = _grid(problem.template, options)
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     follows = neighbours(usable.unix_s, run)
     n_air = seen.refraction_sd.shape[1]
@@ -118,7 +113,7 @@ def fit_robustly(
             problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis
         )
         state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
-    state = _in_assumed_air(problem, seen, bins, noise, state, grid)
+    state = _in_assumed_air(problem, seen.weighted(noise.information(seen)), bins, state, grid)
     system = linear_system(problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis)
     gaussian = doubt(system.normal(), grid, problem, state.unknowns)
     return RobustFit(
@@ -132,6 +127,16 @@ def fit_robustly(
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
+    )
+
+
+def _grid(template: Camera, options: CalibrationOptions) -> Grid:
+    return scale_grid(
+        width=template.width,
+        height=template.height,
+        floor_px=options.field_floor_px,
+        radial_px=options.tolerances.radial_px,
+        decentering_px=options.tolerances.decentering_px,
     )
 
 
@@ -150,14 +155,12 @@ def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: 
     return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales)
 
 
-def _in_assumed_air(
-    problem: Problem, seen: Observations, bins: Bins, noise: _Noise, state: _State, grid: Grid
-) -> _State:
-    """Return the state with the air as it is assumed, unless the sightings prove another one."""
-    information, assumed = noise.information(seen), replace(problem, n_air=0)
-    system = linear_system(problem, seen, bins, state.unknowns, information=information, basis=grid.basis)
-    known = linear_system(
-        assumed, seen, bins, state.unknowns[: assumed.size], information=information, basis=grid.basis
+def _in_assumed_air(problem: Problem, seen: Observations, bins: Bins, state: _State, grid: Grid) -> _State:
+    """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
+    assumed = replace(problem, n_air=0)
+    system, known = (
+        linear_system(each, seen, bins, state.unknowns[: each.size], information=seen.information, basis=grid.basis)
+        for each in (problem, assumed)
     )
     if log_evidence(system.normal(), grid) - log_evidence(known.normal(), grid) > _PROOF_OF_AIR:
         return state
