@@ -126,7 +126,7 @@ def test_asi_core_takes_the_file_by_its_own_rules(document: dict[str, Any], came
     assert (inner["c"], inner["d"], inner["e"]) == (-1.0 if camera.mirrored else 1.0, 0.0, 0.0)
     assert 1670 < inner["diameter"] < 1730  # 2 · 601.32 · √2 = 1701, and the radial distortion
     name = told["camera_mask_file"]
-    mask = scipy.io.loadmat(io.BytesIO(exported.beside[name]))["Mask"][0][0][0]
+    mask = scipy.io.loadmat(io.BytesIO(exported.beside[name]))["Mask"][0][0][0]  # type: ignore[arg-type]
     assert mask.shape == (camera.height, camera.width)
     lookup_x = camera.width - 1 - 872 if camera.mirrored else 872
     assert (mask[803, lookup_x], mask[0, 0]) == (1, 0)

@@ -74,7 +74,7 @@ def mask_mat(found: BackProjectionMap) -> bytes:
     with np.errstate(invalid="ignore"):
         shown = np.asarray(found.zenith_deg <= _HORIZON_DEG).astype(np.uint8)
     target = io.BytesIO()
-    scipy.io.savemat(target, {"Mask": shown[None, None, None]}, do_compression=True)
+    scipy.io.savemat(target, {"Mask": shown[None, None, None]}, do_compression=True)  # type: ignore[arg-type]
     return target.getvalue()
 
 
