@@ -68,3 +68,21 @@ def test_a_number_that_is_not_known_is_an_empty_cell() -> None:
         file, {"x_px": np.array([1.5, np.nan]), "inside": np.array([1.0, 0.0])}, places={"x_px": 3, "inside": 0}
     )
     assert file.getvalue() == "x_px,inside\n1.500,1\n,0\n"
+
+
+def test_measured_air_comes_with_the_sightings() -> None:
+    lines = [
+        "time_utc,x_px,y_px,temperature_c,pressure_hpa",
+        "2013-05-13T12:00:00Z,900.5,871.2,35.5,975",
+        "2013-05-13T12:00:30Z,901.5,871.3,,",
+    ]
+    table = read_sightings(lines, name="air.csv")
+    assert (table.temperature[0], table.pressure[0]) == (35.5, 97_500.0)
+    assert np.isnan([table.temperature[1], table.pressure[1]]).all()
+
+
+@pytest.mark.parametrize(("cells", "column"), [("308.5,975", "temperature_c"), ("35.5,97500", "pressure_hpa")])
+def test_air_in_other_units_is_refused(cells: str, column: str) -> None:
+    lines = ["time_utc,x_px,y_px,temperature_c,pressure_hpa", f"2013-05-13T12:00:00Z,900.5,871.2,{cells}"]
+    with pytest.raises(InputError, match=column):
+        read_sightings(lines, name="air.csv")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 import yaml
 from tests.exports.conftest import FloatArray, document_of, worst_stated_px
 
@@ -102,13 +104,43 @@ def test_asi_core_sees_each_pixel_where_we_see_it(document: dict[str, Any], came
     directions, pixels = sky
     back = ocam.cam2world(pixels[:, ::-1]) @ turn.T
     apart = np.linalg.norm(project(camera, back) - pixels, axis=-1)
-    assert np.nanmax(apart) < 1.1 * backward_stated_px(exported.error) < 1.0
+    assert np.nanmax(apart) < 1.1 * backward_stated_px(exported.error) < 6.0  # four coefficients can no more
+    assert np.sqrt(np.nanmean(apart**2)) < 1.5
     off = ocam.world2cam(directions @ turn)[:, ::-1] - pixels
     assert np.linalg.norm(off, axis=-1).max() < 1.05 * worst_stated_px(exported.error)
     assert (told["camera_name"], told["latitude"]) == ("the roof's", 36.604043)
     assert told["mounted"].year == 2013
     assert all(isinstance(value, float) for value in told["internal_calibration"]["ss"])
     assert exported.error in exported.content.decode()
+
+
+def test_asi_core_takes_the_file_by_its_own_rules(document: dict[str, Any], camera: Camera) -> None:
+    exported = export(document, "asi-core")
+    told = yaml.safe_load(exported.content)
+    required = ("camera_name", "camera_model", "camera_mask_file", "timezone", "mounted", "demounted")
+    assert all(told[name] for name in required)
+    assert all(isinstance(told[name], float) for name in ("latitude", "longitude", "altitude", "min_ele_evaluated"))
+    inner = told["internal_calibration"]
+    assert all(isinstance(inner[name], int) for name in ("width", "height", "diameter"))
+    assert len(inner["ss"]) == 4
+    assert (inner["c"], inner["d"], inner["e"]) == (-1.0 if camera.mirrored else 1.0, 0.0, 0.0)
+    assert 1670 < inner["diameter"] < 1730  # 2 · 601.32 · √2 = 1701, and the radial distortion
+    name = told["camera_mask_file"]
+    mask = scipy.io.loadmat(io.BytesIO(exported.beside[name]))["Mask"][0][0][0]  # type: ignore[arg-type]
+    assert mask.shape == (camera.height, camera.width)
+    lookup_x = camera.width - 1 - 872 if camera.mirrored else 872
+    assert (mask[803, lookup_x], mask[0, 0]) == (1, 0)
+
+
+@pytest.mark.parametrize("wanted", ["ocamcalib", "asi-core"])
+def test_no_rotation_and_no_scale_hide_in_the_affine_part(document: dict[str, Any], wanted: Any) -> None:  # noqa: ANN401
+    content = export(document, wanted).content.decode()
+    ocam = (read_calib_results if wanted == "ocamcalib" else read_asi_core)(content)[0]
+    plane = np.array([[ocam.c, ocam.d], [ocam.e, 1.0]])
+    if np.linalg.det(plane) < 0.0:
+        plane = plane @ np.diag([-1.0, 1.0])  # mirrored
+    assert abs(plane[0, 1] - plane[1, 0]) < 1e-9
+    assert np.linalg.norm(plane - np.eye(2)) < 5e-3
 
 
 def test_asi_cores_azimuth_matrix_runs_counter_clockwise_from_east(straight: dict[str, Any]) -> None:
@@ -118,8 +150,8 @@ def test_asi_cores_azimuth_matrix_runs_counter_clockwise_from_east(straight: dic
     theirs_deg = math.degrees(math.atan2(north, east))  # as its cartesian_to_spherical(x=east, y=north, z=up)
     ours = unproject(from_document(straight).camera, pixel)
     zenith, azimuth = angles_from_direction(ours)
-    assert (90.0 - theirs_deg) % 360.0 == pytest.approx(float(azimuth[0]), abs=0.05)
-    assert math.degrees(math.acos(up)) == pytest.approx(float(zenith[0]), abs=0.05)
+    assert (90.0 - theirs_deg) % 360.0 == pytest.approx(float(azimuth[0]), abs=0.1)
+    assert math.degrees(math.acos(up)) == pytest.approx(float(zenith[0]), abs=0.1)
 
 
 def test_the_centre_of_asi_core_is_the_row_first(straight: dict[str, Any]) -> None:
@@ -142,5 +174,5 @@ def test_a_sky_with_north_on_top_has_west_on_its_right_there_too() -> None:
     top_and_right = np.array([[300.0, 500.0], [500.0, 700.0]])  # rows and columns
     found = ocam.cam2world(top_and_right) @ turn.T
     wanted = direction_from_angles(zenith_deg=[math.degrees(2 / 3)] * 2, azimuth_deg=[0.0, 270.0])
-    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    np.testing.assert_allclose(found, wanted, atol=1e-3)
     assert np.linalg.norm(rotation_matrix(level.rotation_cam_enu)[2] - [0, 0, 1]) < 1e-12

@@ -1,54 +1,47 @@
+"""Refraction as a function of the apparent direction, against the solar position algorithm's own."""
+
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sunarc.sky import Site, angles_from_direction, sun_angles, sun_directions
+from sunarc.sky import (
+    Site,
+    angles_from_direction,
+    direction_from_angles,
+    raised,
+    refraction_rad,
+    sun_angles,
+    sun_directions,
+)
 
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
-DAY = datetime(2026, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 30.0)
+TIMES = 1_368_403_200.0 + np.arange(0.0, 86_400.0, 600.0)
 
 
-def bennett_deg(true_altitude_deg: np.ndarray, site: Site) -> np.ndarray:
-    """Bennett's refraction for a true altitude, as the algorithm's Eq. 42 prints it."""
-    bent = 1.02 / (60.0 * np.tan(np.radians(true_altitude_deg + 10.3 / (true_altitude_deg + 5.11))))
-    return np.asarray(site.pressure_pa / 100.0 / 1010.0 * 283.0 / (273.0 + site.temperature) * bent)
+@pytest.mark.parametrize("temperature", [-5.0, 12.0, 35.0])
+def test_it_is_that_of_the_algorithm(temperature: float) -> None:
+    site = replace(SITE, temperature=temperature)
+    angles = sun_angles(TIMES, site)
+    up = angles.apparent_zenith < 90.0
+    found = np.degrees(refraction_rad(sun_directions(TIMES, site)[up], site))
+    np.testing.assert_allclose(found, (angles.zenith - angles.apparent_zenith)[up], rtol=0.05, atol=2e-4)
 
 
-def test_the_sun_is_lifted_by_bennetts_formula() -> None:
-    angles = sun_angles(DAY, SITE)
-    up = angles.zenith < 90.0
-    np.testing.assert_allclose(
-        (angles.zenith - angles.apparent_zenith)[up], bennett_deg(90.0 - angles.zenith[up], SITE), atol=1e-9
-    )
+def test_raised_directions_stand_higher_by_the_angle() -> None:
+    directions = direction_from_angles(zenith_deg=[10.0, 60.0, 89.0], azimuth_deg=[0.0, 100.0, 300.0])
+    zenith, azimuth = angles_from_direction(raised(directions, np.radians([0.1, 0.2, 0.3])))
+    np.testing.assert_allclose(zenith, [9.9, 59.8, 88.7], atol=1e-9)
+    np.testing.assert_allclose((azimuth + 1.0) % 360.0, [1.0, 101.0, 301.0], atol=1e-9)
 
 
-def test_at_the_horizon_it_is_lifted_by_half_a_degree() -> None:
-    angles = sun_angles(DAY, SITE)
-    lift = (angles.zenith - angles.apparent_zenith)[np.argmin(np.abs(angles.zenith - 90.0))]
-    assert float(lift) == pytest.approx(0.46, abs=0.03)
-
-
-def test_far_below_the_horizon_it_is_not_lifted() -> None:
-    angles = sun_angles(DAY, SITE)
-    night = angles.zenith > 91.0
-    assert night.sum() > 500
-    np.testing.assert_array_equal(angles.apparent_zenith[night], angles.zenith[night])
-
-
-def test_directions_are_the_apparent_ones() -> None:
-    zenith_deg, azimuth_deg = angles_from_direction(sun_directions(DAY, SITE))
-    angles = sun_angles(DAY, SITE)
-    np.testing.assert_allclose(zenith_deg, angles.apparent_zenith, atol=1e-9)
-    np.testing.assert_allclose(azimuth_deg, angles.azimuth, atol=1e-9)
-
-
-def test_thin_warm_air_bends_less() -> None:
-    thin = Site(latitude=SITE.latitude, longitude=SITE.longitude, pressure=60_000.0, temperature=30.0)
-    lift, thin_lift = (a.zenith - a.apparent_zenith for a in (sun_angles(DAY, SITE), sun_angles(DAY, thin)))
-    up = sun_angles(DAY, SITE).zenith < 89.0
-    np.testing.assert_allclose(
-        thin_lift[up] / lift[up], (60_000.0 / SITE.pressure_pa) * (273.0 + 12.0) / (273.0 + 30.0), rtol=2e-3
-    )
+def test_measured_air_is_used_where_it_is_given() -> None:
+    warm = sun_angles(TIMES, replace(SITE, temperature=35.0, pressure=99_000.0)).apparent_zenith
+    every_other = np.where(np.arange(TIMES.size) % 2 == 0, 35.0, np.nan)
+    pressure = np.where(np.isfinite(every_other), 99_000.0, np.nan)
+    found = sun_angles(TIMES, SITE, temperature=every_other, pressure=pressure).apparent_zenith
+    assumed = sun_angles(TIMES, SITE).apparent_zenith
+    np.testing.assert_array_equal(found[::2], warm[::2])
+    np.testing.assert_array_equal(found[1::2], assumed[1::2])

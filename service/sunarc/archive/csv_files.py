@@ -18,6 +18,9 @@ FloatArray = NDArray[np.float64]
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
+_TEMPERATURES_C = (-90.0, 60.0)
+_PRESSURES_HPA = (300.0, 1100.0)
+"""As `Site` takes them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,15 +32,20 @@ class SightingTable:
     unix_s : (n,) mid-exposure, seconds since 1970-01-01 UTC.
     pixels : (n, 2) px.
     sigma_px : (n,) 1-sigma per axis; NaN where the file states none.
+    temperature, pressure : (n,) of the air, °C and Pa; NaN where the file states none.
     """
 
     unix_s: FloatArray
     pixels: FloatArray
     sigma_px: FloatArray
+    temperature: FloatArray
+    pressure: FloatArray
 
 
 def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
-    """Read `time_utc,x_px,y_px[,sigma_px][,body]` (ISO 8601 with Z, header required; other columns are ignored).
+    """Read `time_utc,x_px,y_px[,sigma_px][,body][,temperature_c][,pressure_hpa]`.
+
+    Times are ISO 8601 with Z; the header is required, other columns are ignored.
 
     Parameters
     ----------
@@ -48,7 +56,7 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
     ------
     InputError : naming the line and column, the problem and the remedy.
     """
-    rows: list[tuple[float, float, float, float]] = []
+    rows: list[tuple[float, ...]] = []
     for where, row in _rows(lines, name=name, required=_REQUIRED):
         body = row.get("body") or "sun"
         if body != "sun":
@@ -59,10 +67,18 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
                 _number(row["x_px"], where=f"{where}, x_px"),
                 _number(row["y_px"], where=f"{where}, y_px"),
                 _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
+                _between(row.get("temperature_c"), *_TEMPERATURES_C, where=f"{where}, temperature_c"),
+                100.0 * _between(row.get("pressure_hpa"), *_PRESSURES_HPA, where=f"{where}, pressure_hpa"),
             )
         )
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    return SightingTable(unix_s=columns[:, 0], pixels=columns[:, 1:3], sigma_px=columns[:, 3])
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    return SightingTable(
+        unix_s=columns[:, 0],
+        pixels=columns[:, 1:3],
+        sigma_px=columns[:, 3],
+        temperature=columns[:, 4],
+        pressure=columns[:, 5],
+    )
 
 
 def write_sightings(target: TextIO, rows: Iterable[tuple[datetime, float, float, float | None, str]]) -> int:
@@ -84,6 +100,16 @@ def read_pairs(lines: Iterable[str], *, columns: tuple[str, str], name: str) -> 
         for where, row in _rows(lines, name=name, required=columns)
     ]
     return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def _between(text: str | None, low: float, high: float, *, where: str) -> float:
+    """Return a number within limits; NaN for an empty cell."""
+    if not (text or "").strip():
+        return math.nan
+    value = _number(str(text), where=where)
+    if not low <= value <= high:
+        raise InputError(field=where, problem=f"{value:g} is not within {low:g} to {high:g}", remedy="correct the cell")
+    return value
 
 
 def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dict[str, int]) -> None:

@@ -42,10 +42,17 @@ class Bins:
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
         pixels = np.stack([self._sums(share * seen.pixels[:, i]) for i in range(2)], axis=-1)
         mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
+        refraction = np.stack([self._sums(share * column) for column in seen.refraction_sd.T], axis=-1)
         first = np.searchsorted(self.member, np.arange(self.count))
         empty = total <= 0.0
         direction[empty], norm[empty], pixels[empty] = seen.directions[first[empty]], 1.0, seen.pixels[first[empty]]
-        gathered = Observations(directions=direction / norm, pixels=pixels, information=total, epoch=seen.epoch[first])
+        gathered = Observations(
+            directions=direction / norm,
+            pixels=pixels,
+            information=total,
+            epoch=seen.epoch[first],
+            refraction_sd=refraction,
+        )
         return gathered, mean
 
     def _sums(self, values: FloatArray) -> FloatArray:

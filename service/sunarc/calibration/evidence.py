@@ -45,6 +45,7 @@ class Normal:
     jj, jf, ff : (p, p), (2, p, m), (m, m) products of the derivatives and of the waves (both components share ff).
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
+    n_air : how many of the last unknowns are the refraction's, of unit prior variance.
     """
 
     jj: FloatArray
@@ -54,6 +55,11 @@ class Normal:
     fr: FloatArray
     rr: float
     at: FloatArray
+    n_air: int = 0
+
+    def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
+        """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
+        return prior_precision(self.at.size, radial_px, decentering_px, n_air=self.n_air)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +89,7 @@ def normal_sums(
     *,
     at: FloatArray,
     ff: FloatArray | None = None,
+    n_air: int = 0,
 ) -> Normal:
     """Return the sums over sightings: rows (n, 2, p), waves (n, m), residual (n, 2), information (n,).
 
@@ -101,12 +108,14 @@ def normal_sums(
         fr=np.stack([f.T @ r[:, a] for a in (0, 1)]),
         rr=float(np.sum(r**2)),
         at=at,
+        n_air=n_air,
     )
 
 
-def prior_precision(size: int, radial_px: float, decentering_px: float) -> FloatArray:
-    """Return the prior precisions of all unknowns, (size,)."""
-    return np.concatenate([precisions(radial_px, decentering_px), np.full(size - N_LENS, _POSE_PRECISION)])
+def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_air: int = 0) -> FloatArray:
+    """Return the prior precisions of all unknowns, (size,): lens, poses, and the refraction's."""
+    poses = np.full(size - N_LENS - n_air, _POSE_PRECISION)
+    return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_air)])
 
 
 def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
@@ -122,7 +131,7 @@ def marginal_fits(normal: Normal, basis: WaveBasis, choices: Sequence[Scales]) -
 
 def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
-    precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
+    precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     matrix = normal.jj - reduced.taken(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
     vector = normal.jr - reduced.explained(shrink) - precision * normal.at
     scale = 1.0 / np.sqrt(np.diag(matrix))
@@ -140,11 +149,24 @@ def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
     )
 
 
+def responses(normal: Normal, basis: WaveBasis, scales: Scales, *, jr: FloatArray, fr: FloatArray) -> FloatArray:
+    """Return (k, p): by how much the fit moves where the sightings are displaced in k ways.
+
+    Parameters
+    ----------
+    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see `Normal`.
+    """
+    reduced = _Reduced.of(normal, basis, scales.length_px)
+    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
+    explained = np.einsum("apm,m,kam->kp", reduced.rows, shrink, fr @ reduced.turn, optimize=True)
+    return np.asarray((jr - explained) @ marginal_fit(normal, basis, scales).covariance)
+
+
 def penalty(normal: Normal, basis: WaveBasis, scales: Scales) -> float:
     """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
-    precision = prior_precision(normal.at.size, scales.radial_px, scales.decentering_px)
+    precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     explained = float(np.sum(shrink * reduced.residual**2))
     return normal.rr - explained + float(np.sum(precision * normal.at**2))
 
@@ -156,7 +178,7 @@ def log_evidences(
 
     `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
     """
-    precision = np.stack([prior_precision(normal.at.size, float(r), float(d)) for r, d in lens_scales])
+    precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in lens_scales])
     each = [_log_evidence(normal, _Reduced.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
     return np.stack(each, axis=1)
 

@@ -32,6 +32,7 @@ class LinearSystem:
     wave_products : (m, m) products of the waves over the bins, the same for every camera.
     basis : the field's waves.
     member : (n,) the bin of every sighting.
+    n_air : how many of the unknowns are the refraction's.
     """
 
     seen: Observations
@@ -42,17 +43,24 @@ class LinearSystem:
     wave_products: FloatArray
     basis: WaveBasis
     member: IntArray
+    n_air: int
 
     def normal(self) -> Normal:
         """Return the sums over all bins."""
         return normal_sums(
-            self.rows, self.waves, self.residual, self.seen.information, at=self.at, ff=self.wave_products
+            self.rows,
+            self.waves,
+            self.residual,
+            self.seen.information,
+            at=self.at,
+            ff=self.wave_products,
+            n_air=self.n_air,
         )
 
     def normal_of(self, which: NDArray[np.bool_]) -> Normal:
         """Return the sums over the bins that are picked."""
         picked = self.rows[which], self.waves[which], self.residual[which], self.seen.information[which]
-        return normal_sums(*picked, at=self.at)
+        return normal_sums(*picked, at=self.at, n_air=self.n_air)
 
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
@@ -86,6 +94,7 @@ def linear_system(
         wave_products=waves.T @ (waves * gathered.information[:, None]),
         basis=basis,
         member=bins.member,
+        n_air=problem.n_air,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sunarc.errors import InputError
-from sunarc.sky import Site, sun_directions
+from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, sun_directions
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -17,6 +17,9 @@ IntArray = NDArray[np.int64]
 _LOWEST_UP = -math.sin(math.radians(1.0))
 _SECONDS_PER_DEGREE = 240.0
 _SECONDS_PER_DAY = 86_400.0
+_AIR_RUNS = 8
+"""Days, or runs of days in a longer record, whose air is taken to differ: the weather's in a short record, the season's
+in a long one, whose daily weather averages out."""
 
 
 def _unknown() -> FloatArray:
@@ -43,6 +46,7 @@ class SunPoints:
         their common scale themselves.
     epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
+    temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
     """
 
     unix_s: FloatArray
@@ -50,6 +54,8 @@ class SunPoints:
     sigma_px: FloatArray = field(default_factory=_unknown)
     epoch: IntArray = field(default_factory=_first_epoch)
     clock_error_s: FloatArray = field(default_factory=_zero)
+    temperature: FloatArray = field(default_factory=_unknown)
+    pressure: FloatArray = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
         """Refuse columns that do not belong together."""
@@ -69,7 +75,8 @@ class SunPoints:
         pixels.flags.writeable = False
         object.__setattr__(self, "unix_s", times)
         object.__setattr__(self, "pixels", pixels)
-        object.__setattr__(self, "sigma_px", _column("sigma_px", self.sigma_px, times.size))
+        for name in ("sigma_px", "temperature", "pressure"):
+            object.__setattr__(self, name, _column(name, getattr(self, name), times.size))
         object.__setattr__(self, "epoch", epoch.astype(np.int64))
         object.__setattr__(self, "clock_error_s", _column("clock_error_s", self.clock_error_s, times.size))
 
@@ -84,6 +91,8 @@ class SunPoints:
             sigma_px=self.sigma_px[which],
             epoch=self.epoch[which],
             clock_error_s=self.clock_error_s[which],
+            temperature=self.temperature[which],
+            pressure=self.pressure[which],
         )
 
 
@@ -110,6 +119,8 @@ class Usable:
     directions : (n, 3) apparent directions of the sun, east-north-up.
     sigma_px : (n,) relative 1-sigma: stated ones brought to a median of 1, unknown ones 1.
     day : (n,) local mean solar day, counted from 1970.
+    refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
+        and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
     """
 
     index: IntArray
@@ -119,6 +130,7 @@ class Usable:
     sigma_px: FloatArray
     epoch: IntArray
     day: IntArray
+    refraction_sd: FloatArray
     n_dropped: int
     dropped: tuple[str, ...]
 
@@ -141,7 +153,9 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
     finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
     directions = np.full((len(points), 3), np.nan)
-    directions[finite] = sun_directions(points.unix_s[finite], site)
+    directions[finite] = sun_directions(
+        points.unix_s[finite], site, temperature=points.temperature[finite], pressure=points.pressure[finite]
+    )
     above = finite & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
     order = np.flatnonzero(above)
     order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
@@ -161,9 +175,20 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
         sigma_px=_relative_sigma(points.sigma_px[kept]),
         epoch=points.epoch[kept],
         day=days,
+        refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], days, site),
         n_dropped=len(points) - kept.size,
         dropped=tuple(f"{n} {why}" for n, why in zip(counts, reasons, strict=True) if n),
     )
+
+
+def _refraction_sd(measured: NDArray[np.bool_], directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
+    """Return (n, k): see `Usable`."""
+    days = np.unique(day)
+    runs = min(days.size, _AIR_RUNS)
+    run = np.searchsorted(days, day) * runs // max(days.size, 1)
+    daily = DAILY_AIR_SD * (run[:, None] == np.arange(runs)) * ~measured[:, None]
+    share = np.column_stack([MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured, daily])
+    return np.asarray(refraction_rad(directions, site)[:, None] * share)
 
 
 def _relative_sigma(sigma_px: FloatArray) -> FloatArray:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.points import Usable
 from sunarc.calibration.priors import LENS, N_LENS, POSE, LensPrior
-from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast
+from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
+from sunarc.sky import raised, upward
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _UNREACHED_PX = 1e4
 """Residual of a direction that the camera cannot see."""
+
+
+def _no_refraction() -> FloatArray:
+    return np.zeros((1, 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,12 +33,19 @@ class Observations:
     pixels : (n, 2) px.
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     epoch : (n,) pose epochs, 0, 1, ….
+    refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `Usable`; 0 unless given.
     """
 
     directions: FloatArray
     pixels: FloatArray
     information: FloatArray
     epoch: IntArray
+    refraction_sd: FloatArray = field(default_factory=_no_refraction)
+
+    def __post_init__(self) -> None:
+        """Give every observation its refraction."""
+        full = np.broadcast_to(self.refraction_sd, (self.information.size, self.refraction_sd.shape[1]))
+        object.__setattr__(self, "refraction_sd", full)
 
     def __len__(self) -> int:
         return int(self.information.size)
@@ -45,6 +57,7 @@ class Observations:
             pixels=self.pixels[which],
             information=self.information[which],
             epoch=self.epoch[which],
+            refraction_sd=self.refraction_sd[which],
         )
 
     def weighted(self, information: FloatArray) -> Observations:
@@ -59,6 +72,7 @@ def observations(usable: Usable) -> Observations:
         pixels=usable.pixels,
         information=usable.sigma_px**-2.0,
         epoch=usable.epoch,
+        refraction_sd=usable.refraction_sd,
     )
 
 
@@ -71,16 +85,19 @@ class Problem:
     template : projection, image size and handedness; its parameters do not count.
     prior : what is known of the lens.
     n_epochs : number of poses.
+    n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
+        one for each cause, in units of `Observations.refraction_sd`.
     """
 
     template: Camera
     prior: LensPrior
     n_epochs: int
+    n_air: int = 0
 
     @property
     def size(self) -> int:
-        """The number of unknowns: the lens's, and three for each pose."""
-        return N_LENS + 3 * self.n_epochs
+        """The number of unknowns: the lens's, three for each pose, and those of the refraction."""
+        return N_LENS + 3 * self.n_epochs + self.n_air
 
     def pose_slice(self, epoch: int) -> slice:
         """Return where the unknowns hold an epoch's rotation."""
@@ -97,14 +114,20 @@ class Problem:
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
         poses = [camera.rotation_cam_enu for camera in cameras]
-        return np.concatenate([self.prior.whitened(cameras[0]), *poses])
+        return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_air)])
+
+    def directions(self, unknowns: FloatArray, seen: Observations) -> FloatArray:
+        """Return (n, 3): apparent directions, by the refraction that is sought."""
+        if self.n_air == 0:
+            return seen.directions
+        return raised(seen.directions, np.sum(seen.refraction_sd * unknowns[-self.n_air :], axis=-1))
 
     def residuals(self, unknowns: FloatArray, seen: Observations) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        predicted = np.empty(seen.pixels.shape)
+        predicted, directions = np.empty(seen.pixels.shape), self.directions(unknowns, seen)
         for epoch in range(self.n_epochs):
             mine = self._of(epoch, seen)
-            predicted[mine] = project_fast(self.camera(unknowns, epoch), seen.directions[mine])
+            predicted[mine] = project_fast(self.camera(unknowns, epoch), directions[mine])
         residual = seen.pixels - predicted
         residual[np.isnan(residual)] = _UNREACHED_PX
         return np.asarray(residual)
@@ -112,14 +135,18 @@ class Problem:
     def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
         residual = np.empty(seen.pixels.shape)
-        rows = np.empty((len(seen), 2, self.size))
+        rows, directions = np.empty((len(seen), 2, self.size)), self.directions(unknowns, seen)
         for epoch in range(self.n_epochs):
             mine = self._of(epoch, seen)
-            pixel, by_parameters = project_with_rows_fast(self.camera(unknowns, epoch), seen.directions[mine])
+            camera = self.camera(unknowns, epoch)
+            pixel, by_parameters = project_with_rows_fast(camera, directions[mine])
             to_unknowns = np.zeros((23, self.size))
             to_unknowns[np.ix_(LENS, np.arange(N_LENS))] = self.prior.basis
             to_unknowns[np.ix_(POSE, np.arange(self.size)[self.pose_slice(epoch)])] = np.eye(3)
             rows[mine] = (by_parameters.reshape(-1, 23) @ to_unknowns).reshape(-1, 2, self.size)
+            if self.n_air:
+                up = by_elevation(camera, directions[mine], by_parameters)
+                rows[mine, :, -self.n_air :] = up[..., None] * seen.refraction_sd[mine, None]
             residual[mine] = seen.pixels[mine] - pixel
         residual[np.isnan(residual)] = _UNREACHED_PX
         return residual, rows
@@ -127,6 +154,17 @@ class Problem:
     def _of(self, epoch: int, seen: Observations) -> slice | NDArray[np.bool_]:
         """Return which observations belong to an epoch."""
         return slice(None) if self.n_epochs == 1 else seen.epoch == epoch
+
+
+def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:
+    """Return (n, 2): px by which the image of directions (n, 3) moves per radian that they rise.
+
+    Parameters
+    ----------
+    by_parameters : (n, 2, 23) derivatives at these directions, see `project_with_rows_fast`.
+    """
+    by_direction = by_parameters[..., 8:11] @ rotation_matrix(camera.rotation_cam_enu)
+    return np.asarray(np.einsum("nai,ni->na", by_direction, upward(directions)))
 
 
 def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int) -> Problem:

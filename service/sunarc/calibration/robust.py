@@ -1,5 +1,8 @@
 """The service's method: directions, priors, a redescending loss, and a field for what the model cannot say.
 
+The refraction's scale is one of the unknowns. Where the sightings do not prove that the air is another than the assumed
+one, the camera is the one that fits with the assumed air: what the air may change is then in the covariance alone.
+
 Rounds of: weigh the sightings by what the last fit leaves over, gather them into bins, ask which scales the data speak
 for, solve with the field marginalised. The first round lets the field be large, so that the noise is judged from what
 no smooth error explains.
@@ -7,6 +10,7 @@ no smooth error explains.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +19,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
+from sunarc.calibration.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.doubt import Doubt, doubt
 from sunarc.calibration.evidence import Scales, marginal_fit, prior_precision
 from sunarc.calibration.linear import LinearSystem, linear_system, settled
@@ -23,8 +28,9 @@ from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.scales import Grid, likely_scales, scale_grid
+from sunarc.calibration.scales import Grid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.solve import information, most_probable
+from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,6 +43,8 @@ _FIRST_FIELD_PX = 1.0
 _SMALLEST_SIGMA_PX = 1e-4
 _LOOSE_RADIAL_PX = 16.0
 _LOOSE_DECENTERING_PX = 3.0
+_PROOF_OF_AIR = math.log(20.0)
+"""By how much more probable other air must make the sightings: as 20 to 1, the usual "strong" evidence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,16 +99,12 @@ def fit_robustly(
     problem: Problem, seen: Observations, usable: Usable, start: FloatArray, *, options: CalibrationOptions
 ) -> RobustFit:
     """Return the fit of all sightings from a start in the right valley."""
-    grid = scale_grid(
-        width=problem.template.width,
-        height=problem.template.height,
-        floor_px=options.field_floor_px,
-        radial_px=options.tolerances.radial_px,
-        decentering_px=options.tolerances.decentering_px,
-    )
+    grid = _grid(problem.template, options)
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     follows = neighbours(usable.unix_s, run)
-    unknowns = _without_field(problem, seen, start, bins)
+    n_air = seen.refraction_sd.shape[1]
+    unknowns = np.concatenate([_without_field(problem, seen, start, bins), np.zeros(n_air)])
+    problem = replace(problem, n_air=n_air)
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
     state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
     for number in range(_ROUNDS):
@@ -109,18 +113,30 @@ def fit_robustly(
             problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis
         )
         state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
+    state = _in_assumed_air(problem, seen.weighted(noise.information(seen)), bins, state, grid)
     system = linear_system(problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis)
+    gaussian = doubt(system.normal(), grid, problem, state.unknowns)
     return RobustFit(
         problem=problem,
         system=system,
         unknowns=state.unknowns,
-        doubt=doubt(system.normal(), grid, problem, state.unknowns),
+        doubt=mixed_over_decentering(gaussian, problem, system, state.unknowns, state.scales),
         scales=state.scales,
         grid=grid,
         residual=problem.residuals(state.unknowns, seen),
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
+    )
+
+
+def _grid(template: Camera, options: CalibrationOptions) -> Grid:
+    return scale_grid(
+        width=template.width,
+        height=template.height,
+        floor_px=options.field_floor_px,
+        radial_px=options.tolerances.radial_px,
+        decentering_px=options.tolerances.decentering_px,
     )
 
 
@@ -137,6 +153,20 @@ def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: 
     unknowns, waves = settled(problem, system, scales)
     smooth = (system.waves @ waves.T)[system.member]
     return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales)
+
+
+def _in_assumed_air(problem: Problem, seen: Observations, bins: Bins, state: _State, grid: Grid) -> _State:
+    """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
+    assumed = replace(problem, n_air=0)
+    system, known = (
+        linear_system(each, seen, bins, state.unknowns[: each.size], information=seen.information, basis=grid.basis)
+        for each in (problem, assumed)
+    )
+    if log_evidence(system.normal(), grid) - log_evidence(known.normal(), grid) > _PROOF_OF_AIR:
+        return state
+    scales = likely_scales(known.normal(), grid)
+    unknowns, _ = settled(assumed, known, scales)
+    return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
 
 def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:

@@ -81,10 +81,19 @@ def likely_scales(normal: Normal, grid: Grid) -> Scales:
     return Scales(float(moment.sum()), length, float(radial), float(decentering))
 
 
-def scale_weights(normal: Normal, grid: Grid) -> FloatArray:
-    """Return how probable each choice of scales is, (i, j, k)."""
-    log_weight = grid.log_prior + log_evidences(
+def log_evidence(normal: Normal, grid: Grid) -> float:
+    """Return the log evidence over all scales together, but for a constant that depends on the sightings alone."""
+    return float(np.logaddexp.reduce(_log_weights(normal, grid), axis=None))
+
+
+def _log_weights(normal: Normal, grid: Grid) -> FloatArray:
+    return grid.log_prior + log_evidences(
         normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
     )
+
+
+def scale_weights(normal: Normal, grid: Grid) -> FloatArray:
+    """Return how probable each choice of scales is, (i, j, k)."""
+    log_weight = _log_weights(normal, grid)
     weight = np.exp(log_weight - np.max(log_weight))
     return np.asarray(weight / weight.sum())

@@ -1,7 +1,8 @@
 """The same calibration in others' formats; each says how far it is from ours.
 
-sky.py: where they are compared · opencv.py, ocam.py, mrcal.py: others' models, fitted to ours · tables.py: NetCDF and
-npz, of a calibration and of the map of what every pixel sees · formats.py: all of them by name.
+sky.py: where they are compared · opencv.py, ocam.py, mrcal.py: others' models, fitted to ours · asi_core.py: the file
+of one reader of ocam.py's · tables.py: NetCDF and npz, of a calibration and of the map of what every pixel sees ·
+formats.py: all of them by name.
 """
 
 from sunarc.exports.formats import (

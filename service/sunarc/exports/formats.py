@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
+from sunarc.exports.asi_core import asi_core_yaml, mask_mat, mask_name
 from sunarc.exports.mrcal import cameramodel, splined_model
-from sunarc.exports.ocam import asi_core_yaml, calib_results, ocam_model
+from sunarc.exports.ocam import OcamModel, calib_results, ocam_model
 from sunarc.exports.opencv import fisheye_model, opencv_yaml
 from sunarc.exports.tables import Table, calibration_table, map_table, netcdf_bytes, npz_bytes
 
@@ -49,10 +50,12 @@ class Exported:
     ----------
     content : the file.
     error : how far it is from the calibration, in one sentence; the file says it too.
+    beside : files that belong beside it, by the names that it calls them.
     """
 
     content: bytes
     error: str
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def export(document: Mapping[str, Any], wanted: Format) -> Exported:
@@ -69,8 +72,10 @@ def export(document: Mapping[str, Any], wanted: Format) -> Exported:
             return Exported(content=json.dumps(document).encode(), error="is the calibration itself")
         case "opencv":
             return _opencv(calibration, document)
-        case "ocamcalib" | "asi-core":
-            return _ocam(calibration, document, wanted)
+        case "ocamcalib":
+            return _ocam(calibration, document)
+        case "asi-core":
+            return _asi_core(calibration, document)
         case "mrcal":
             model = splined_model(calibration.camera)
             notes = [*_notes(document), f"this model {model.error}"]
@@ -104,26 +109,35 @@ def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     return Exported(content=content, error=str(model.error))
 
 
-def _ocam(calibration: Calibration, document: Mapping[str, Any], wanted: Literal["ocamcalib", "asi-core"]) -> Exported:
+def _ocam(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera, model = calibration.camera, ocam_model(calibration.camera)
-    error = f"from a ray to a pixel it {model.forward_error}; from a pixel to a ray it {model.backward_error}"
-    notes = [*_notes(document), error]
-    if wanted == "ocamcalib":
-        return Exported(
-            content=calib_results(model, width=camera.width, height=camera.height, notes=notes), error=error
-        )
-    notes += [
+    error = _both_errors(model)
+    content = calib_results(model, width=camera.width, height=camera.height, notes=[*_notes(document), error])
+    return Exported(content=content, error=error)
+
+
+def _both_errors(model: OcamModel) -> str:
+    return f"from a ray to a pixel it {model.forward_error}; from a pixel to a ray it {model.backward_error}"
+
+
+def _asi_core(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
+    camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
+    error, name = _both_errors(model), mask_name(str(document["camera"]))
+    notes = [
+        *_notes(document),
+        error,
         "asi_core's own azimuth matrix is counted in radians counter-clockwise from east: it is pi/2 - azimuth",
         "its object coordinates are (north, east, up); its x_center is the row, its y_center the column",
     ]
     site = {
-        "camera_name": str(document["camera"]).replace("'", "''"),
+        "camera_name": str(document["camera"]),
+        "camera_mask_file": name,
         "mounted": document["valid_from"] or _FAR_PAST,
         "demounted": document["valid_until"] or _FAR_FUTURE,
         **{name: float(document["site"][name]) for name in ("latitude", "longitude", "altitude")},
     }
     content = asi_core_yaml(model, width=camera.width, height=camera.height, camera=site, notes=notes)
-    return Exported(content=content, error=error)
+    return Exported(content=content, error=error, beside={name: mask_mat(back_projection_map(lookup(calibration)))})
 
 
 def _notes(document: Mapping[str, Any]) -> list[str]:

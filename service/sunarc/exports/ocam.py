@@ -1,7 +1,7 @@
-"""Scaramuzza's omnidirectional model: OCamCalib's `calib_results.txt` and asi_core's camera YAML.
+"""Scaramuzza's omnidirectional model, and OCamCalib's `calib_results.txt`.
 
-Both count pixels from 0 and name the row first: their x runs down the image and their y to the right, and so do the
-first two axes of their camera frame; the third one points into the camera, away from the sky.
+It counts pixels from 0 and names the row first: its x runs down the image and its y to the right, and so do the
+first two axes of its camera frame; the third one points into the camera, away from the sky.
 Reference: D. Scaramuzza et al., "A toolbox for easily calibrating omnidirectional cameras", IROS 2006.
 """
 
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
 from sunarc.optics import Camera, project, rotation_matrix
@@ -21,7 +20,10 @@ from sunarc.optics import Camera, project, rotation_matrix
 FloatArray = NDArray[np.float64]
 
 _FORWARD = 11
-_BACKWARD = (4, 5, 6, 7, 8)
+_BACKWARD = tuple((0, *range(2, degree + 1)) for degree in (4, 5, 6, 7, 8))
+"""Powers of the polynomial from a pixel to a ray that are tried in turn."""
+_CUBIC = ((0, 1, 2, 3),)
+"""Those of readers that take four coefficients."""
 _GOOD_ENOUGH_PX = 0.02
 _SCALE = 1000.0
 
@@ -32,10 +34,12 @@ class OcamModel:
 
     Attributes
     ----------
-    pixel_to_ray : coefficients of z over the radius in px, the constant one first; that of the first power is 0.
+    pixel_to_ray : coefficients of z over the radius in px, the constant one first; that of the first power is 0 but
+        in a cubic one.
     ray_to_pixel : coefficients of the radius in px over the angle above the image plane in radians, constant first.
     center_row_column : px from 0.
-    affine : c, d, e of [row, column] = [[c, d], [e, 1]] [x, y] + center.
+    affine : c, d, e of [row, column] = [[c, d], [e, 1]] [x, y] + center; for a mirrored image c is negative. The matrix
+        is symmetric (after the mirroring): a rotation about the axis belongs to `rotation` alone.
     rotation : (3, 3) from east-north-up to its camera frame (down the image, right, into the camera).
     forward_error, backward_error : of ray_to_pixel and of pixel_to_ray.
     """
@@ -49,35 +53,49 @@ class OcamModel:
     backward_error: FitError
 
 
-def ocam_model(camera: Camera) -> OcamModel:
-    """Return Scaramuzza's model that is closest to a camera."""
-    sky = sky_of(camera, within=camera.max_angle)
+def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
+    """Return Scaramuzza's model that is closest to a camera.
+
+    Parameters
+    ----------
+    camera : the camera.
+    cubic : four coefficients from a pixel to a ray, and no affine part but the mirroring (c = ±1, d = e = 0); fitted
+        down to the horizon, where the other one is fitted to all that the lens sees.
+    """
+    horizon = math.pi / 2 + math.acos(float(np.clip(rotation_matrix(camera.rotation_cam_enu)[2, 2], -1.0, 1.0)))
+    sky = sky_of(camera, within=min(horizon, camera.max_angle) if cubic else camera.max_angle)
     sign = -1.0 if camera.mirrored else 1.0
     frame = np.array([[0.0, sign, 0.0], [sign, 0.0, 0.0], [0.0, 0.0, -1.0]])
     x0, y0 = camera.principal_point_px
-    start = np.zeros(8 + _FORWARD + 1)
+    start = np.zeros(7 + _FORWARD + 1)
     start[:2] = y0, camera.width - 1.0 - x0 if camera.mirrored else x0
-    start[2] = sign
-    start[8:10] = 0.5 * math.pi * _SCALE * 0.6, 0.6 * _SCALE
+    start[2] = 1.0
+    start[7:9] = 0.5 * math.pi * _SCALE * 0.6, 0.6 * _SCALE
+    free = np.ones(start.size, dtype=bool)
+    free[2:4] = not cubic
     rays = sky.rays @ frame.T
     wanted = sky.pixels[:, ::-1]
 
-    def misfit(parameters: FloatArray) -> FloatArray:
-        return np.asarray(_forward(parameters, rays) - wanted).ravel()
+    def misfit(moving: FloatArray) -> FloatArray:
+        parameters = start.copy()
+        parameters[free] = moving
+        return np.asarray(_forward(parameters, rays, sign) - wanted).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
-    found = least_squares(misfit, start, x_scale="jac", method="trf").x
-    row_column = _forward(found, rays)
-    rotation = rotation_matrix(found[5:8]) @ frame @ rotation_matrix(camera.rotation_cam_enu)
+    found = start.copy()
+    found[free] = least_squares(misfit, start[free], x_scale="jac", method="trf").x
+    row_column = _forward(found, rays, sign)
+    rotation = rotation_matrix(found[4:7]) @ frame @ rotation_matrix(camera.rotation_cam_enu)
     forward_error = fit_error(camera, sky, row_column[:, ::-1])
     good_px = max(_GOOD_ENOUGH_PX, 1.3 * forward_error.max_px)
-    polynomial, backward_error = _backward(camera, sky, found, rotation, good_px=good_px)
+    affine, tried = _affine(found, sign), _CUBIC if cubic else _BACKWARD
+    polynomial, backward_error = _backward(camera, sky, found[:2], affine, rotation, tried=tried, good_px=good_px)
     return OcamModel(
         pixel_to_ray=polynomial,
-        ray_to_pixel=found[8:],
+        ray_to_pixel=found[7:],
         center_row_column=found[:2],
-        affine=found[2:5],
+        affine=affine,
         rotation=rotation,
         forward_error=forward_error,
         backward_error=backward_error,
@@ -107,73 +125,44 @@ def calib_results(model: OcamModel, *, width: int, height: int, notes: list[str]
     return (text + "\n" + "".join(f"# {line}\n" for line in said)).encode()
 
 
-def asi_core_yaml(
-    model: OcamModel, *, width: int, height: int, camera: dict[str, str | float], notes: list[str]
-) -> bytes:
-    """Return asi_core's camera file.
-
-    Parameters
-    ----------
-    model, width, height : the camera.
-    camera : camera_name, mounted, demounted, latitude, longitude, altitude.
-    notes : what is said at its top.
-    """
-    alpha, beta, gamma = Rotation.from_matrix(model.rotation.T).as_euler("XYZ")  # their R is Rx(α) Ry(β) Rz(γ)
-    row, column = model.center_row_column
-    c, d, e = model.affine
-    radius = 2.0 * float(np.polynomial.polynomial.polyval(0.0, model.ray_to_pixel))
-    lines = [
-        *(f"# {note}" for note in notes),
-        f"camera_name: '{camera['camera_name']}'",
-        *(f"{name}: !!timestamp '{camera[name]}'" for name in ("mounted", "demounted")),
-        *(f"{name}: {camera[name]!r}" for name in ("latitude", "longitude", "altitude")),
-        "timezone: 'GMT+0'  # of image times; the service's are UTC",
-        "min_ele_evaluated: 0.0",
-        "internal_calibration:",
-        f"  ss: [{_numbers(model.pixel_to_ray)}]",
-        f"  invpol: [{_numbers(model.ray_to_pixel)}]",
-        f"  xc: {row:.9f}  # the centre's row: asi_core's x runs down the image",
-        f"  yc: {column:.9f}  # the centre's column",
-        f"  c: {c:.12f}",
-        f"  d: {d:.12f}",
-        f"  e: {e:.12f}",
-        f"  width: {width}",
-        f"  height: {height}",
-        f"  diameter: {radius:.3f}  # of the horizon of a level camera, px",
-        f"external_orientation: [{alpha:.12f}, {beta:.12f}, {gamma:.12f}]",
-        "camera_mask_file: null",
-    ]
-    return ("\n".join(lines) + "\n").encode()
+def _affine(parameters: FloatArray, sign: float) -> FloatArray:
+    """Return c, d, e of a symmetric matrix, mirrored or not."""
+    stretch, shear = parameters[2:4]
+    return np.array([sign * stretch, shear, sign * shear]) + 0.0  # no -0
 
 
-def _numbers(values: FloatArray) -> str:
-    return ", ".join(f"{value:.17e}" for value in values)
-
-
-def _forward(parameters: FloatArray, rays: FloatArray) -> FloatArray:
+def _forward(parameters: FloatArray, rays: FloatArray, sign: float) -> FloatArray:
     """Return (n, 2) rows and columns of rays in the model's frame before its small turn."""
-    ray = rays @ rotation_matrix(parameters[5:8]).T
+    ray = rays @ rotation_matrix(parameters[4:7]).T
     across = np.hypot(ray[:, 0], ray[:, 1])
-    radius = np.polynomial.polynomial.polyval(np.arctan2(ray[:, 2], across), parameters[8:])
+    radius = np.polynomial.polynomial.polyval(np.arctan2(ray[:, 2], across), parameters[7:])
     x, y = ray[:, 0] / across * radius, ray[:, 1] / across * radius
-    c, d, e = parameters[2:5]
+    c, d, e = _affine(parameters, sign)
     return np.stack([c * x + d * y + parameters[0], e * x + y + parameters[1]], axis=-1)
 
 
 def _backward(
-    camera: Camera, sky: Sky, found: FloatArray, rotation: FloatArray, *, good_px: float
+    camera: Camera,
+    sky: Sky,
+    center: FloatArray,
+    affine: FloatArray,
+    rotation: FloatArray,
+    *,
+    tried: tuple[tuple[int, ...], ...],
+    good_px: float,
 ) -> tuple[FloatArray, FitError]:
-    """Return the polynomial from a pixel to a ray, of the lowest degree that is good enough, and its error."""
-    c, d, e = found[2:5]
-    plane = (sky.pixels[:, ::-1] - found[:2]) @ np.linalg.inv(np.array([[c, d], [e, 1.0]])).T
+    """Return the polynomial from a pixel to a ray, with the first powers that are good enough, and its error."""
+    c, d, e = affine
+    plane = (sky.pixels[:, ::-1] - center) @ np.linalg.inv(np.array([[c, d], [e, 1.0]])).T
     radius = np.linalg.norm(plane, axis=-1)
     ray = sky.directions @ rotation.T
     across = np.hypot(ray[:, 0], ray[:, 1])
     weight = across / radius * _SCALE  # an error of z turns the ray by sin θ / radius of it
-    for degree in _BACKWARD:
-        powers = (radius[:, None] / _SCALE) ** np.array([0, *range(2, degree + 1)])
+    for orders in tried:
+        powers = (radius[:, None] / _SCALE) ** np.array(orders)
         fitted = np.linalg.lstsq(powers * weight[:, None], radius * ray[:, 2] / across * weight, rcond=None)[0]
-        polynomial = np.r_[fitted[0], 0.0, fitted[1:]] / _SCALE ** np.arange(degree + 1)
+        polynomial = np.zeros(orders[-1] + 1)
+        polynomial[list(orders)] = fitted / _SCALE ** np.array(orders)
         z = Polynomial(polynomial)(radius)
         told = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
         told /= np.linalg.norm(told, axis=-1, keepdims=True)

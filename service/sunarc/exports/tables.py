@@ -113,14 +113,19 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     variables = _axes(x, y) | {"camera": _camera(document)}
     variables |= _views(told[..., 0], told[..., 1], told[..., 2:5], told[..., 5])
     variables |= {
-        "parameter": Variable(dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter"}),
-        "parameter_too": Variable(
-            dimensions=("parameter_too",), values=names, attributes={"long_name": "fitted parameter"}
+        "parameter_name": Variable(
+            dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter of a row"}
+        ),
+        "parameter_too_name": Variable(
+            dimensions=("parameter_too",), values=names, attributes={"long_name": "fitted parameter of a column"}
         ),
         "covariance": Variable(
             dimensions=("parameter", "parameter_too"),
             values=calibration.covariance,
-            attributes={"long_name": "covariance of the fitted parameters, in their own units"},
+            attributes={
+                "long_name": "covariance of the fitted parameters, in their own units",
+                "coordinates": "parameter_name parameter_too_name",
+            },
         ),
     }
     attributes = _attributes(document, title="Calibration of an all-sky imager") | {
@@ -142,38 +147,48 @@ def _axes(x: NDArray[np.int64], y: NDArray[np.int64]) -> dict[str, Variable]:
         )
 
     component = Variable(
-        dimensions=("component",), values=np.array(["east", "north", "up"]), attributes={"long_name": "component"}
+        dimensions=("component",),
+        values=np.array(["east", "north", "up"]),
+        attributes={"long_name": "component of a direction"},
     )
     return {
         "y": axis("y", y, "row in px from the centre of the top-most pixel, downward"),
         "x": axis("x", x, "column in px from the centre of the left-most pixel, rightward"),
-        "component": component,
+        "component_name": component,
     }
 
 
 def _views(
     zenith: NDArray[Any], azimuth: NDArray[Any], directions: NDArray[Any], sigma: NDArray[Any]
 ) -> dict[str, Variable]:
-    def view(values: NDArray[Any], units: str, meaning: str, *more: str) -> Variable:
-        attributes = {"units": units, "long_name": meaning, "grid_mapping": "camera"}
-        return Variable(dimensions=("y", "x", *more), values=values, attributes=attributes)
+    def view(values: NDArray[Any], units: str, meaning: str, *more: str, **attributes: str) -> Variable:
+        said = {"units": units, "long_name": meaning, "camera_model": "camera", **attributes}
+        return Variable(dimensions=("y", "x", *more), values=values, attributes=said)
 
     return {
-        "zenith": view(zenith, "degree", "apparent zenith angle of the view direction"),
-        "azimuth": view(azimuth, "degree", "azimuth of the view direction, clockwise from north"),
-        "direction": view(directions, "1", "unit vector towards what the pixel sees, east-north-up", "component"),
+        "zenith": view(zenith, "degree", "apparent zenith angle of the view direction", ancillary_variables="sigma"),
+        "azimuth": view(
+            azimuth, "degree", "azimuth of the view direction, clockwise from north", ancillary_variables="sigma"
+        ),
+        "direction": view(
+            directions,
+            "1",
+            "unit vector towards what the pixel sees, east-north-up",
+            "component",
+            coordinates="component_name",
+            ancillary_variables="sigma",
+        ),
         "sigma": view(sigma, "degree", "1-sigma of the view direction on the sphere, per axis"),
     }
 
 
 def _camera(document: Mapping[str, Any]) -> Variable:
-    """Return the variable that plays the part of a grid mapping: its attributes are the camera model."""
+    """Return the variable whose attributes are the camera model; the CF conventions have no grid mapping for it."""
     model, image, site = document["model"], document["image"], document["site"]
     return Variable(
         dimensions=(),
         values=np.array(0, dtype=np.int32),
         attributes={
-            "grid_mapping_name": "all_sky_imager",
             "long_name": "camera model (schema sunarc.calibration/1)",
             "mirrored": int(image["mirrored"]),
             "latitude": float(site["latitude"]),
@@ -190,6 +205,7 @@ def _attributes(document: Mapping[str, Any], *, title: str) -> dict[str, Any]:
         "Conventions": "CF-1.11",
         "title": title,
         "source": f"{software['name']} {software['version']}",
+        "history": f"{document['created_at']}: calibrated by {software['name']} {software['version']}",
         "comment": _CONVENTIONS,
         "camera_name": document["camera"],
         "calibration": document["id"],

@@ -26,7 +26,10 @@ Value = TypeVar("Value")
 
 def calibrate(
     points: Annotated[
-        Path | None, typer.Argument(help="Sightings: time_utc,x_px,y_px[,sigma_px][,body].", show_default=False)
+        Path | None,
+        typer.Argument(
+            help="Sightings: time_utc,x_px,y_px[,sigma_px][,body][,temperature_c][,pressure_hpa].", show_default=False
+        ),
     ] = None,
     *,
     latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)] = None,

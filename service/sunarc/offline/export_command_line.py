@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import FORMATS, MAP_FORMATS, export, export_map
+from sunarc.exports import FORMATS, MAP_FORMATS, Exported, export, export_map
 from sunarc.offline.files import read_file
 
 _MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
@@ -28,22 +28,24 @@ def export_calibration(
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
-    content, error = _made(_document(calibration), wanted)
+    made = _made(_document(calibration), wanted)
     if target is None:
-        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.write(made.content)
     else:
-        _write(target, content)
-    print(f"{wanted}: {error}", file=sys.stderr)
+        _write(target, made.content)
+        for name, content in made.beside.items():
+            _write(target.parent / name, content)
+            print(f"{wanted}: wrote {name} beside it", file=sys.stderr)
+    print(f"{wanted}: {made.error}", file=sys.stderr)
 
 
-def _made(document: dict[str, object], wanted: str) -> tuple[bytes, str]:
+def _made(document: dict[str, object], wanted: str) -> Exported:
     for name in MAP_FORMATS:
         if wanted == f"map-{name}":
-            return export_map(document, name), "in single precision"
+            return Exported(content=export_map(document, name), error="in single precision")
     for chosen in FORMATS:
         if wanted == chosen:
-            made = export(document, chosen)
-            return made.content, made.error
+            return export(document, chosen)
     known = ", ".join((*FORMATS, *_MAPS))
     raise InputError(field="--format", problem=f"{wanted!r} is unknown", remedy=f"use one of {known}")
 

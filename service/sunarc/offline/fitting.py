@@ -40,7 +40,13 @@ def calibrate_file(
     """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
-    points = SunPoints(unix_s=table.unix_s, pixels=table.pixels, sigma_px=table.sigma_px)
+    points = SunPoints(
+        unix_s=table.unix_s,
+        pixels=table.pixels,
+        sigma_px=table.sigma_px,
+        temperature=table.temperature,
+        pressure=table.pressure,
+    )
     known = None if start is None else read_calibration(start)
     if known is not None and options.free == "pose":
         solved = repose(points, start=_of_size(known, image_size), site=site, options=options)

@@ -3,10 +3,21 @@
 from sunarc.sky.air import relative_air_mass
 from sunarc.sky.days import day_bounds_unix_s, solar_date
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.refraction import (
+    ASSUMED_AIR_SD,
+    DAILY_AIR_SD,
+    MEASURED_AIR_SD,
+    raised,
+    refraction_rad,
+    upward,
+)
 from sunarc.sky.site import Site
 from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_directions
 
 __all__ = [
+    "ASSUMED_AIR_SD",
+    "DAILY_AIR_SD",
+    "MEASURED_AIR_SD",
     "SOLAR_RADIUS",
     "Site",
     "SunAngles",
@@ -15,8 +26,11 @@ __all__ = [
     "day_bounds_unix_s",
     "direction_from_angles",
     "hour_angle",
+    "raised",
+    "refraction_rad",
     "relative_air_mass",
     "solar_date",
     "sun_angles",
     "sun_directions",
+    "upward",
 ]

@@ -31,13 +31,16 @@ class SunAngles(NamedTuple):
     azimuth: FloatArray
 
 
-def sun_angles(unix_s: ArrayLike, site: Site) -> SunAngles:
+def sun_angles(
+    unix_s: ArrayLike, site: Site, *, temperature: ArrayLike | None = None, pressure: ArrayLike | None = None
+) -> SunAngles:
     """Return where the sun stands.
 
     Parameters
     ----------
     unix_s : (...) seconds since 1970-01-01 UTC.
     site : the place and its air.
+    temperature, pressure : (...) of the air at each time, °C and Pa; None, or NaN where not measured: the site's.
 
     Returns
     -------
@@ -53,8 +56,8 @@ def sun_angles(unix_s: ArrayLike, site: Site) -> SunAngles:
         site.latitude,
         site.longitude,
         site.altitude,
-        site.pressure_pa / 100.0,
-        site.temperature,
+        _measured_or(pressure, site.pressure_pa, flat) / 100.0,
+        _measured_or(temperature, site.temperature, flat),
         _delta_t_s(flat),
         _REFRACTION_AT_HORIZON_DEG,
     )
@@ -62,19 +65,22 @@ def sun_angles(unix_s: ArrayLike, site: Site) -> SunAngles:
     return SunAngles(zenith, apparent_zenith, azimuth)
 
 
-def sun_directions(unix_s: ArrayLike, site: Site) -> FloatArray:
+def sun_directions(
+    unix_s: ArrayLike, site: Site, *, temperature: ArrayLike | None = None, pressure: ArrayLike | None = None
+) -> FloatArray:
     """Return the apparent directions of the sun's centre.
 
     Parameters
     ----------
     unix_s : (...) seconds since 1970-01-01 UTC.
     site : the place and its air.
+    temperature, pressure : (...) of the air at each time, °C and Pa; None, or NaN where not measured: the site's.
 
     Returns
     -------
     (..., 3) unit vectors, east-north-up: the directions that the light arrives from.
     """
-    angles = sun_angles(unix_s, site)
+    angles = sun_angles(unix_s, site, temperature=temperature, pressure=pressure)
     return direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
 
 
@@ -88,6 +94,14 @@ def hour_angle(unix_s: ArrayLike, site: Site) -> FloatArray:
     east, north, up = np.moveaxis(direction, -1, 0)
     latitude = math.radians(site.latitude)
     return np.asarray(np.arctan2(-east, up * math.cos(latitude) - north * math.sin(latitude)))
+
+
+def _measured_or(measured: ArrayLike | None, assumed: float, times: FloatArray) -> FloatArray | float:
+    """Return what was measured at times (n,), and what is assumed where nothing was."""
+    if measured is None:
+        return assumed
+    values = np.broadcast_to(np.asarray(measured, dtype=np.float64), times.shape)
+    return np.where(np.isfinite(values), values, assumed)
 
 
 def _delta_t_s(unix_s: FloatArray) -> float:

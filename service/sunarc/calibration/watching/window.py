@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from sunarc.calibration.posing.condition import Sightings, false_density
 from sunarc.calibration.posing.seen import finite, noise_px
 from sunarc.calibration.posing.stated import Predicted, Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.problem import by_elevation
 from sunarc.calibration.result import Calibration
 from sunarc.calibration.watching.values import Watch, WatchOptions
-from sunarc.optics import Camera
+from sunarc.optics import Camera, project_with_rows_fast
+from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, Site, refraction_rad
 
 FloatArray = NDArray[np.float64]
 
 _HOUR_S = 3600.0
+_AIR_SD = math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,6 +35,7 @@ class Window:
     covariance : (2n, 2n) of its errors there, px².
     seen : the sightings' residuals and noise.
     wander : (n, n) covariance of the mount's wandering between their times, rad².
+    air : (2n, 2n) covariance of the sun's places, their air being the assumed one, px².
     """
 
     watch: Watch
@@ -41,6 +45,7 @@ class Window:
     covariance: FloatArray
     seen: Sightings
     wander: FloatArray
+    air: FloatArray
 
 
 def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> Window:
@@ -49,6 +54,7 @@ def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> 
     at = predicted(belief, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)
     wander = wandering(watch.unix_s, options)
+    air = _of_air(camera, watch.directions, calibration.site)
     seen = Sightings(
         residual=residual,
         variance=noise_px(calibration, watch.sigma_px) ** 2,
@@ -59,21 +65,30 @@ def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> 
         camera=camera,
         belief=belief,
         at=at,
-        covariance=joint_covariance(belief, at) + _of_turns(belief, at, wander),
+        covariance=joint_covariance(belief, at) + _of_turns(belief, at, wander) + air,
         seen=seen,
         wander=wander,
+        air=air,
     )
 
 
 def errors_at(window: Window, at: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the calibration's errors where another camera sees the sun."""
-    return joint_covariance(window.belief, at) + _of_turns(window.belief, at, window.wander)
+    return joint_covariance(window.belief, at) + _of_turns(window.belief, at, window.wander) + window.air
 
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
     apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / (options.wander_hours * _HOUR_S)
     return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + apart) * np.exp(-apart))
+
+
+def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
+    """Return (2n, 2n): the covariance of the sun's places from air that is not the assumed one, alike for all, px²."""
+    _, by_parameters = project_with_rows_fast(camera, directions)
+    up = np.nan_to_num(by_elevation(camera, directions, by_parameters))
+    shift = (up * (_AIR_SD * refraction_rad(directions, site))[:, None]).ravel()
+    return np.outer(shift, shift)
 
 
 def _of_turns(belief: Stated, at: Predicted, wander: FloatArray) -> FloatArray:

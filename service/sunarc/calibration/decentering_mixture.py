@@ -1,0 +1,110 @@
+"""Covariance where the decentering's higher coefficients are not known: a mixture over them.
+
+The decentering is a product, (p1, p2) × (1 + p3 θ² + p4 θ⁴). A part of a day's arc leaves p3 and p4 open, and the other
+unknowns depend on them along a curve, or have two optima of opposite sign: the Gaussian about one optimum is then far
+too narrow. Given p3 and p4 the model is nearly linear, so they are integrated out on a grid of their prior: each place
+is a conditional fit with its evidence, and the covariance is that of the mixture about the fit that is returned.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.decentering import P3, P4
+from sunarc.calibration.doubt import Doubt
+from sunarc.calibration.evidence import Scales, log_evidences, marginal_fit
+from sunarc.calibration.linear import LinearSystem, settled
+from sunarc.calibration.problem import Problem
+
+FloatArray = NDArray[np.float64]
+
+_HIGHER = [P3, P4]
+_SPACING = 1.0
+_PLACES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
+"""Values of p3 and p4 in units of their prior's 1-sigma: they hold 98 % of it in each."""
+_CELL = math.log(_SPACING**2 / (2.0 * math.pi))
+_RIDGE = 1e-12
+_KNOWN = 0.15
+"""1-sigma of p3 and p4, in units of the prior's, below which they are known and the Gaussian holds."""
+
+
+class _Conditional(NamedTuple):
+    """Second moments (p, p) about the free fit where p3 and p4 are known, and the log evidence of that cell."""
+
+    moments: FloatArray
+    log_evidence: float
+
+
+def mixed_over_decentering(
+    doubt: Doubt, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
+) -> Doubt:
+    """Return the covariance with p3 and p4 integrated out.
+
+    Parameters
+    ----------
+    doubt : the covariance about the fit, all unknowns taken as Gaussian.
+    problem, system : of the fit; the system about `unknowns`.
+    unknowns : the fit, (p,).
+    scales : those of the fit.
+    """
+    inner = doubt.covariance[np.ix_(_HIGHER, _HIGHER)]
+    if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
+        return doubt
+    free = marginal_fit(system.normal(), system.basis, scales).covariance
+    places = [_conditional(problem, system, unknowns, place, scales) for place in _PLACES]
+    log_mass = np.array([_log_evidence(system, scales), *(place.log_evidence for place in places)])
+    share = np.exp(log_mass - np.max(log_mass))
+    share = (share / share.sum())[1:]
+    excess = np.einsum("k,kpq->pq", share, np.stack([place.moments - free for place in places]), optimize=True)
+    return replace(doubt, covariance=doubt.covariance + _positive_part(excess, free))
+
+
+def _positive_part(excess: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return a symmetric matrix (p, p) without what it takes from a covariance, in units of that one."""
+    scale = np.sqrt(np.diag(reference))
+    root = np.linalg.cholesky(reference / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
+    left = np.linalg.solve(root, excess / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, left.T))
+    shape = (scale[:, None] * root) @ vectors
+    return np.asarray((shape * np.maximum(values, 0.0)) @ shape.T)
+
+
+def _conditional(
+    problem: Problem, system: LinearSystem, unknowns: FloatArray, place: tuple[float, ...], scales: Scales
+) -> _Conditional:
+    """Return the fit with p3 and p4 held at a place."""
+    held = np.array(place)
+    basis = problem.prior.basis.copy()
+    mean = problem.prior.mean + basis[:, _HIGHER] @ held
+    basis[:, _HIGHER] = 0.0
+    there = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
+    start = unknowns.copy()
+    start[_HIGHER] = 0.0
+    found, _ = settled(there, system.moved(there, start), scales)
+    about = system.moved(there, found)
+    covariance = marginal_fit(about.normal(), about.basis, scales).covariance.copy()
+    covariance[_HIGHER] = covariance[:, _HIGHER] = 0.0
+    shift = found - unknowns
+    shift[_HIGHER] = held - unknowns[_HIGHER]
+    return _Conditional(
+        moments=covariance + np.outer(shift, shift),
+        log_evidence=_log_evidence(about, scales) - 0.5 * float(held @ held) + _CELL,
+    )
+
+
+def _log_evidence(system: LinearSystem, scales: Scales) -> float:
+    """Return the log evidence about where a system was made, under one choice of scales."""
+    found = log_evidences(
+        system.normal(),
+        system.basis,
+        amplitudes=np.array([scales.amplitude_px]),
+        lengths=np.array([scales.length_px]),
+        lens_scales=np.array([[scales.radial_px, scales.decentering_px]]),
+    )
+    return float(found[0, 0, 0])
