@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, func, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
-from sunarc.archive.columns import FloatArray, read_columns, read_levels
+from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_times
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
@@ -145,6 +145,19 @@ class Sightings(Store):
         wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
         with self._reading() as connection:
             return read_columns(connection, camera, wanted)
+
+    def observation_times(self, camera: str, *, since: datetime, until: datetime) -> FloatArray | None:
+        """Return when sun exposures were taken, with a sighting or without, s since 1970-01-01 UTC (n,).
+
+        None where sightings were imported: a file of sightings does not tell when there was an exposure without one.
+        """
+        c = sun_point.c
+        wanted = [*_wanted(camera, since=since, until=until), c.body == "sun"]
+        with self._reading() as connection:
+            imported = select(c.id).where(*wanted, c.method == "import").limit(1)
+            if connection.scalar(imported) is not None:
+                return None
+            return read_times(connection, wanted)
 
     def sun_levels(self, camera: str, *, since: datetime, until: datetime) -> tuple[FloatArray, FloatArray]:
         """Return the accepted discs' times (unix seconds) and levels over full scale in 1 µs, background subtracted.

@@ -69,15 +69,15 @@ class DayJudge:
 
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self._site.longitude)
-        columns = self._archive.sun_point_columns(
-            self._camera, since=datetime.fromtimestamp(start, UTC), until=datetime.fromtimestamp(end, UTC)
-        )
+        since, until = datetime.fromtimestamp(start, UTC), datetime.fromtimestamp(end, UTC)
+        columns = self._archive.sun_point_columns(self._camera, since=since, until=until)
         frames = np.arange(start, end, self._cadence_s)
         up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
         measure = measure_day(
             points_of(columns),
             site=self._site,
             n_possible=int(np.count_nonzero(up)),
+            observed_unix_s=self._archive.observation_times(self._camera, since=since, until=until),
             cadence_s=self._cadence_s,
             options=self._options,
         )
@@ -91,6 +91,7 @@ class DayJudge:
             n=measure.n,
             n_cycles=measure.n_cycles,
             n_possible=measure.n_possible,
+            n_observed=measure.n_observed,
             decided_at=self._now(),
             arc_deg=measure.arc_deg,
             solid_angle_sr=measure.solid_angle_sr,
