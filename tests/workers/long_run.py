@@ -52,11 +52,13 @@ WITHIN_95 = 5.991
 
 @dataclass(frozen=True)
 class Weather:
-    """How much of a day shows the sun, and how much of what is reported is something else."""
+    """How much of a day shows the sun, how much of what is reported is something else, and what is observed at all."""
 
     name: str
     seen: float
     false: float
+    missed: float = 0.0
+    begins: float = 0.0
 
 
 CLEAR = Weather("clear", 0.98, 0.0)
@@ -182,6 +184,10 @@ class LongRun:
         times = np.arange(start, end, self.cadence_s)
         times = times[sun_angles(times, SGP).apparent_zenith < LOWEST_ZENITH_DEG]
         seen = self._clear_spells(times.size, weather.seen)
+        if weather.missed or weather.begins:
+            observed = self._rng.random(times.size) >= weather.missed
+            observed[: int(weather.begins * times.size)] = False
+            times, seen = times[observed], seen[observed]
         self._store_hidden(times[~seen])
         times = times[seen]
         pixels = project(self.truth, sun_directions(times, SGP)) + self._rng.normal(0.0, SIGMA_PX, (times.size, 2))

@@ -69,6 +69,8 @@ _FIELDS: dict[str, tuple[str, Any]] = {
     "message": ("How it ended, in a sentence; empty until then.", "1-sigma over the sky 0.0099 degrees"),
     "method": ("The detector, or the kind of fit.", "disc"),
     "missed": ("Count of slots that passed without a cycle.", 0),
+    "sun_dropped": ("Count of sun exposures that were not evaluated, for detection was too slow.", 0),
+    "sun_missed": ("Count of slots with the sun up in which no sun exposure was taken.", 0),
     "model": ("Vendor and model, as the camera tells them.", "Vendor Model"),
     "n": ("Accepted sightings.", 379),
     "n_cycles": ("Cycles with a sighting on the day's smooth arc.", 402),

@@ -18,7 +18,17 @@ from typing import Any
 from sunarc.cameras.abilities import abilities_of
 from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
 from sunarc.cameras.exposure import ExposureControl, exposure_control
-from sunarc.cameras.features import Pin, changed_pins, gain_db, pin_settings, serial_of, temperature_c
+from sunarc.cameras.features import (
+    SIMULATED_SPEED,
+    Pin,
+    changed_pins,
+    gain_db,
+    has,
+    pin_settings,
+    serial_of,
+    simulated_speed,
+    temperature_c,
+)
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.options import AravisOptions
@@ -80,6 +90,7 @@ class AravisCamera:
         self._info: CameraInfo | None = None
         self._exposure: ExposureControl | None = None
         self._pins: tuple[Pin, ...] = ()
+        self._simulated = False
         self.link: Link | None = None
         self._previous_id: int | None = None
         self._in_doubt = False
@@ -103,6 +114,7 @@ class AravisCamera:
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
             self._pins = pin_settings(self._camera, self._options)
+            self._simulated = has(self._camera, SIMULATED_SPEED)
             self._exposure = exposure_control(self._camera)
             self._ask_for_chunks()
             self._open_stream()
@@ -138,7 +150,10 @@ class AravisCamera:
             changed = list(changed_pins(self._camera, self._pins))
             if changed:
                 raise CameraLostError(f"the camera was restarted or set by another program: {'; '.join(changed)}")
-            return CameraCondition(temperature_c=temperature_c(self._camera))
+            return CameraCondition(
+                temperature_c=temperature_c(self._camera),
+                speed=simulated_speed(self._camera) if self._simulated else None,
+            )
 
     def abilities(self) -> tuple[tuple[str, str], ...]:
         """Return what the camera says it can do, in words: what, and what there is of it."""

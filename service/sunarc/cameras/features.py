@@ -22,6 +22,8 @@ Value: TypeAlias = str | bool | float | int
 GAIN = ("Gain", "GainRaw", "GainAbs")
 BLACK_LEVEL = ("BlackLevel", "BlackLevelRaw")
 TEMPERATURE = ("DeviceTemperature", "DeviceTemperatureRaw")
+SIMULATED_SPEED = "SimSpeedPermille"
+"""Of the simulated imager alone: seconds of its clock in 1000 real seconds."""
 _SERIAL = ("DeviceSerialNumber", "DeviceID", "DeviceSerialNumberText")
 _BINNING = ("BinningHorizontal", "BinningVertical")
 _CHOICES: tuple[tuple[tuple[str, ...], str], ...] = (
@@ -125,6 +127,11 @@ def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
 def temperature_c(camera: Any) -> float | None:  # noqa: ANN401 - a GObject has no types
     """Return the camera's own temperature in degrees Celsius, None where it does not tell."""
     return float(camera.get_float(TEMPERATURE[0])) if has(camera, TEMPERATURE[0]) else None
+
+
+def simulated_speed(camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
+    """Return the seconds of a simulated camera's clock in a real second."""
+    return float(camera.get_integer(SIMULATED_SPEED)) / 1000.0
 
 
 def gain_db(pins: tuple[Pin, ...]) -> float:

@@ -71,9 +71,16 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCondition:
-    """How a camera says that it is; `temperature_c` is None where it does not tell."""
+    """The state that a camera reports.
+
+    Attributes
+    ----------
+    temperature_c : the camera's own, degrees Celsius; None where it cannot be read.
+    speed : seconds of its clock in a real second, by a simulated camera; None: a real one.
+    """
 
     temperature_c: float | None = None
+    speed: float | None = None
 
 
 class SkyCamera(Protocol):

@@ -7,6 +7,7 @@ SimDelayMs : every frame comes so much later · SimFreezeMs : the camera is deaf
 SimLossPermille : share of the stream's packets that are lost
 SimWrongExposurePercent : of the stated exposure, which the next frame gets · SimAllExposuresPercent : which every frame
 gets · SimStaleExposure : every frame has the exposure of the one before · SimClockDriftPpm : the timestamps run fast
+SimSpeedPermille : seconds of its clock in 1000 real seconds, which may be changed while it runs
 SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
 
@@ -21,7 +22,7 @@ BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 
 CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
-ALL_EXPOSURES = 0xB120
+ALL_EXPOSURES, SPEED = 0xB120, 0xB124
 EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
 PIXEL_FORMATS = {
@@ -143,6 +144,7 @@ def _faults() -> list[Feature]:
         _integer("SimPowerCycle", POWER_CYCLE, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimDropControl", DROP_CONTROL, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimClockDriftPpm", CLOCK_DRIFT, category),
+        _integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
     ]
 
 

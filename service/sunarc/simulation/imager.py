@@ -31,6 +31,8 @@ _log = logging.getLogger(__name__)
 _PR_SET_PDEATHSIG = 1
 _TEMPERATURE_C = 21.5
 _LOOK_AT_ORDERS_S = 0.05
+SLOWEST = 10.0
+"""Speed that an overloaded host is not slowed below."""
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -122,6 +124,12 @@ def run_imager(
             imager.obey()
 
 
+def halve_speed(camera: FakeCamera) -> None:
+    """Let simulated time pass half as fast, but not slower than `SLOWEST`."""
+    speed, slowest = camera.read(genicam.SPEED), round(1000 * SLOWEST)
+    camera.write(genicam.SPEED, min(speed, max(speed // 2, slowest)))
+
+
 def scene_of(options: ImagerOptions) -> Scene:
     """Return the very scene that an imager with these options shows."""
     first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
@@ -146,6 +154,7 @@ class _Imager:
         self._timeline = Timeline(
             options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
         )
+        self._camera.write(genicam.SPEED, round(1000.0 * options.speed))
         self._started_at = clock.monotonic()
 
     def fill(self, request: Request) -> tuple[Counts, int]:
@@ -153,6 +162,7 @@ class _Imager:
         begun = self._clock.monotonic()
         name = _FORMAT_NAMES[request.pixel_format]
         elapsed_s = begun - self._started_at
+        self._follow_speed(elapsed_s)
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
         image = self._binned(
@@ -168,6 +178,12 @@ class _Imager:
         )
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
         return image, (start_us + round(drift_us)) * 1000
+
+    def _follow_speed(self, elapsed_s: float) -> None:
+        """Go on at the speed that the register asks for."""
+        speed = self._camera.read(genicam.SPEED) / 1000.0
+        if speed > 0.0 and abs(speed - self._timeline.speed) > 1e-3:
+            self._timeline.set_speed(speed, elapsed_s=elapsed_s)
 
     def obey(self) -> None:
         """Do what is asked for at any time: be switched off and on, or let go of who is in control."""
