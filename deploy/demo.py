@@ -28,7 +28,7 @@ BUFFER_BYTES = 32 * 1024 * 1024
 CADENCE_S = 120.0
 POLL_S = 0.5
 START_WITHIN_S = 300.0
-PACE_SLOTS = 20
+PACE_SLOTS = 10
 """Slots with the sun up between two looks at how many were missed."""
 MISSED_SHARE = 0.3
 """Share of them without an evaluated sun exposure from which on the simulated time is slowed."""
@@ -297,9 +297,9 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
         calibration = get_or_none(f"{url}/v1/calibration")
         status = get(f"{url}/v1/status")
         slow_down(pace, status.get("capture"))
-        line = describe(days, calibration, status)
+        line = describe(days, calibration, status)  # a count of missed slots alone is no news
         if line != shown:
-            print(f"demo: {line}", flush=True)
+            print(f"demo: {line}{missed_slots(status)}", flush=True)
             shown = line
         if len(days) >= options.days and not refit_under_way(url, days):
             break
@@ -329,7 +329,7 @@ def describe(days: list[Any], calibration: Any, status: Any) -> str:
     fit = "no calibration yet"
     if calibration is not None:
         fit = f"calibration {calibration['id']}, {calibration['metrics']['rmse_px']:.3f} px RMSE"
-    return f"{seen[:13].replace('T', ' ')} h; days judged: {', '.join(told) or 'none'}; {fit}{missed_slots(status)}"
+    return f"{seen[:13].replace('T', ' ')} h; days judged: {', '.join(told) or 'none'}; {fit}"
 
 
 def missed_slots(status: dict[str, Any]) -> str:

@@ -192,6 +192,7 @@ def test_the_signal_s_handler_does_not_hold_the_camera(stub: SimpleNamespace) ->
 def test_closing_stops_disconnects_and_lets_go_and_may_be_done_twice(stub: SimpleNamespace) -> None:
     camera = stub.Camera()
     ours = opened(camera)
+    camera.calls.clear()
     ours.close()
     ours.close()
     assert [call[0] for call in camera.calls].count("stop_acquisition") == 1
@@ -215,7 +216,7 @@ def test_an_opening_that_fails_half_way_lets_go(
 
 
 def test_a_format_that_the_camera_lacks_is_refused_with_those_it_has(stub: SimpleNamespace) -> None:
-    with pytest.raises(InputError, match=r"no pixel format Mono16; .* set one of Mono8, Mono12, BayerRG8$"):
+    with pytest.raises(InputError, match=r"no pixel format Mono16; .* set one of Mono8, Mono12, Mono12Packed, BayerRG8$"):
         opened(stub.Camera(), pixel_format="Mono16")
 
 

@@ -34,7 +34,10 @@ PIXEL_FORMATS = {
     "BayerRG10": 0x0110000D,
     "BayerRG12": 0x01100011,
     "BayerRG16": 0x0110002F,
-    "Mono12Packed": 0x010C0006,  # offered as real cameras do, and never delivered
+    "Mono10Packed": 0x010C0004,
+    "Mono12Packed": 0x010C0006,
+    "Mono10p": 0x010A0046,
+    "Mono12p": 0x010C0047,
 }
 GAIN_STEPS_PER_DB = 10
 TEMPERATURE_STEPS_PER_DEGREE = 10

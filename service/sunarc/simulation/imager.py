@@ -13,7 +13,10 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from sunarc.cameras import Counts, full_scale_of
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.cameras import Counts, full_scale_of, pack, packing_of
 from sunarc.clock import Clock, SystemClock
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
@@ -155,12 +158,14 @@ class _Imager:
             options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
         )
         self._camera.write(genicam.SPEED, round(1000.0 * options.speed))
-        self._started_at = clock.monotonic()
+        self._started_at: float | None = None
 
-    def fill(self, request: Request) -> tuple[Counts, int]:
-        """Return a frame's counts and its timestamp in nanoseconds: the simulated start of the exposure."""
+    def fill(self, request: Request) -> tuple[NDArray[np.uint8], int]:
+        """Return a frame's bytes and its timestamp in nanoseconds: the simulated start of the exposure."""
         begun = self._clock.monotonic()
         name = _FORMAT_NAMES[request.pixel_format]
+        if self._started_at is None:
+            self._started_at = begun  # nothing of the day is lost while a busy host starts who asks for frames
         elapsed_s = begun - self._started_at
         self._follow_speed(elapsed_s)
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
@@ -177,7 +182,7 @@ class _Imager:
             request.region,
         )
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
-        return image, (start_us + round(drift_us)) * 1000
+        return _as_bytes(image, name), (start_us + round(drift_us)) * 1000
 
     def _follow_speed(self, elapsed_s: float) -> None:
         """Go on at the speed that the register asks for."""
@@ -257,6 +262,13 @@ class _Imager:
         }
         for address, value in registers.items():
             self._camera.write(address, value)
+
+
+def _as_bytes(image: Counts, pixel_format: str) -> NDArray[np.uint8]:
+    packing = packing_of(pixel_format)
+    if packing is None:
+        return np.ascontiguousarray(image).view(np.uint8).ravel()
+    return np.frombuffer(pack(image.astype(np.uint16), packing), np.uint8)
 
 
 def _weathers(clouds: str) -> tuple[Weather, ...]:
