@@ -74,8 +74,9 @@ PATTERNS: dict[str, Pattern] = {
     "first and last hour": lambda rng, clear: one_burst(rng, clear, slots=60),
     "first and last 15 min": lambda rng, clear: one_burst(rng, clear, slots=15),
     "from 15:00 on": lambda _, clear: np.arange(clear.size) >= 0.7 * clear.size,
-    "the morning, half missed": lambda rng, clear: (np.arange(clear.size) < 0.5 * clear.size)
-    & (rng.random(clear.size) < 0.5),
+    "the morning, half missed": lambda rng, clear: (
+        (np.arange(clear.size) < 0.5 * clear.size) & (rng.random(clear.size) < 0.5)
+    ),
     "25 slots": lambda rng, clear: np.isin(np.arange(clear.size), rng.choice(clear.size, 25, replace=False)),
 }
 

@@ -13,6 +13,7 @@ import pytest
 from sunarc.cameras import AravisCamera, AravisOptions, pack
 from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError, CameraLostError
+from sunarc.survey import _trial as frames_of_trial
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 
@@ -153,3 +154,16 @@ def test_a_packed_frame_is_decoded(stub: SimpleNamespace, pixel_format: str) -> 
     assert (frame.full_scale, frame.image.flags.writeable) == (4095, False)
     with pytest.raises(CameraError, match="35 bytes came, 36 bytes in Mono12Packed are expected"):
         ours.expose(100.0)
+
+
+def test_a_camera_whose_packets_never_arrive_is_told_from_one_that_loses_some(stub: SimpleNamespace) -> None:
+    silent = stub.Camera()
+    _, outcome, text = frames_of_trial(opened(silent), (100.0,))
+    assert outcome == "fail"
+    assert text.startswith("0 of 12 came whole; the camera answers commands, but no packet of a frame arrives: ")
+    lossy = stub.Camera()
+    lossy.stream.answers.extend([stub.Buffer(status=stub.BufferStatus.MISSING_PACKETS) for _ in range(30)])
+    _, outcome, text = frames_of_trial(opened(lossy), (100.0,))
+    assert outcome == "fail"
+    assert "firewall" not in text
+    assert "net.core.rmem_max" in text

@@ -250,15 +250,11 @@ def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
 
 
-def _sampling(
-    points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float
-) -> Sampling:
+def _sampling(points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> Sampling:
     """Return which slots were observed: those of every sun exposure, and of every sighting."""
     if observed_unix_s is None:
         return fully_observed(n_possible)
-    return sampling_of(
-        np.concatenate([observed_unix_s, points.unix_s]), cadence_s=cadence_s, n_possible=n_possible
-    )
+    return sampling_of(np.concatenate([observed_unix_s, points.unix_s]), cadence_s=cadence_s, n_possible=n_possible)
 
 
 def _nothing(n: int, possible: int, observed: int) -> DayMeasure:

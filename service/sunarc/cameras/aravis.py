@@ -37,7 +37,7 @@ from sunarc.clock import Clock
 from sunarc.errors import (
     CameraError,
     CameraLostError,
-    CameraTimeoutError,
+    CameraSilentError,
     ConfigurationError,
     SunarcError,
 )
@@ -270,7 +270,7 @@ class AravisCamera:
         if buffer is None:
             if self._lost.is_set():
                 raise CameraLostError("the camera no longer answers")
-            raise CameraTimeoutError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
+            raise CameraSilentError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
         try:
             return self._checked(buffer, info, exposure_us, triggered_at)
         finally:
@@ -306,6 +306,7 @@ class AravisCamera:
             pixel_format=info.pixel_format,
             full_scale=info.full_scale,
             frame_id=frame_id,
+            binning=self._options.binning,
         )
 
     @contextmanager

@@ -43,6 +43,8 @@ _CHOICES: tuple[tuple[str, str], ...] = (
     ("BlackLevelAuto", "Off"),
     ("AcquisitionFrameRateAuto", "Off"),
     ("AcquisitionFrameRateMode", "Off"),
+    ("BinningHorizontalMode", "Average"),
+    ("BinningVerticalMode", "Average"),
     ("TestPattern", "Off"),
     ("TestImageSelector", "Off"),
     ("SharpeningMode", "Off"),
@@ -243,7 +245,9 @@ def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 -
         raise InputError(
             field="camera.pixel_format",
             problem=f"the camera has no pixel format {pixel_format}; it offers {', '.join(offered)}",
-            remedy=f"set one of {', '.join(usable)}" if usable else "none of these is a single-channel format that can be decoded",
+            remedy=f"set one of {', '.join(usable)}"
+            if usable
+            else "none of these is a single-channel format that can be decoded",
         )
     if str(camera.get_pixel_format_as_string()) != pixel_format:
         camera.set_pixel_format_from_string(pixel_format)

@@ -31,6 +31,7 @@ class Frame:
     pixel_format : GenICam's name, as "Mono12" or "BayerRG8".
     full_scale : the largest count of that format.
     frame_id : the camera's own count.
+    binning : pixels of the sensor that each of these is the mean of, in either direction.
     """
 
     image: Counts
@@ -40,6 +41,7 @@ class Frame:
     pixel_format: str
     full_scale: int
     frame_id: int
+    binning: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,6 +23,7 @@ from sunarc.workers.vouching import Taken, Vouching
 _HEARTBEAT_S = 1.0
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
 _LEAD_SHARE = 0.2  # of short cadences
+_SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,8 +62,21 @@ class CaptureOptions:
             raise InputError(
                 field="capture.hdr_exposures_us", problem="not positive", remedy="give exposures in microseconds"
             )
+        _require_microseconds(self.hdr_exposures_us)
         if self.attempts < 1:
             raise InputError(field="capture.attempts", problem="below 1", remedy="give 1 or more")
+
+
+def _require_microseconds(exposures_us: Sequence[float]) -> None:
+    """Refuse normal exposures that only milliseconds explain."""
+    bracket_is_short = len(exposures_us) > 1 and max(exposures_us) < _SHORTEST_BRACKET_US
+    if min(exposures_us) < _SHORTEST_NORMAL_US or bracket_is_short:
+        listed = ", ".join(f"{exposure:g}" for exposure in exposures_us)
+        raise InputError(
+            field="capture.hdr_exposures_us",
+            problem=f"{listed} us are too short for the sky, and look like milliseconds",
+            remedy=f"give microseconds: {', '.join(f'{1000.0 * exposure:g}' for exposure in exposures_us)}",
+        )
 
 
 class CaptureWorker:
@@ -190,6 +204,7 @@ class CaptureWorker:
         if not good:
             raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
+        self._report.normal_frames(good, apparent_zenith=self._apparent_zenith())
         taken = Taken(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
         for vouched in self._vouching.vouched(taken):
@@ -214,9 +229,7 @@ class CaptureWorker:
         chosen = self._sun_exposures.choose(camera.info)
         frames = [exposer.take_beside(e, normal[:1]) if exposer.has_time() else None for e in chosen]
         taken = [frame for frame in frames if frame is not None]
-        self._report.sun_slot(
-            observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped
-        )
+        self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
 
     def _sign_of_life(self, exposer: Exposer, exposure_us: float) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sunarc.board import CameraStatus, CaptureStatus, Reason, StatusBoard
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
+from sunarc.workers.dark_frames import DarkFrames
 from sunarc.workers.missed_slots import MissedSlots
 
 _log = logging.getLogger(__name__)
@@ -31,6 +33,7 @@ class CaptureReport:
         self._camera = CameraStatus(name=name, connected=False)
         self._counts = CaptureStatus()
         self._missed_slots = MissedSlots(board)
+        self._dark_frames = DarkFrames(board)
         self._incomplete = 0  # cycles in a row
         self._overrun = 0
         self._failure = ""
@@ -85,6 +88,10 @@ class CaptureReport:
         self.add(sun_missed=missed_before + int(not observed))
         self._counts = replace(self._counts, sun_dropped=dropped)
         self._missed_slots.add(missed_before=missed_before)
+
+    def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
+        """Say what a slot's normal exposures show."""
+        self._dark_frames.add(frames, apparent_zenith=apparent_zenith)
 
     def frame(self, frame: Frame) -> None:
         """Say that a frame came."""
