@@ -16,8 +16,8 @@ Look = tuple[str, Literal["ok", "warn", "fail"], str]
 _TRIAL_FRAMES = 12
 _SHORT_US = 100.0
 _SILENT = (
-    "the camera answers commands, but no packet of a frame arrives: let UDP from its address through the firewall of this "
-    "host, and see that its stream is sent here (one network, packets not above the MTU) and that a software trigger works"
+    "the camera answers commands, but no packet of a frame arrives: let UDP from its address through this host's "
+    "firewall, and see that its packets are not above the network's MTU and that it takes software triggers"
 )
 
 

@@ -56,7 +56,7 @@ def test_means_that_may_hold_a_clipped_pixel_are_told_from_those_that_cannot() -
     part[0, 0] = 1500  # bright, but beside nothing that is clipped
     saturated = saturated_pixels(part, sensor=SENSOR, saturation_fraction=0.98)
     assert np.argwhere(saturated).tolist() == [[3, 3], [3, 4]]
-    part[3, 3] = 2400
+    part[3, 3] = 2000
     assert not saturated_pixels(part, sensor=SENSOR, saturation_fraction=0.98).any()
     assert saturated_pixels(part, sensor=replace(SENSOR, binning=1), saturation_fraction=0.5).sum() == 1
 

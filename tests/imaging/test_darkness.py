@@ -18,7 +18,7 @@ DAY = datetime(2013, 5, 13, tzinfo=UTC).timestamp()
 def test_noise_about_a_black_level_is_dark(full_scale: int, black: float) -> None:
     rng = np.random.default_rng(1)
     counts = rng.normal(black * full_scale, max(0.01 * full_scale, 0.5), (480, 640)).clip(0, full_scale)
-    image = counts.astype(np.uint8 if full_scale == 255 else np.uint16)
+    image = counts.astype(np.uint8) if full_scale == 255 else counts.astype(np.uint16)
     image[rng.integers(0, 480, 50), rng.integers(0, 640, 50)] = full_scale  # hot pixels
     assert is_dark(image, full_scale=full_scale)
 

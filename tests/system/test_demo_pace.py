@@ -33,7 +33,8 @@ def test_many_missed_slots_halve_the_speed_and_few_do_not(demo: ModuleType) -> N
     assert pace.too_fast(counts(cycles=104, missed=14, sun_missed=28)) is None  # too few new slots to tell
     said = pace.too_fast(counts(cycles=114, missed=16, sun_missed=26))
     assert said == (
-        "this host is too busy: 6 of the last 20 slots had no sun exposure; slowing the simulated time to 250 times real"
+        "this host is too busy: 6 of the last 20 slots had no sun exposure; "
+        "slowing the simulated time to 250 times real"
     )
     assert pace.speed == 250.0
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 PERIOD_S = 600.0
-"""Slots within this time count as one independent sample of the clouds, s. Half of the passing time of a cumulus field's
-clouds and gaps (5 to 30 min); `docs/studies/missed_slots.py` shows the error rates that come of it."""
+"""Slots within this time count as one independent sample of the clouds, s: about half of the time in which a cumulus
+cloud and a gap pass; `docs/studies/missed_slots.py` shows the error rates that come of it."""
 _QUANTILE = 1.645  # of the normal distribution: one-sided 95 %
 
 

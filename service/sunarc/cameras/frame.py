@@ -129,8 +129,8 @@ def full_scale_of(pixel_format: str) -> int:
         raise InputError(
             field="pixel_format",
             problem=f"{pixel_format!r} is not a single-channel format that can be decoded",
-            remedy="use Mono8, Mono10, Mono12, Mono14, Mono16, Mono10p, Mono12p, Mono10Packed, Mono12Packed, or a Bayer "
-            "format of the same depths",
+            remedy="use Mono8, Mono10, Mono12, Mono14, Mono16, Mono10p, Mono12p, Mono10Packed, Mono12Packed, or a "
+            "Bayer format of the same depths",
         )
     return int(2 ** int(match.group(1) or match.group(2)) - 1)
 

@@ -1,4 +1,4 @@
-"""The exposure that a frame notes of itself (a GenICam chunk), or the register's where there is none that can be read."""
+"""The exposure that a frame notes of itself (a GenICam chunk), or the register's where there is none to be read."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Packed pixel formats: two pixels of 12 bits in three bytes, and their kin.
 
-Layouts from EMVA's "GenICam Pixel Format Naming Convention" (PFNC; the `p` formats, least significant bit first, no gap)
+Layouts from EMVA's "GenICam Pixel Format Naming Convention" (PFNC; the `p` formats, lowest bit first, without gaps)
 and AIA's "GigE Vision", version 1.2, chapter 26 (the `Packed` formats, which keep the high bits of a pixel in one byte
 and share a byte for the low bits of two). Lines follow one another without padding; the last byte may be filled up.
 """
@@ -19,7 +19,7 @@ _PACKED = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(10|12)(p|Packed)")
 
 
 def packing_of(pixel_format: str) -> str | None:
-    """Return the layout of a packed format ("10p", "12p", "10Packed", "12Packed"); None where pixels are whole words."""
+    """Return the layout of a packed format ("10p", "12p", "10Packed", "12Packed"); None of an unpacked one."""
     match = _PACKED.fullmatch(pixel_format)
     return None if match is None else match.group(1) + match.group(2)
 

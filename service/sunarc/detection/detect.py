@@ -23,7 +23,7 @@ _MARGIN_PX = 5.0
 _HALOS = (0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
 _BINNED_HALOS = (0.0, 0.9, 1.7)
 _BINNED_WIDTHS = (1.0, 0.7, 1.4)
-"""Starts for means of clipped pixels, whose cost has several valleys: of 55 discs at binning 2 all end in the deepest."""
+"""Starts for means of clipped pixels, whose cost has several valleys (`docs/studies/binned_sun.py`)."""
 _WIDTHS = (1.0, 0.75, 1.3)  # point spreads to start from, of the one expected
 _DEFAULT_OPTIONS = DiscOptions()
 

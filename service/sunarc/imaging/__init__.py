@@ -1,8 +1,8 @@
 """What to expose for the sun, and what to keep of a cycle: all pure.
 
-Map: `exposure` the sun exposure controller, `darkness` whether a frame is black, `brightness` whether frames had their exposures beside one another, `level`
-whether a cycle had them beside the one before, `hdr` the merge, `preview` for people, `metadata` what a file says of
-itself.
+Map: `exposure` the sun exposure controller, `darkness` whether a frame is black, `brightness` whether frames had their
+exposures beside one another, `level` whether a cycle had them beside the one before, `hdr` the merge, `preview` for
+people, `metadata` what a file says of itself.
 """
 
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
