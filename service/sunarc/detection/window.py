@@ -15,8 +15,8 @@ BoolArray = NDArray[np.bool_]
 
 _CLIPPED_MEAN = 2.0
 """The brightest mean over n by n pixels, times n² over full scale, from which on a pixel of it may be clipped. The
-brightest pixel of a disc of 1.5 px radius exceeds the brightest mean by 1.9, 3.6 and 7.1 at n = 2, 3 and 4 (by rendering
-it at 81 phases, 0.7 px of point spread), that of a larger disc by less."""
+brightest pixel of a disc of 1.5 px radius exceeds the brightest mean by 1.9, 3.6 and 7.1 at n = 2, 3 and 4 (rendered at
+81 phases, with 0.7 px of point spread), that of a larger disc by less."""
 _COLOURS = {"R": 0, "G": 1, "B": 2}
 
 
@@ -55,8 +55,9 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
 
 def saturated_level(sensor: Sensor, saturation_fraction: float) -> float:
     """Return the counts from which on a spot's brightest pixel may be clipped."""
-    share = saturation_fraction if sensor.binning == 1 else _CLIPPED_MEAN / sensor.binning**2
-    return share * sensor.full_scale
+    if sensor.binning == 1:
+        return saturation_fraction * sensor.full_scale
+    return sensor.black_level + _CLIPPED_MEAN / sensor.binning**2 * (sensor.full_scale - sensor.black_level)
 
 
 def saturated_pixels(part: Image, *, sensor: Sensor, saturation_fraction: float) -> BoolArray:
