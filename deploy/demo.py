@@ -30,7 +30,7 @@ POLL_S = 0.5
 START_WITHIN_S = 300.0
 PACE_SLOTS = 10
 """Slots with the sun up between two looks at how many were missed."""
-MISSED_SHARE = 0.3
+MISSED_SHARE = 0.5
 """Share of them without an evaluated sun exposure from which on the simulated time is slowed."""
 SLOWEST = 10.0
 """Speed that the imager is not slowed below."""
@@ -262,6 +262,7 @@ class Pace:
     speed: float
     _slots: int = 0
     _missed: int = 0
+    _settling: bool = True  # at the start, and after each change, some slots are missed on any host
 
     def too_fast(self, capture: dict[str, Any]) -> str | None:
         """Return what to say where the speed has to be halved, None where it does not."""
@@ -271,9 +272,10 @@ class Pace:
             return None
         new_slots, new_missed = slots - self._slots, missed - self._missed
         self._slots, self._missed = slots, missed
-        if new_missed < MISSED_SHARE * new_slots or self.speed / 2.0 < SLOWEST:
+        settling, self._settling = self._settling, False
+        if settling or new_missed < MISSED_SHARE * new_slots or self.speed / 2.0 < SLOWEST:
             return None
-        self.speed /= 2.0
+        self.speed, self._settling = self.speed / 2.0, True
         return (
             f"this host is too busy: {new_missed} of the last {new_slots} slots had no sun exposure; "
             f"slowing the simulated time to {self.speed:g} times real"

@@ -29,18 +29,21 @@ def counts(*, cycles: int, missed: int = 0, sun_missed: int = 0, sun_dropped: in
 
 def test_many_missed_slots_halve_the_speed_and_few_do_not(demo: ModuleType) -> None:
     pace = demo.Pace(500.0)
-    assert pace.too_fast(counts(cycles=100, missed=10, sun_missed=20)) is None
-    assert pace.too_fast(counts(cycles=104, missed=14, sun_missed=28)) is None  # too few new slots to tell
-    said = pace.too_fast(counts(cycles=114, missed=16, sun_missed=26))
+    assert pace.too_fast(counts(cycles=10, missed=10, sun_missed=20)) is None  # the service starts
+    assert pace.too_fast(counts(cycles=30, missed=10, sun_missed=29)) is None  # less than half
+    assert pace.too_fast(counts(cycles=35, missed=14, sun_missed=38)) is None  # too few slots to tell
+    said = pace.too_fast(counts(cycles=40, missed=20, sun_missed=35, sun_dropped=4))
     assert said == (
-        "this host is too busy: 6 of the last 20 slots had no sun exposure; "
+        "this host is too busy: 10 of the last 20 slots had no sun exposure; "
         "slowing the simulated time to 250 times real"
     )
+    assert pace.speed == 250.0
+    assert pace.too_fast(counts(cycles=50, missed=30, sun_missed=55, sun_dropped=4)) is None  # it settles again
     assert pace.speed == 250.0
 
 
 def test_the_speed_has_a_lower_bound(demo: ModuleType) -> None:
     pace = demo.Pace(80.0)
-    for number in range(1, 10):
-        pace.too_fast(counts(cycles=50 * number, missed=50 * number, sun_missed=50 * number))
+    for number in range(1, 30):
+        pace.too_fast(counts(cycles=50 * number, missed=50 * number, sun_missed=100 * number))
     assert pace.speed == 10.0
