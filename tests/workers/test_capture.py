@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from sunarc.board import StatusBoard
@@ -277,6 +278,24 @@ def test_slots_that_a_busy_host_misses_are_a_condition_until_it_keeps_up(
     made.stop.clear()
     made.run_until(lambda: len(made.cycles) >= 50)
     assert reasons(board) == set()
+
+
+def test_black_frames_by_day_make_the_service_not_ready(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    made, expose, light = bench(), camera.expose, np.zeros((64, 64))
+
+    def exposing(exposure_us: float) -> Frame:
+        return replace(expose(exposure_us), image=(light * exposure_us).astype(np.uint16))
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 11)
+    assert board.snapshot().health == "not_ready"
+    assert reasons(board) == {"black_frames"}
+    light[:, 40:] = 0.01
+    made.stop.clear()
+    made.run_until(lambda: not reasons(board))
+    assert board.snapshot().health == "ready"
 
 
 def test_a_simulated_camera_that_is_slowed_has_its_slots_further_apart(bench: MakeBench, camera: FakeCamera) -> None:
