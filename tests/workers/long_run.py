@@ -214,10 +214,11 @@ class LongRun:
     def _store_hidden(self, times: NDArray[np.float64]) -> None:
         """Store the sun exposures that showed clouds: without them nobody knows that they were taken."""
         moments = [datetime.fromtimestamp(t, UTC) for t in times.tolist()]
+        epoch = self.archive.epoch_at("roof", moments[0], reason="first frame").id if moments else ""
         self.archive.add_sun_points(
             SunPoint(
                 camera="roof",
-                pose_epoch=self.archive.epoch_at("roof", moment, reason="first frame").id,
+                pose_epoch=epoch,
                 time=moment,
                 method="disc",
                 accepted=False,
