@@ -15,6 +15,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,13 @@ BUFFER_LIMIT = Path("/proc/sys/net/core/rmem_max")
 BUFFER_BYTES = 32 * 1024 * 1024
 CADENCE_S = 120.0
 POLL_S = 0.5
-START_WITHIN_S = 60.0
+START_WITHIN_S = 300.0
+PACE_SLOTS = 10
+"""Slots with the sun up between two looks at how many were missed."""
+MISSED_SHARE = 0.5
+"""Share of them without an evaluated sun exposure from which on the simulated time is slowed."""
+SLOWEST = 10.0
+"""Speed that the imager is not slowed below."""
 
 
 class DemoError(Exception):
@@ -243,16 +250,58 @@ def get_or_none(url: str) -> Any:
         return None
 
 
+@dataclass
+class Pace:
+    """Halves the speed of the simulated time while the host is too busy to observe most slots.
+
+    Attributes
+    ----------
+    speed : simulated seconds per real second.
+    """
+
+    speed: float
+    _slots: int = 0
+    _missed: int = 0
+    _settling: bool = True  # at the start, and after each change, some slots are missed on any host
+
+    def too_fast(self, capture: dict[str, Any]) -> str | None:
+        """Return what to say where the speed has to be halved, None where it does not."""
+        missed = capture["sun_missed"] + capture["sun_dropped"]
+        slots = capture["cycles"] + capture["missed"]
+        if slots - self._slots < PACE_SLOTS:
+            return None
+        new_slots, new_missed = slots - self._slots, missed - self._missed
+        self._slots, self._missed = slots, missed
+        settling, self._settling = self._settling, False
+        if settling or new_missed < MISSED_SHARE * new_slots or self.speed / 2.0 < SLOWEST:
+            return None
+        self.speed, self._settling = self.speed / 2.0, True
+        return (
+            f"this host is too busy: {new_missed} of the last {new_slots} slots had no sun exposure; "
+            f"slowing the simulated time to {self.speed:g} times real"
+        )
+
+
+def slow_down(pace: Pace, capture: dict[str, Any] | None) -> None:
+    """Slow the imager, which the service follows, and say so."""
+    said = None if capture is None else pace.too_fast(capture)
+    if said is not None:
+        CHILDREN["imager"].send_signal(signal.SIGUSR1)
+        print(f"demo: {said}", flush=True)
+
+
 def follow(url: str, state: Path, options: argparse.Namespace) -> int:
     """Show the progress until the days are over, save what is served, and return the exit code."""
-    shown = ""
+    shown, pace = "", Pace(options.speed)
     while True:
         watch(state)
         days = get(f"{url}/v1/days")["days"]
         calibration = get_or_none(f"{url}/v1/calibration")
-        line = describe(days, calibration, get(f"{url}/v1/status"))
+        status = get(f"{url}/v1/status")
+        slow_down(pace, status.get("capture"))
+        line = describe(days, calibration, status)  # a count of missed slots alone is no news
         if line != shown:
-            print(f"demo: {line}", flush=True)
+            print(f"demo: {line}{missed_slots(status)}", flush=True)
             shown = line
         if len(days) >= options.days and not refit_under_way(url, days):
             break
@@ -283,6 +332,15 @@ def describe(days: list[Any], calibration: Any, status: Any) -> str:
     if calibration is not None:
         fit = f"calibration {calibration['id']}, {calibration['metrics']['rmse_px']:.3f} px RMSE"
     return f"{seen[:13].replace('T', ' ')} h; days judged: {', '.join(told) or 'none'}; {fit}"
+
+
+def missed_slots(status: dict[str, Any]) -> str:
+    """Return how many slots had no sun exposure, empty where all had one."""
+    capture = status.get("capture") or {"sun_missed": 0}
+    missed = capture["sun_missed"]
+    if not missed:
+        return ""
+    return f"; {missed} of {capture['cycles'] + capture['missed']} slots without a sun exposure"
 
 
 if __name__ == "__main__":

@@ -25,11 +25,11 @@ def test_sections_are_the_rooms_own_options(tmp_path: Path) -> None:
 
 def test_the_environment_goes_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SUNARC_CAPTURE__CADENCE_S", "15")
-    monkeypatch.setenv("SUNARC_CAPTURE__HDR_EXPOSURES_US", "[5, 6]")
+    monkeypatch.setenv("SUNARC_CAPTURE__HDR_EXPOSURES_US", "[50, 600]")
     monkeypatch.setenv("SUNARC_NAME", "roof")
     settings = load_settings(write(tmp_path, SITE + "[capture]\ncadence_s = 60\n"))
     assert (settings.capture.cadence_s, settings.name) == (15.0, "roof")
-    assert settings.capture.hdr_exposures_us == (5.0, 6.0)
+    assert settings.capture.hdr_exposures_us == (50.0, 600.0)
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def simulate(
     ] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
-    """Run a simulated imager that speaks GigE Vision on loopback.
+    """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
 
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """

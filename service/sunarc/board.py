@@ -63,6 +63,8 @@ class CaptureStatus:
     ----------
     cycles, complete : slots served by day, and those whose normal exposures all succeeded.
     missed : slots that passed without a cycle, the camera being lost or the cycle before too long.
+    sun_missed : slots with the sun up in which no sun exposure was taken, those without a cycle among them.
+    sun_dropped : sun exposures that were not evaluated, for detection was too slow.
     frames : exposures that succeeded.
     retries : exposures tried again.
     losses : exposures without a frame, or with one that lacks packets.
@@ -77,6 +79,8 @@ class CaptureStatus:
     cycles: int = 0
     complete: int = 0
     missed: int = 0
+    sun_missed: int = 0
+    sun_dropped: int = 0
     frames: int = 0
     retries: int = 0
     losses: int = 0

@@ -11,6 +11,7 @@
     ├── OutsideError           something outside failed: disk, port, peer (exit 3)
     └── CameraError            one exposure failed: try again within the cycle
         ├── CameraTimeoutError no frame came in time
+        │   └── CameraSilentError not a packet of it came
         └── CameraLostError    the connection is gone: close, wait, open anew
 """
 
@@ -64,6 +65,10 @@ class CameraError(SunarcError):
 
 class CameraTimeoutError(CameraError):
     """No frame came in time."""
+
+
+class CameraSilentError(CameraTimeoutError):
+    """Not a single packet of a frame came."""
 
 
 class CameraLostError(CameraError):

@@ -9,12 +9,16 @@ from typing import Literal
 from sunarc.app import camera_opener
 from sunarc.cameras import AravisCamera, SkyCamera
 from sunarc.clock import Clock
-from sunarc.errors import CameraError, CameraTimeoutError, SunarcError
+from sunarc.errors import CameraError, CameraSilentError, CameraTimeoutError, SunarcError
 from sunarc.settings import Settings
 
 Look = tuple[str, Literal["ok", "warn", "fail"], str]
 _TRIAL_FRAMES = 12
 _SHORT_US = 100.0
+_SILENT = (
+    "the camera answers commands, but no packet of a frame arrives: let UDP from its address through this host's "
+    "firewall, and see that its packets are not above the network's MTU and that it takes software triggers"
+)
 
 
 def survey(settings: Settings, *, clock: Clock) -> Iterator[Look]:
@@ -60,17 +64,19 @@ def _exposures(camera: SkyCamera, wanted_us: Sequence[float]) -> Look:
 
 def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> Look:
     """Take some frames, and say how many came whole."""
-    lost, refused, last = 0, 0, ""
+    lost, silent, refused, last = 0, 0, 0, ""
     for number in range(_TRIAL_FRAMES):
         try:
             camera.expose(exposures_us[number % len(exposures_us)])
         except CameraTimeoutError as error:
-            lost, last = lost + 1, str(error)
+            lost, silent, last = lost + 1, silent + isinstance(error, CameraSilentError), str(error)
         except CameraError as error:
             refused, last = refused + 1, str(error)
     whole = _TRIAL_FRAMES - lost - refused
     text = f"{whole} of {_TRIAL_FRAMES} came whole"
     if whole == _TRIAL_FRAMES:
         return "frames", "ok", text
+    if silent == _TRIAL_FRAMES:
+        return "frames", "fail", f"{text}; {_SILENT}"
     remedy = "look at packet size, MTU and net.core.rmem_max" if lost else "see what else sets the camera"
     return "frames", "warn" if whole else "fail", f"{text}; the last fault: {last}; {remedy}"

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import Archive, Day, Event, Refit, SunPoint, check, downgrade, head_revision, open_archive, upgrade
+from sunarc.archive import Archive, Day, Event, Refit, SunPoint, check, downgrade, open_archive, upgrade
 from sunarc.archive.tables import metadata
 
 from .conftest import NOON
 from .test_calibrations import document
 
 Rows = list[dict[str, object]]
-REVISIONS = [f"{number:04}" for number in range(int(head_revision()), 0, -1)]
+VERSIONS = Path(__file__).parents[2] / "migrations" / "versions"
+REVISIONS = sorted((script.name[:4] for script in VERSIONS.glob("[0-9]*.py")), reverse=True)
 
 
 @pytest.fixture

@@ -139,14 +139,19 @@ class Camera:
         self.bounds = {"ExposureTime": (10.0, 1e6), "Gain": (0.0, 24.0)}
         self.steps = {"ExposureTime": 1.0}
         self.chunks = False
-        self.noted_us: float | None = None
+        self.noted_us: float | GLibError | None = None
         self.fails: dict[str, GLibError] = {}
+        self.locked: dict[str, Callable[[dict[str, Any]], bool]] = {}
+        self.unreadable: set[str] = set()
+        self.pixel_format = "Mono12"
 
     def library(self) -> tuple[Any, Any]:
         return library(self)
 
     def feature(self, name: str, kind: str) -> Any:  # noqa: ANN401 - a stub of an untyped library
         value = self.features[name]
+        if name in self.unreadable:
+            raise GLibError(f"{name} cannot be read now", 17)
         if type(value).__name__ != {"string": "str", "boolean": "bool", "integer": "int"}.get(kind, kind):
             raise GLibError(f"{name} is no {kind}", 3)
         return value
@@ -156,7 +161,14 @@ class Camera:
         return self.bounds[name]
 
     def set_feature(self, name: str, value: object) -> None:
+        if name in self.locked and self.locked[name](self.features):
+            raise GLibError(f"{name} is locked", 17)
         self.features[name] = float(np.floor(value)) if name == "ExposureTime" else value  # type: ignore[call-overload]
+
+    def noted_exposure(self, *_: object) -> float | None:
+        if isinstance(self.noted_us, Exception):
+            raise self.noted_us
+        return self.noted_us
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         answers: dict[str, Callable[..., Any]] = {
@@ -164,7 +176,10 @@ class Camera:
             "is_gv_device": lambda: True,
             "create_stream": lambda *_: self.stream,
             "dup_available_pixel_formats_as_strings": lambda: ["Mono8", "Mono12", "Mono12Packed", "BayerRG8"],
-            "get_pixel_format_as_string": lambda: "Mono12",
+            "get_pixel_format_as_string": lambda: self.pixel_format,
+            "set_pixel_format_from_string": partial(setattr, self, "pixel_format"),
+            "set_trigger": lambda source: self.features.update(TriggerMode="On", TriggerSource=source),
+            "clear_triggers": lambda: self.features.update(TriggerMode="Off"),
             "get_sensor_size": lambda: (WIDTH, HEIGHT),
             "get_region": lambda: (0, 0, WIDTH, HEIGHT),
             "get_vendor_name": lambda: "Vendor",
@@ -174,7 +189,7 @@ class Camera:
             "is_feature_available": self.features.__contains__,
             "is_enumeration_entry_available": lambda *_: True,
             "are_chunks_available": lambda: self.chunks,
-            "create_chunk_parser": lambda: SimpleNamespace(get_float_value=lambda *_: self.noted_us),
+            "create_chunk_parser": lambda: SimpleNamespace(get_float_value=self.noted_exposure),
         }
         for kind in ("string", "boolean", "float", "integer"):
             answers[f"get_{kind}"] = partial(self.feature, kind=kind)

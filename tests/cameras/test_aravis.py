@@ -16,7 +16,14 @@ from sunarc.cameras import AravisCamera, AravisOptions, open_aravis
 from sunarc.cameras import aravis as adapter
 from sunarc.cameras.buffers import follows
 from sunarc.clock import VirtualClock
-from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError, ConfigurationError, InputError
+from sunarc.errors import (
+    CameraError,
+    CameraLostError,
+    CameraSilentError,
+    CameraTimeoutError,
+    ConfigurationError,
+    InputError,
+)
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 
@@ -117,7 +124,7 @@ def test_the_wait_is_the_exposure_and_a_second(stub: SimpleNamespace) -> None:
 @pytest.mark.parametrize(
     ("buffer", "error", "words"),
     [
-        (None, CameraTimeoutError, "no frame came"),
+        (None, CameraSilentError, "no frame came"),
         ({"status": "TIMEOUT"}, CameraTimeoutError, "packets of the frame were lost"),
         ({"status": "MISSING_PACKETS"}, CameraTimeoutError, "packets of the frame were lost"),
         ({"status": "ABORTED"}, CameraError, "not usable"),
@@ -212,6 +219,7 @@ def test_the_signal_s_handler_does_not_hold_the_camera(stub: SimpleNamespace) ->
 def test_closing_stops_disconnects_and_lets_go_and_may_be_done_twice(stub: SimpleNamespace) -> None:
     camera = stub.Camera()
     ours = opened(camera)
+    camera.calls.clear()
     ours.close()
     ours.close()
     assert [call[0] for call in camera.calls].count("stop_acquisition") == 1
@@ -235,7 +243,9 @@ def test_an_opening_that_fails_half_way_lets_go(
 
 
 def test_a_format_that_the_camera_lacks_is_refused_with_those_it_has(stub: SimpleNamespace) -> None:
-    with pytest.raises(InputError, match=r"no pixel format Mono16; .* set one of Mono8, Mono12, BayerRG8$"):
+    with pytest.raises(
+        InputError, match=r"no pixel format Mono16; .* set one of Mono8, Mono12, Mono12Packed, BayerRG8$"
+    ):
         opened(stub.Camera(), pixel_format="Mono16")
 
 

@@ -16,7 +16,6 @@ from sunarc.errors import InputError
     [
         ({"address": "sky-camera.example"}, "address"),
         ({"address": ""}, "address"),
-        ({"pixel_format": "Mono12Packed"}, "pixel_format"),
         ({"pixel_format": "RGB8"}, "pixel_format"),
         ({"packet_size": 100}, "packet_size"),
         ({"gain_db": float("nan")}, "gain_db"),

@@ -64,7 +64,7 @@ def rendered(scene: Scene, frame: Frame, region: tuple[int, int, int, int] | Non
     )
 
 
-@pytest.mark.parametrize("pixel_format", ["Mono8", "Mono12"])
+@pytest.mark.parametrize("pixel_format", ["Mono8", "Mono12", "Mono12Packed", "Mono12p", "Mono10Packed", "Mono10p"])
 def test_every_pixel_of_a_full_frame_arrives(
     imager: Imager, opened: Callable[..., AravisCamera], pixel_format: str
 ) -> None:

@@ -45,3 +45,13 @@ def test_the_midnight_sun_has_no_night() -> None:
     may_s = datetime(2024, 5, 20, 12, tzinfo=UTC).timestamp()
     line = Timeline(svalbard, start_unix_s=may_s, speed=3600.0)
     assert [line.at(float(h)) for h in range(30)] == [may_s + 3600.0 * h for h in range(30)]
+
+
+def test_a_change_of_speed_makes_no_step() -> None:
+    noon_s = datetime(2013, 5, 13, 18, tzinfo=UTC).timestamp()
+    line = Timeline(SGP, start_unix_s=noon_s, speed=400.0)
+    assert line.at(10.0) == noon_s + 4000.0
+    line.set_speed(200.0, elapsed_s=10.0)
+    assert line.at(10.0) == noon_s + 4000.0
+    line.set_speed(100.0, elapsed_s=20.0)
+    assert line.at(30.0) == noon_s + 7000.0

@@ -21,7 +21,7 @@ from sunarc.sky import direction_from_angles, sun_angles, sun_directions
 
 ROOT = Path(__file__).parents[2]
 
-pytestmark = [pytest.mark.gige, pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(420)]
+pytestmark = [pytest.mark.gige, pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(1900)]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Result:
         *(sys.executable, str(ROOT / "deploy" / "demo.py"), "--headless", "--until-calibrated"),
         *("--days", "1", "--speed", "500", "--state", str(state), "--port", str(free_port())),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)  # slowed on a busy host
     assert done.returncode == 0, done.stdout + done.stderr
     return Result(state, done.stdout)
 

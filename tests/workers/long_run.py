@@ -52,11 +52,13 @@ WITHIN_95 = 5.991
 
 @dataclass(frozen=True)
 class Weather:
-    """How much of a day shows the sun, and how much of what is reported is something else."""
+    """How much of a day shows the sun, how much of what is reported is something else, and what is observed at all."""
 
     name: str
     seen: float
     false: float
+    missed: float = 0.0
+    begins: float = 0.0
 
 
 CLEAR = Weather("clear", 0.98, 0.0)
@@ -181,7 +183,13 @@ class LongRun:
         start, end = day_bounds_unix_s(day, longitude=SGP.longitude)
         times = np.arange(start, end, self.cadence_s)
         times = times[sun_angles(times, SGP).apparent_zenith < LOWEST_ZENITH_DEG]
-        times = times[self._clear_spells(times.size, weather.seen)]
+        seen = self._clear_spells(times.size, weather.seen)
+        if weather.missed or weather.begins:
+            observed = self._rng.random(times.size) >= weather.missed
+            observed[: int(weather.begins * times.size)] = False
+            times, seen = times[observed], seen[observed]
+        self._store_hidden(times[~seen])
+        times = times[seen]
         pixels = project(self.truth, sun_directions(times, SGP)) + self._rng.normal(0.0, SIGMA_PX, (times.size, 2))
         false = self._rng.random(times.size) < weather.false
         pixels[false] += self._rng.normal(4.0, 12.0, (int(false.sum()), 2))  # bright edges of clouds, all on one side
@@ -201,6 +209,22 @@ class LongRun:
                 clock_error_s=0.001,
             )
             for moment, (x, y) in zip(moments, pixels.tolist(), strict=True)
+        )
+
+    def _store_hidden(self, times: NDArray[np.float64]) -> None:
+        """Store the sun exposures that showed clouds: without them nobody knows that they were taken."""
+        moments = [datetime.fromtimestamp(t, UTC) for t in times.tolist()]
+        epoch = self.archive.epoch_at("roof", moments[0], reason="first frame").id if moments else ""
+        self.archive.add_sun_points(
+            SunPoint(
+                camera="roof",
+                pose_epoch=epoch,
+                time=moment,
+                method="disc",
+                accepted=False,
+                verdict="hidden",
+            )
+            for moment in moments
         )
 
     def _clear_spells(self, n: int, share: float) -> NDArray[np.bool_]:

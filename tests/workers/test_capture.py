@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from sunarc.board import StatusBoard
@@ -247,6 +249,62 @@ def test_slots_that_pass_while_the_camera_is_away_are_counted(
     status = board.snapshot().capture
     assert status is not None
     assert status.missed == 2
+
+
+def test_slots_that_a_busy_host_misses_are_a_condition_until_it_keeps_up(
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusBoard
+) -> None:
+    made, expose, slow = bench(), camera.expose, [True]
+
+    def exposing(exposure_us: float) -> Frame:
+        clock.advance(70.0 if slow[0] and exposure_us == SUN[0] else 0.0)  # every cycle takes three slots
+        return expose(exposure_us)
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 3)
+    assert reasons(board) == set()  # too few slots to tell
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 6)
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("slots_missed", "degraded")
+    assert re.search(r"\d+ of the last 1\d slots", reason.text)
+    status = board.snapshot().capture
+    assert status is not None
+    assert status.missed == status.sun_missed == 10
+    slow[0] = False
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 30)
+    assert reasons(board) == {"slots_missed"}
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 50)
+    assert reasons(board) == set()
+
+
+def test_black_frames_by_day_make_the_service_not_ready(
+    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+) -> None:
+    made, expose, light = bench(), camera.expose, np.zeros((64, 64))
+
+    def exposing(exposure_us: float) -> Frame:
+        return replace(expose(exposure_us), image=(light * exposure_us).astype(np.uint16))
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 11)
+    assert board.snapshot().health == "not_ready"
+    assert reasons(board) == {"black_frames"}
+    light[:, 40:] = 0.01
+    made.stop.clear()
+    made.run_until(lambda: not reasons(board))
+    assert board.snapshot().health == "ready"
+
+
+def test_a_simulated_camera_that_is_slowed_has_its_slots_further_apart(bench: MakeBench, camera: FakeCamera) -> None:
+    made = bench()
+    check = camera.check
+    camera.check = lambda: replace(check(), speed=0.5)  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 3)
+    starts = [at for at, exposure in camera.exposures if exposure == HDR[0]]
+    assert starts[2] - starts[1] == pytest.approx(60.0, abs=1.0)
 
 
 def test_exposures_that_the_camera_cannot_take_are_refused_and_nothing_is_taken(

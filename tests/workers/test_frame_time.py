@@ -50,3 +50,15 @@ def test_the_wait_for_a_slot_is_shorter_for_a_faster_camera() -> None:
 def test_the_hosts_clock_cannot_be_made_faster() -> None:
     with pytest.raises(InputError, match=r"capture\.speed"):
         FrameTime(VirtualClock(HOST), follows_camera=False, speed=10.0)
+
+
+def test_a_camera_that_is_slowed_is_followed_without_a_step() -> None:
+    clock = VirtualClock(HOST)
+    frame_time = FrameTime(clock, follows_camera=True, speed=60.0)
+    frame_time.note(SIMULATED)
+    clock.advance(2.0)
+    frame_time.set_speed(30.0)
+    assert frame_time.now() == SIMULATED + timedelta(seconds=120)
+    clock.advance(2.0)
+    assert frame_time.now() == SIMULATED + timedelta(seconds=180)
+    assert frame_time.real_seconds_until(SIMULATED + timedelta(seconds=210)) == pytest.approx(1.0)

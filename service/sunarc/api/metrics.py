@@ -18,6 +18,8 @@ _CAPTURE_COUNTS = {
     "cycles": "Slots served by day.",
     "complete": "Those whose normal exposures all succeeded.",
     "missed": "Slots that passed without a cycle.",
+    "sun_missed": "Slots with the sun up without a sun exposure.",
+    "sun_dropped": "Sun exposures not evaluated because detection was too slow.",
     "frames": "Exposures that succeeded.",
     "retries": "Exposures tried again.",
     "losses": "Exposures without a frame, or with one that lacked packets.",

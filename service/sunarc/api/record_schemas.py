@@ -17,6 +17,7 @@ class DayOut(BaseModel):
     n: int = Field(description="Accepted sightings.")
     n_cycles: int | None = Field(description="Cycles with a sighting on the day's smooth arc; a bracket is one.")
     n_possible: int = Field(description="Cycles that the day had room for.")
+    n_observed: int | None = Field(description="Cycles in which sun exposures were taken; the verdict speaks of these.")
     arc_deg: float | None = Field(description="Arc of the sky that was covered, degrees.")
     solid_angle_sr: float | None = Field(description="Solid angle of the sky that was covered, steradians.")
     sd_px: float | None = Field(description="Scatter about the day's smooth arc, px per axis (Eq. 20).")

@@ -217,6 +217,8 @@ class CaptureOut(BaseModel):
     cycles: int
     complete: int
     missed: int
+    sun_missed: int
+    sun_dropped: int
     frames: int
     retries: int
     losses: int

@@ -7,7 +7,7 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel, run_imager
+from sunarc.simulation import FakeCamera, ImagerOptions, SceneOptions, SensorModel, halve_speed, run_imager
 from sunarc.sky import Site
 
 
@@ -26,7 +26,7 @@ def simulate(
     moon: tuple[float, float] | None,
     truth: Path | None,
 ) -> None:
-    """Run a simulated imager until SIGTERM or SIGINT."""
+    """Run a simulated imager until SIGTERM or SIGINT; SIGUSR1 halves its speed."""
     options = ImagerOptions(
         address=address,
         start=start,
@@ -41,4 +41,8 @@ def simulate(
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    run_imager(options, stop)
+    run_imager(options, stop, running=_slow_on_signal)
+
+
+def _slow_on_signal(camera: FakeCamera) -> None:
+    signal.signal(signal.SIGUSR1, lambda *_: halve_speed(camera))

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select
+from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select, type_coerce
 
 from sunarc.archive import tables
 from sunarc.archive.tables import sun_point
@@ -68,3 +68,10 @@ def read_levels(connection: Connection, wanted: list[ColumnElement[bool]]) -> tu
     result = connection.execute(select(c.time, peak / c.exposure_us).where(*wanted, c.exposure_us > 0.0, peak > 0.0))
     rows = np.fromiter(cast("Iterable[tuple[float, ...]]", result.cursor), dtype=_LEVELS)
     return rows["time"] / 1e6, rows["level"].copy()
+
+
+def read_times(connection: Connection, wanted: list[ColumnElement[bool]]) -> FloatArray:
+    """Return the times of all rows that meet the conditions, s since 1970-01-01 UTC (n,), in no order."""
+    c = sun_point.c
+    times = select(type_coerce(c.time, Integer)).where(*wanted, func.typeof(c.time) == "integer")
+    return np.fromiter(connection.scalars(times), dtype=np.float64) / 1e6

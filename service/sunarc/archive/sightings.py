@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Engine, func, or_, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
-from sunarc.archive.columns import FloatArray, read_columns, read_levels
+from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
@@ -168,6 +168,22 @@ class Sightings(Store):
         newest = select(c.time).where(c.camera == camera, *_clock_within(largest_clock_error_s))
         with self._reading() as connection:
             return connection.scalar(newest.order_by(c.time.desc()).limit(1))
+
+    def observation_times(
+        self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
+    ) -> FloatArray | None:
+        """Return when sun exposures were taken, with a sighting or without, s since 1970-01-01 UTC (n,).
+
+        None where sightings were imported: a file of sightings does not tell when there was an exposure without one.
+        Exposures whose clock may be wrong by more than `largest_clock_error_s` are left out.
+        """
+        c = sun_point.c
+        wanted = [*_wanted(camera, since=since, until=until), c.body == "sun", *_clock_within(largest_clock_error_s)]
+        with self._reading() as connection:
+            imported = select(c.id).where(*wanted, c.method == "import").limit(1)
+            if connection.scalar(imported) is not None:
+                return None
+            return read_times(connection, wanted)
 
     def sun_levels(
         self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None

@@ -109,6 +109,7 @@ day = Table(
     Column("sd_px", Float),
     Column("rmsd_px", Float),
     Column("n_cycles", Integer),
+    Column("n_observed", Integer),
     Column("solid_angle_sr", Float),
     Column("doubtful_clock", Float),
     Column("pose_offset_deg", NumberTuple(3)),

@@ -138,6 +138,7 @@ class Day:
     ----------
     n : accepted sightings.
     n_cycles, n_possible : cycles with a sighting on the smooth arc, and cycles that the day had; None: not counted.
+    n_observed : cycles in which sun exposures were taken; None: not counted.
     arc_deg, solid_angle_sr : how much of the sky was seen.
     sd_px, rmsd_px : scatter of all sightings about the arc.
     doubtful_clock : share of the sightings whose clock was doubtful.
@@ -156,6 +157,7 @@ class Day:
     sd_px: float | None = None
     rmsd_px: float | None = None
     n_cycles: int | None = None
+    n_observed: int | None = None
     solid_angle_sr: float | None = None
     doubtful_clock: float | None = None
     pose_offset_deg: tuple[float, ...] | None = None

@@ -15,6 +15,7 @@ from sunarc.calibration.loss import core_sigma, tukey_weights
 from sunarc.calibration.metrics import measures
 from sunarc.calibration.patches import solid_angle_sr
 from sunarc.calibration.points import SunPoints, Usable, usable_points
+from sunarc.calibration.sampling import Sampling, fully_observed, sampling_of
 from sunarc.errors import InputError
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
 
@@ -36,7 +37,8 @@ class DayOptions:
 
     Attributes
     ----------
-    clear_share, partly_share : smallest share of the possible sightings that lie on the arc.
+    clear_share, partly_share : smallest share of the observed slots that lie on the arc. Where slots were missed, the
+        lower 95 % bound of the share has to reach `clear_share`.
     clear_sd_px : largest scatter of all sightings about the arc on a clear day, px.
     smallest_count : fewer sightings on the arc make a day unusable.
     smallest_arc_deg : a shorter arc makes a day unusable.
@@ -71,10 +73,13 @@ class DayMeasure:
     date : local mean solar date, ISO 8601; "" without sightings.
     n : sightings usable; n_on_arc: those on the smooth arc.
     n_cycles : cycles with at least one on the arc (a bracket is one); n_possible: cycles with the sun up.
+    n_observed : cycles in which sun exposures were taken, whatever they showed.
+    lowest_share : lower 95 % bound of the share of the cycles between the first and the last observed one that would
+        lie on the arc; the share itself where all of them were observed.
     sd_px : standard deviation of the distances from the arc (Eq. 27c as the paper's Table 1 has it), all sightings.
     rmsd_px : root of the mean square distance from the arc, all sightings.
     core_sd_px : 1-sigma per axis of the sightings on the arc.
-    arc_deg : length of the sun's way between the first and the last sighting on the arc, gaps above 5 degrees left out.
+    arc_deg : length of the sun's way between the first and the last sighting on the arc, gaps counted up to 5 degrees.
     solid_angle_sr : solid angle of the patches of sky, 2 degrees wide, with a sighting on the arc.
     largest_gap_s : longest time between sightings on the arc.
     doubtful_clock : share of the sightings whose clock may be wrong by more than allowed.
@@ -85,6 +90,8 @@ class DayMeasure:
     n_on_arc: int
     n_cycles: int
     n_possible: int
+    n_observed: int
+    lowest_share: float
     sd_px: float
     rmsd_px: float
     core_sd_px: float
@@ -107,6 +114,7 @@ def measure_day(
     *,
     site: Site,
     n_possible: int | None = None,
+    observed_unix_s: FloatArray | None = None,
     cadence_s: float = 30.0,
     options: DayOptions | None = None,
 ) -> DayMeasure:
@@ -117,28 +125,33 @@ def measure_day(
     points : sightings of one solar day.
     site : where the camera stands.
     n_possible : how many cycles could have shown the sun; None counts one every `cadence_s` while it is up.
+    observed_unix_s : (m,) times of the day's sun exposures, those without a sighting included, s since 1970-01-01 UTC;
+        None where they are not known: all possible cycles count as observed.
     cadence_s : seconds between cycles.
     options : say which clock is doubtful.
     """
     wanted = DayOptions() if options is None else options
     usable = usable_points(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
+    sampling = _sampling(points, observed_unix_s, possible, cadence_s)
     if len(usable) < 2:
-        return _nothing(len(usable), possible)
+        return _nothing(len(usable), possible, sampling.n_observed)
     residual, weight = _about_arcs(usable, site)
     on_arc = weight > 0.0
     rmsd, _, _, sd = measures(residual)
-    core = measures(residual[on_arc])[0] / math.sqrt(2.0)
     times = usable.unix_s[on_arc]
+    n_cycles = int(np.unique(np.floor(times / cadence_s)).size)
     return DayMeasure(
         date=(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=int(usable.day[0]))).date().isoformat(),
         n=len(usable),
         n_on_arc=int(on_arc.sum()),
-        n_cycles=int(np.unique(np.floor(times / cadence_s)).size),
+        n_cycles=n_cycles,
         n_possible=possible,
+        n_observed=sampling.n_observed,
+        lowest_share=sampling.lowest_share(n_cycles),
         sd_px=sd,
         rmsd_px=rmsd,
-        core_sd_px=core,
+        core_sd_px=measures(residual[on_arc])[0] / math.sqrt(2.0),
         arc_deg=arc_length_deg(usable.directions[on_arc]),
         solid_angle_sr=solid_angle_sr(usable.directions[on_arc]),
         largest_gap_s=float(np.max(np.diff(np.sort(times)), initial=0.0)),
@@ -193,14 +206,27 @@ def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVer
     if measure.doubtful_clock > wanted.doubtful_share:
         doubtful = f"the clock is doubtful in {100.0 * measure.doubtful_clock:.0f} % of the sightings"
         return DayVerdict(kind="unusable", reasons=(doubtful,))
-    share = measure.n_cycles / max(measure.n_possible, measure.n_cycles, 1)
-    seen = f"{100.0 * share:.0f} % of the {measure.n_possible} possible sightings lie on the arc"
-    scatter = f"they scatter by {measure.sd_px:.2f} px about it"
+    share = measure.n_cycles / max(measure.n_observed, measure.n_cycles, 1)
+    reasons = [_share_text(measure, share)]
     if share < wanted.partly_share:
-        return DayVerdict(kind="cloudy", reasons=(seen,))
-    if share < wanted.clear_share or measure.sd_px > wanted.clear_sd_px:
-        return DayVerdict(kind="partly", reasons=(seen, scatter))
-    return DayVerdict(kind="clear", reasons=(seen, scatter))
+        return DayVerdict(kind="cloudy", reasons=tuple(reasons))
+    reasons.append(f"they scatter by {measure.sd_px:.2f} px about it")
+    too_few = measure.lowest_share < wanted.clear_share <= share
+    if too_few:
+        reasons.append(
+            f"{measure.n_observed} observed slots show at least {100.0 * measure.lowest_share:.0f} % with 95 % "
+            f"confidence, less than the {100.0 * wanted.clear_share:.0f} % of a clear day"
+        )
+    if too_few or share < wanted.clear_share or measure.sd_px > wanted.clear_sd_px:
+        return DayVerdict(kind="partly", reasons=tuple(reasons))
+    return DayVerdict(kind="clear", reasons=tuple(reasons))
+
+
+def _share_text(measure: DayMeasure, share: float) -> str:
+    """Return how much of what was observed lies on the arc, and how much was not observed."""
+    text = f"{100.0 * share:.0f} % of the {measure.n_observed} observed slots lie on the arc"
+    missed = measure.n_possible - measure.n_observed
+    return f"{text}; {missed} of {measure.n_possible} possible slots were not observed" if missed > 0 else text
 
 
 def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
@@ -224,13 +250,22 @@ def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
 
 
-def _nothing(n: int, possible: int) -> DayMeasure:
+def _sampling(points: SunPoints, observed_unix_s: FloatArray | None, n_possible: int, cadence_s: float) -> Sampling:
+    """Return which slots were observed: those of every sun exposure, and of every sighting."""
+    if observed_unix_s is None:
+        return fully_observed(n_possible)
+    return sampling_of(np.concatenate([observed_unix_s, points.unix_s]), cadence_s=cadence_s, n_possible=n_possible)
+
+
+def _nothing(n: int, possible: int, observed: int) -> DayMeasure:
     return DayMeasure(
         date="",
         n=n,
         n_on_arc=0,
         n_cycles=0,
         n_possible=possible,
+        n_observed=observed,
+        lowest_share=0.0,
         sd_px=math.nan,
         rmsd_px=math.nan,
         core_sd_px=math.nan,
@@ -242,6 +277,9 @@ def _nothing(n: int, possible: int) -> DayMeasure:
 
 
 def arc_length_deg(directions: FloatArray) -> float:
-    """Return the length of the way through directions (n, 3) in degrees, gaps above 5 degrees left out."""
+    """Return the length of the way through directions (n, 3) in degrees; a longer gap counts as 5 degrees.
+
+    So few sightings far apart (a host that missed most slots) have the arc of their surroundings, and not none.
+    """
     step = angular_distance(directions[1:], directions[:-1])
-    return math.degrees(float(np.sum(step[step < _LARGEST_GAP])))
+    return math.degrees(float(np.sum(np.minimum(step, _LARGEST_GAP))))

@@ -3,6 +3,7 @@
 from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Counts, Frame, SkyCamera, full_scale_of
 from sunarc.cameras.options import AravisOptions, ReplayOptions
+from sunarc.cameras.packed import pack, packing_of
 from sunarc.cameras.replay import ReplayCamera, SkippedFile, exposure_of_name, open_replay
 from sunarc.cameras.timestamps import TAI_MINUS_UTC_S, utc_of_timestamp
 
@@ -22,5 +23,7 @@ __all__ = [
     "full_scale_of",
     "open_aravis",
     "open_replay",
+    "pack",
+    "packing_of",
     "utc_of_timestamp",
 ]

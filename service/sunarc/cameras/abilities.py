@@ -28,7 +28,11 @@ def abilities_of(
         name = first(camera, names)
         pinned = next((pin.value for pin in pins if pin.name == name), None)
         yield what, "cannot be set" if name is None else f"{name}, held at {pinned}"
-    noted = "noted by the camera beside each frame" if notes_exposures else "judged by brightness alone"
+    noted = (
+        "noted by the camera beside each frame"
+        if notes_exposures
+        else "read back from the camera, and judged by brightness"
+    )
     yield "exposure", f"by {exposure.feature}; {noted}"
     degrees = temperature_c(camera)
     yield "temperature", "not told" if degrees is None else f"{degrees:.1f} °C"

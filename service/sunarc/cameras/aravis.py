@@ -18,16 +18,27 @@ from typing import Any
 from sunarc.cameras.abilities import abilities_of
 from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
 from sunarc.cameras.exposure import ExposureControl, exposure_control
-from sunarc.cameras.features import Pin, changed_pins, gain_db, pin_settings, serial_of, temperature_c
+from sunarc.cameras.features import (
+    SIMULATED_SPEED,
+    Pin,
+    changed_pins,
+    gain_db,
+    has,
+    pin_settings,
+    serial_of,
+    simulated_speed,
+    temperature_c,
+)
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
+from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.clock import Clock
 from sunarc.errors import (
     CameraError,
     CameraLostError,
-    CameraTimeoutError,
+    CameraSilentError,
     ConfigurationError,
     SunarcError,
 )
@@ -35,7 +46,6 @@ from sunarc.errors import (
 _log = logging.getLogger(__name__)
 
 _BUFFERS = 6
-_CHUNK = "ExposureTime"
 _INTERFACE_OF = {"gige": "GigEVision", "usb3": "USB3Vision"}
 _INTERFACES = {*_INTERFACE_OF.values(), "Fake"}
 
@@ -75,11 +85,12 @@ class AravisCamera:
         self._camera: Any = None
         self._device: Any = None
         self._stream: Any = None
-        self._chunks: Any = None
+        self._noted: NotedExposure | None = None
         self._handler = 0
         self._info: CameraInfo | None = None
         self._exposure: ExposureControl | None = None
         self._pins: tuple[Pin, ...] = ()
+        self._simulated = False
         self.link: Link | None = None
         self._previous_id: int | None = None
         self._in_doubt = False
@@ -103,8 +114,9 @@ class AravisCamera:
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
             self._pins = pin_settings(self._camera, self._options)
+            self._simulated = has(self._camera, SIMULATED_SPEED)
             self._exposure = exposure_control(self._camera)
-            self._ask_for_chunks()
+            self._noted = NotedExposure(self._camera, self._exposure, error=self._glib.Error)
             self._open_stream()
             self._info = self._describe(self._exposure)
             self._camera.start_acquisition()
@@ -138,12 +150,15 @@ class AravisCamera:
             changed = list(changed_pins(self._camera, self._pins))
             if changed:
                 raise CameraLostError(f"the camera was restarted or set by another program: {'; '.join(changed)}")
-            return CameraCondition(temperature_c=temperature_c(self._camera))
+            return CameraCondition(
+                temperature_c=temperature_c(self._camera),
+                speed=simulated_speed(self._camera) if self._simulated else None,
+            )
 
     def abilities(self) -> tuple[tuple[str, str], ...]:
         """Return what the camera says it can do, in words: what, and what there is of it."""
         with self._translated("asking what the camera can do"):
-            noted = self._chunks is not None
+            noted = self._noted is not None and self._noted.from_frame
             return tuple(abilities_of(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))
 
     def close(self) -> None:
@@ -157,7 +172,7 @@ class AravisCamera:
             self._device.disconnect(self._handler)
         self._handler = 0
         self._stream = None
-        self._chunks = None
+        self._noted = None
         self._device = None
         self._camera = None
         self._info = None
@@ -189,15 +204,6 @@ class AravisCamera:
             exposure_max_us=exposure.maximum_us,
             exposure_step_us=exposure.step_us,
         )
-
-    def _ask_for_chunks(self) -> None:
-        """Have the camera note its exposure beside each frame, where it can."""
-        try:
-            if self._camera.are_chunks_available():
-                self._camera.set_chunks(_CHUNK)
-                self._chunks = self._camera.create_chunk_parser()
-        except self._glib.Error as error:  # a camera may have chunks and none of the exposure
-            _log.info("the camera does not note its exposures: %s", error.message)
 
     def _open_stream(self) -> None:
         aravis, options = self._aravis, self._options
@@ -264,7 +270,7 @@ class AravisCamera:
         if buffer is None:
             if self._lost.is_set():
                 raise CameraLostError("the camera no longer answers")
-            raise CameraTimeoutError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
+            raise CameraSilentError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
         try:
             return self._checked(buffer, info, exposure_us, triggered_at)
         finally:
@@ -287,8 +293,8 @@ class AravisCamera:
         if self._previous_id is not None and not follows(self._previous_id, frame_id):
             raise CameraError(f"frame {frame_id} came after frame {self._previous_id}")
         self._previous_id = frame_id
-        if self._chunks is not None:
-            require_exposure(float(self._chunks.get_float_value(buffer, f"Chunk{_CHUNK}")), exposure_us)
+        if self._noted is not None:
+            require_exposure(self._noted.of(buffer), exposure_us)
         started_at, offset_s = triggered_at, None
         if self._options.timestamps == "camera":
             started_at = utc_of_timestamp(int(buffer.get_timestamp()), self._options)
@@ -302,6 +308,7 @@ class AravisCamera:
             full_scale=info.full_scale,
             frame_id=frame_id,
             host_offset_s=offset_s,
+            binning=self._options.binning,
         )
 
     @contextmanager

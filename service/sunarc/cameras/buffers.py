@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunarc.cameras.frame import CameraInfo, Counts
+from sunarc.cameras.packed import packed_bytes, packing_of, unpack
 from sunarc.errors import CameraError, CameraTimeoutError
 
 _CHUNK_TOLERANCE = 0.01
@@ -23,11 +24,20 @@ def require_exposure(noted_us: float, exposure_us: float) -> None:
 
 def image_of(data: bytes, info: CameraInfo) -> Counts:
     """Return the counts of a frame's bytes, which may have been cut short."""
-    count, depth = info.width * info.height, 1 if info.full_scale == 255 else 2
-    if len(data) < count * depth:
-        raise CameraError(f"a frame of {len(data)} bytes came")
+    count, packing = info.width * info.height, packing_of(info.pixel_format)
+    depth = 1 if info.full_scale == 255 else 2
+    expected = count * depth if packing is None else packed_bytes(packing, count)
+    if len(data) < expected:
+        raise CameraError(f"a frame of {len(data)} bytes came, {expected} bytes in {info.pixel_format} are expected")
+    if packing is not None:
+        return _read_only(unpack(data, packing, count)).reshape(info.height, info.width)
     flat = np.frombuffer(data, np.uint8, count) if depth == 1 else np.frombuffer(data, np.uint16, count)
     return flat.reshape(info.height, info.width)
+
+
+def _read_only(image: Counts) -> Counts:
+    image.flags.writeable = False
+    return image
 
 
 def incomplete(status: str) -> CameraError:

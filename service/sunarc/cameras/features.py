@@ -8,6 +8,7 @@ library.
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -16,29 +17,49 @@ from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.options import AravisOptions
 from sunarc.errors import ConfigurationError, InputError
 
+_log = logging.getLogger(__name__)
+
 Kind = Literal["string", "boolean", "float", "integer"]
 Value: TypeAlias = str | bool | float | int
 
 GAIN = ("Gain", "GainRaw", "GainAbs")
 BLACK_LEVEL = ("BlackLevel", "BlackLevelRaw")
-TEMPERATURE = ("DeviceTemperature", "DeviceTemperatureRaw")
+TEMPERATURE = "DeviceTemperature"
+SIMULATED_SPEED = "SimSpeedPermille"
+"""Of the simulated imager alone: seconds of its clock in 1000 real seconds."""
 _SERIAL = ("DeviceSerialNumber", "DeviceID", "DeviceSerialNumberText")
 _BINNING = ("BinningHorizontal", "BinningVertical")
-_CHOICES: tuple[tuple[tuple[str, ...], str], ...] = (
-    (("GainSelector",), "All"),
-    (("BlackLevelSelector",), "All"),
-    (("ExposureMode",), "Timed"),
-    (("ExposureAuto",), "Off"),
-    (("GainAuto",), "Off"),
-    (("BalanceWhiteAuto",), "Off"),
-    (("BlackLevelAuto",), "Off"),
-    (("AcquisitionFrameRateAuto",), "Off"),
-    (("AcquisitionFrameRateMode",), "Off"),
-    (("AcquisitionMode",), "Continuous"),
+_REQUIRED: tuple[tuple[str, str], ...] = (
+    ("ExposureMode", "Timed"),
+    ("ExposureAuto", "Off"),
+    ("GainAuto", "Off"),
+    ("AcquisitionMode", "Continuous"),
 )
+"""Without these a frame does not have the exposure that was set."""
+_CHOICES: tuple[tuple[str, str], ...] = (
+    ("GainSelector", "All"),
+    ("BlackLevelSelector", "All"),
+    ("BalanceWhiteAuto", "Off"),
+    ("BlackLevelAuto", "Off"),
+    ("AcquisitionFrameRateAuto", "Off"),
+    ("AcquisitionFrameRateMode", "Off"),
+    ("BinningHorizontalMode", "Average"),
+    ("BinningVerticalMode", "Average"),
+    ("TestPattern", "Off"),
+    ("TestImageSelector", "Off"),
+    ("SharpeningMode", "Off"),
+    ("SharpnessAuto", "Off"),
+)
+_GAMMA_SWITCHES = ("GammaEnable", "GammaEnabled")
 _SWITCHED_OFF = (
-    ("GammaEnable", "GammaEnabled"),
-    ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"),
+    *_GAMMA_SWITCHES,
+    "AcquisitionFrameRateEnable",
+    "AcquisitionFrameRateEnabled",
+    "ReverseX",
+    "ReverseY",
+    "LUTEnable",
+    "SharpeningEnable",
+    "SharpnessEnable",
 )
 _AS_THEY_ARE: tuple[tuple[str, Kind], ...] = (
     ("PixelFormat", "string"),
@@ -49,6 +70,8 @@ _AS_THEY_ARE: tuple[tuple[str, Kind], ...] = (
     ("TriggerMode", "string"),
     ("TriggerSource", "string"),
 )
+_NEUTRAL_UNKNOWN = ("Sharpness", "SharpnessEnhancement", "BslSharpnessEnhancement", "SharpeningFactor")
+"""Their neutral value differs from maker to maker: kept as they are, and compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,16 +86,21 @@ class Pin:
 def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noqa: ANN401 - a GObject has no types
     """Switch everything automatic off, set format, region and gain (before a stream is made); return what was set.
 
+    A feature that already has its value is not written. An optional one that refuses is kept as it is; its value is
+    returned like the others, so that a later change of it is noticed.
+
     Raises
     ------
     ConfigurationError
         The camera lacks the pixel format, or the region does not fit.
     """
-    pins = [*_choose(camera), *_switch_off(camera), *_set_binning(camera, options.binning)]
+    _stop(camera)
+    pins = [*_require(camera), *_choose(camera), *_switch_off(camera), *_set_binning(camera, options.binning)]
     _set_pixel_format(camera, options.pixel_format)
     _set_region(camera, options.region)
     pins += _set_levels(camera, options)
     camera.set_trigger("Software")  # after everything that deals with the frame rate, which would undo it
+    pins += [held(camera, name) for name in _NEUTRAL_UNKNOWN if has(camera, name)]
     return (*pins, *(_hold(camera, name, kind) for name, kind in _AS_THEY_ARE if has(camera, name)))
 
 
@@ -116,6 +144,27 @@ def write(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN
     return _hold(camera, name, kind)
 
 
+def write_if_other(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - as above
+    """Set a feature that has another value, and return what the camera made of it.
+
+    Many features are locked while others have a certain value: one that need not be written is not.
+    """
+    present = _hold(camera, name, kind)
+    if present.value == value:
+        return present
+    _log.info("setting %s from %s to %s", name, present.value, value)
+    return write(camera, name, kind, value)
+
+
+def write_or_keep(camera: Any, name: str, kind: Kind, value: Value) -> Pin:  # noqa: ANN401 - as above
+    """Set an optional feature; where the camera refuses, keep the value that it has."""
+    with contextlib.suppress(Exception):  # read-only, or locked; a lost camera fails again at the reading
+        return write_if_other(camera, name, kind, value)
+    present = _hold(camera, name, kind)
+    _log.warning("the camera refuses %s = %s and keeps %s; frames are taken with that", name, value, present.value)
+    return present
+
+
 def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
     """Return the serial number, empty where the camera does not tell it."""
     name = first(camera, _SERIAL)
@@ -123,8 +172,15 @@ def serial_of(camera: Any) -> str:  # noqa: ANN401 - a GObject has no types
 
 
 def temperature_c(camera: Any) -> float | None:  # noqa: ANN401 - a GObject has no types
-    """Return the camera's own temperature in degrees Celsius, None where it does not tell."""
-    return float(camera.get_float(TEMPERATURE[0])) if has(camera, TEMPERATURE[0]) else None
+    """Return the camera's own temperature in degrees Celsius, None where it cannot be read."""
+    with contextlib.suppress(Exception):  # some sensors are busy or asleep; a lost camera fails at its next command
+        return float(camera.get_float(TEMPERATURE)) if has(camera, TEMPERATURE) else None
+    return None
+
+
+def simulated_speed(camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
+    """Return the seconds of a simulated camera's clock in a real second."""
+    return float(camera.get_integer(SIMULATED_SPEED)) / 1000.0
 
 
 def gain_db(pins: tuple[Pin, ...]) -> float:
@@ -136,26 +192,45 @@ def _hold(camera: Any, name: str, kind: Kind) -> Pin:  # noqa: ANN401 - a GObjec
     return Pin(name=name, kind=kind, value=read(camera, name, kind))
 
 
+def _stop(camera: Any) -> None:  # noqa: ANN401 - a GObject has no types
+    """Leave the state of an earlier run: acquisition and triggers lock other features, also after a kill."""
+    for command in (camera.stop_acquisition, camera.clear_triggers):
+        try:
+            command()
+        except Exception as error:  # noqa: BLE001 - refused where there is nothing to stop; a lost camera fails next
+            _log.debug("stopping the camera: %s", error)
+
+
+def _require(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
+    for name, choice in _REQUIRED:
+        if _offers(camera, name, choice):
+            yield write_if_other(camera, name, "string", choice)
+
+
 def _choose(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
-    for names, choice in _CHOICES:
-        name = first(camera, names)
-        if name is not None and camera.is_enumeration_entry_available(name, choice):
-            yield write(camera, name, "string", choice)
+    for name, choice in _CHOICES:
+        if _offers(camera, name, choice):
+            yield write_or_keep(camera, name, "string", choice)
+
+
+def _offers(camera: Any, name: str, choice: str) -> bool:  # noqa: ANN401 - a GObject has no types
+    return has(camera, name) and bool(camera.is_enumeration_entry_available(name, choice))
 
 
 def _switch_off(camera: Any) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
-    for names in _SWITCHED_OFF:
-        name = first(camera, names)
-        if name is not None:
-            yield write(camera, name, "boolean", value=False)
-    if first(camera, _SWITCHED_OFF[0]) is None and has(camera, "Gamma"):
-        yield write(camera, "Gamma", "float", 1.0)
+    for name in _SWITCHED_OFF:
+        if has(camera, name):
+            yield write_or_keep(camera, name, "boolean", value=False)
+    if first(camera, _GAMMA_SWITCHES) is None and has(camera, "Gamma"):
+        yield write_or_keep(camera, "Gamma", "float", 1.0)
+    if has(camera, "DigitalShift"):
+        yield write_or_keep(camera, "DigitalShift", "integer", 0)
 
 
 def _set_binning(camera: Any, binning: int) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
     for name in _BINNING:
         if has(camera, name):
-            pin = write(camera, name, "integer", binning)
+            pin = write_or_keep(camera, name, "integer", binning)
             if pin.value != binning:
                 raise ConfigurationError(f"the camera does not bin by {binning}: {name} stays {pin.value}")
             yield pin
@@ -170,13 +245,16 @@ def _set_pixel_format(camera: Any, pixel_format: str) -> None:  # noqa: ANN401 -
         raise InputError(
             field="camera.pixel_format",
             problem=f"the camera has no pixel format {pixel_format}; it offers {', '.join(offered)}",
-            remedy=f"set one of {', '.join(usable)}" if usable else "none of these is unpacked and of one channel",
+            remedy=f"set one of {', '.join(usable)}"
+            if usable
+            else "none of these is a single-channel format that can be decoded",
         )
-    camera.set_pixel_format_from_string(pixel_format)
+    if str(camera.get_pixel_format_as_string()) != pixel_format:
+        camera.set_pixel_format_from_string(pixel_format)
 
 
 def is_usable(pixel_format: str) -> bool:
-    """Return whether a format is an unpacked one of a single channel."""
+    """Return whether a format is a single-channel one that can be decoded."""
     try:
         full_scale_of(pixel_format)
     except InputError:
@@ -220,4 +298,4 @@ def _set_levels(camera: Any, options: AravisOptions) -> Iterator[Pin]:  # noqa: 
             yield present
         else:
             value = min(max(wanted, low), high)
-            yield write(camera, name, present.kind, value if is_float else round(value))
+            yield write_or_keep(camera, name, present.kind, value if is_float else round(value))

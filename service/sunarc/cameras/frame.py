@@ -15,7 +15,7 @@ from sunarc.errors import InputError
 Counts: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 """An image as the sensor counted it."""
 
-_UNPACKED = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(8|10|12|14|16)")
+_SINGLE_CHANNEL = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(?:(8|14|16)|(10|12)(?:p|Packed)?)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,6 +32,7 @@ class Frame:
     full_scale : the largest count of that format.
     frame_id : the camera's own count.
     host_offset_s : `time` less the same moment by the host's clock, seconds; None where the host's clock dated it.
+    binning : pixels of the sensor that each of these is the mean of, in either direction.
     """
 
     image: Counts
@@ -42,6 +43,7 @@ class Frame:
     full_scale: int
     frame_id: int
     host_offset_s: float | None = None
+    binning: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,9 +75,16 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCondition:
-    """How a camera says that it is; `temperature_c` is None where it does not tell."""
+    """The state that a camera reports.
+
+    Attributes
+    ----------
+    temperature_c : the camera's own, degrees Celsius; None where it cannot be read.
+    speed : seconds of its clock in a real second, by a simulated camera; None: a real one.
+    """
 
     temperature_c: float | None = None
+    speed: float | None = None
 
 
 class SkyCamera(Protocol):
@@ -116,15 +125,16 @@ class SkyCamera(Protocol):
 
 
 def full_scale_of(pixel_format: str) -> int:
-    """Return the largest count of an unpacked single-channel pixel format (GenICam's names)."""
-    match = _UNPACKED.fullmatch(pixel_format)
+    """Return the largest count of a single-channel pixel format (GenICam's names)."""
+    match = _SINGLE_CHANNEL.fullmatch(pixel_format)
     if match is None:
         raise InputError(
             field="pixel_format",
-            problem=f"{pixel_format!r} is not an unpacked single-channel format",
-            remedy="use Mono8, Mono10, Mono12, Mono14, Mono16 or a Bayer format of the same depths",
+            problem=f"{pixel_format!r} is not a single-channel format that can be decoded",
+            remedy="use Mono8, Mono10, Mono12, Mono14, Mono16, Mono10p, Mono12p, Mono10Packed, Mono12Packed, or a "
+            "Bayer format of the same depths",
         )
-    return int(2 ** int(match.group(1)) - 1)
+    return int(2 ** int(match.group(1) or match.group(2)) - 1)
 
 
 def middle_of_exposure(start: datetime, exposure_us: float) -> datetime:

@@ -22,7 +22,7 @@ class AravisOptions:
     transport : "gige"; or "usb3" for USB3 Vision, which no one has tried.
     packet_size : bytes per stream packet; None negotiates it with the camera.
     packet_socket : use a packet socket where the process may (CAP_NET_RAW); otherwise UDP with a large buffer.
-    pixel_format : an unpacked single-channel GenICam format.
+    pixel_format : a single-channel GenICam format; those of 10 and 12 bits may be packed (Mono12p, Mono12Packed).
     binning : pixels that are joined in either direction by the camera.
     region : x, y, width, height in px after binning; None is the whole sensor.
     gain_db : pinned gain; cameras that know only raw steps are set to their lowest.

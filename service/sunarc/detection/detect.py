@@ -16,11 +16,14 @@ from sunarc.detection.options import DiscOptions
 from sunarc.detection.search import Spot, brightest_spots, semi_axes, symmetric_root
 from sunarc.detection.template import sun_sources
 from sunarc.detection.values import Detection, Expectation, FloatArray, Image, Sensor, Verdict
-from sunarc.detection.window import Window, cut
+from sunarc.detection.window import Window, cut, saturated_level
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0
 _HALOS = (0.9, 1.7, 2.7)  # point spreads by which a saturated disc may look too large
+_BINNED_HALOS = (0.0, 0.9, 1.7)
+_BINNED_WIDTHS = (1.0, 0.7, 1.4)
+"""Starts for means of clipped pixels, whose cost has several valleys (`docs/studies/binned_sun.py`)."""
 _WIDTHS = (1.0, 0.75, 1.3)  # point spreads to start from, of the one expected
 _DEFAULT_OPTIONS = DiscOptions()
 
@@ -53,6 +56,7 @@ def detect_sun(
     InputError : the array is no image of this sensor.
     """
     require_raw(image, sensor)
+    options = options.binned(sensor.binning)
     clear = _clear_level(expectation, options, exposure_us)
     if expectation is not None:
         expectation = replace(expectation, clear_peak_fraction=clear)
@@ -227,15 +231,17 @@ def _first_shapes(
     spot: Spot, axes: FloatArray | None, sensor: Sensor, options: DiscOptions
 ) -> list[tuple[float, FloatArray]]:
     """Return initial values of point spread and axes; several for a saturated disc, which shows neither."""
-    saturated = spot.level >= options.saturation_fraction * sensor.full_scale
+    saturated = spot.level >= saturated_level(sensor, options.saturation_fraction)
     if axes is not None:
         return [(factor * options.psf_px, axes) for factor in (_WIDTHS if saturated else (1.0,))]
     values, vectors = np.linalg.eigh(spot.axes)
     if not saturated:
         sizes = np.clip(values, options.min_radius_px, options.max_radius_px)
         return [(factor * options.psf_px, np.asarray((vectors * sizes) @ vectors.T)) for factor in _WIDTHS]
-    smaller = [np.clip(values - h * options.psf_px, options.min_radius_px, options.max_radius_px) for h in _HALOS]
-    return [(options.psf_px, np.asarray((vectors * sizes) @ vectors.T)) for sizes in smaller]
+    halos = _HALOS if sensor.binning == 1 else _BINNED_HALOS
+    smaller = [np.clip(values - h * options.psf_px, options.min_radius_px, options.max_radius_px) for h in halos]
+    widths = (1.0,) if sensor.binning == 1 else _BINNED_WIDTHS
+    return [(w * options.psf_px, np.asarray((vectors * sizes) @ vectors.T)) for sizes in smaller for w in widths]
 
 
 def _all_saturated(window: Window) -> bool:

@@ -31,6 +31,7 @@ from sunarc.detection.values import FloatArray, Sensor
 from sunarc.detection.window import Window
 
 _STEPS = 15
+_STEPS_BINNED = 40
 _CONVERGED_PX = 2e-4
 _CONVERGED_COST = 0.2  # change of the cost; a saturated disc's level and size may creep on, its centre stands
 _OUTLIER = 6.0
@@ -117,6 +118,8 @@ def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evalu
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """
+    if problem.window.saturated_px and problem.sensor.binning > 1:  # clipped means: many valleys
+        return min((_solve(problem, *with_levels(problem, start)) for start in starts), key=lambda one: one[1].cost)
     if problem.window.saturated_px and problem.prior.free_stretch:
         return _solve(problem, *_best_start(problem, starts))
     end = _solve(problem, *with_levels(problem, starts[0]))
@@ -150,8 +153,9 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
 def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
     damping = 1e-6
-    settled = math.inf if problem.window.saturated_px else _CONVERGED_COST
-    for _ in range(_STEPS):
+    binned = problem.sensor.binning > 1  # clipped means tell the disc's size, which moves their centre
+    settled = math.inf if problem.window.saturated_px and not binned else _CONVERGED_COST
+    for _ in range(_STEPS if not binned else _STEPS_BINNED):
         matrix, gradient = normal_equations(problem, state, evaluation)
         diagonal = matrix.ravel()[:: gradient.size + 1]
         diagonal += np.maximum(diagonal, 1e-12) * damping + 1e-12

@@ -31,18 +31,21 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     around: FloatArray,
     noise: tuple[float, float],
     by_counts: bool,  # noqa: FBT001 - as above
+    binning: int,
+    clip: float,
 ) -> Compared:
     """Compare a disc's model with the pixels.
 
     Parameters
     ----------
-    planes : (k, rows, columns) the disc of unit flux, first its value.
+    planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
     moved, scale : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
     glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
     places : of the pixels used flat position, counts, colour, and offset (n, 2).
     flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare.
     noise : read noise in counts, electrons per count.
     by_counts : take the variance that the counts tell, not the model.
+    binning, clip : each pixel is the mean of binning² of the sensor's, which are clipped at so many counts.
 
     Returns
     -------
@@ -51,28 +54,37 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     """
     pixel, counts, colour, offset = places
     a, b, c, x, y = glare
-    rows, columns = planes.shape[1:]
+    columns, share = planes.shape[2] // binning, 1.0 / binning**2
     nonlinear, colours = moved.size, flux.size
     smear = np.zeros(columns)
-    for j in range(rows):
-        for i in range(columns):
-            smear[i] += planes[0, j, i]
+    for j in range(planes.shape[1]):
+        for i in range(columns * binning):
+            smear[i // binning] += planes[0, j, i] * share
     first = nonlinear + 2 * colours
     jacobian = np.zeros((pixel.size, first + 4))
     residual, weight, misfit = np.empty(pixel.size), np.empty(pixel.size), 0.0
     for i in range(pixel.size):
         own, (j, k) = colour[i], divmod(pixel[i], columns)
-        for m in range(nonlinear):
-            jacobian[i, m] = flux[own] * scale[m] * planes[moved[m], j, k]
-        jacobian[i, nonlinear + own] = planes[0, j, k]
-        jacobian[i, nonlinear + colours + own] = 1.0
         dx, dy = offset[i, 0] - x, offset[i, 1] - y
         u, v = a * dx - b * dy, c * dy - b * dx
         jacobian[i, first], jacobian[i, first + 1] = offset[i, 0], offset[i, 1]
         jacobian[i, first + 2], jacobian[i, first + 3] = smear[k], 1.0 / (1.0 + u * u + v * v)
-        model = flux[own] * planes[0, j, k] + background[own]
+        beside, model, unclipped = background[own], 0.0, 0.0
         for m in range(4):
-            model += around[m] * jacobian[i, first + m]
+            beside += around[m] * jacobian[i, first + m]
+        for row in range(j * binning, (j + 1) * binning):
+            for column in range(k * binning, (k + 1) * binning):
+                value = flux[own] * planes[0, row, column] + beside
+                if value >= clip:  # more light changes nothing
+                    model += clip * share
+                    continue
+                model, unclipped = model + value * share, unclipped + share
+                for m in range(nonlinear):
+                    jacobian[i, m] += share * flux[own] * scale[m] * planes[moved[m], row, column]
+                jacobian[i, nonlinear + own] += share * planes[0, row, column]
+        jacobian[i, nonlinear + colours + own] = unclipped
+        for m in range(4):
+            jacobian[i, first + m] *= unclipped
         variance = noise[0] ** 2 + max(counts[i] if by_counts else model, 0.0) / noise[1]
         variance = 0.25 if variance < _STEPPED else variance + 1.0 / 12.0
         residual[i], weight[i] = counts[i] - model, 1.0 / variance

@@ -25,6 +25,7 @@ _GLARE_CORE = 2.0  # solar radii within which scattered light is flat
 
 _BY_WINGS = 11  # the plane after the template's own
 _MOVED = (template.BY_X, template.BY_Y, template.BY_PSF, _BY_WINGS, template.BY_S11, template.BY_S12, template.BY_S22)
+_BY_LENGTH = [template.BY_X, template.BY_Y, template.BY_PSF, template.BY_S11, template.BY_S12, template.BY_S22]
 _UNEVEN = (template.SLOPE_U, template.SLOPE_V, template.BEND_UU, template.BEND_UV)
 
 
@@ -115,7 +116,8 @@ def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluat
     dark = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
     planes = _planes(problem, dark)
     misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
-    matrix, gradient = kernels.normal_of(misfit[3], misfit[2], misfit[1])
+    linear = problem.window.linear.ravel()[problem.pixel]
+    matrix, gradient = kernels.normal_of(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
     flux = np.maximum(levels[:colours], 1e-3)
     best = State(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
@@ -147,8 +149,16 @@ def _planes(problem: Problem, state: State) -> FloatArray:
 
 
 def _rendered(problem: Problem, state: State, sources: Sources, *, psf: float) -> FloatArray:
-    (x, y), shape = state.nonlinear[:2].tolist(), problem.window.counts.shape
-    return np.asarray(template.render_disc(shape, x, y, psf, state.stretch, sources.positions, sources.weights))
+    """Return the disc's planes on the sensor's own pixels; derivatives are by the image's, which are `binning` wide."""
+    n, (rows, columns) = problem.sensor.binning, problem.window.counts.shape
+    x, y = (n * state.nonlinear[:2] + 0.5 * (n - 1)).tolist()
+    planes: FloatArray = template.render_disc(
+        (n * rows, n * columns), x, y, n * psf, n * state.stretch, sources.positions, sources.weights
+    )
+    if n > 1:
+        planes *= n**2  # of a disc whose flux is the sum over the image's pixels
+        planes[_BY_LENGTH] *= n
+    return planes
 
 
 def _evaluated(problem: Problem, state: State, planes: FloatArray) -> Evaluation:
@@ -176,8 +186,15 @@ def _compared(
         state.around,
         (float(problem.sensor.read_noise_e / gain), float(gain)),
         by_counts,
+        problem.sensor.binning,
+        _clip(problem.sensor),
     )
     return answer
+
+
+def _clip(sensor: Sensor) -> float:
+    """Return the counts above black at which the sensor's pixels are clipped; inf where those above are left out."""
+    return float(sensor.full_scale - sensor.black_level) if sensor.binning > 1 else math.inf
 
 
 def unevenness(problem: Problem, state: State, evaluation: Evaluation) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from sunarc.errors import InputError
 
@@ -11,6 +11,8 @@ from sunarc.errors import InputError
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscOptions:
     """Limits of the search and of the classification in microsecond frames.
+
+    `psf_px`, `min_radius_px` and `max_radius_px` are in pixels of the sensor, before the camera's binning.
 
     Attributes
     ----------
@@ -62,6 +64,17 @@ class DiscOptions:
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""
         require_positive(self, self.psf_px, self.solar_radius_deg, self.min_radius_px, self.max_radius_px)
+
+    def binned(self, binning: int) -> DiscOptions:
+        """Return the same options in the pixels of an image whose camera joins so many in either direction."""
+        if binning == 1:
+            return self
+        return replace(
+            self,
+            psf_px=self.psf_px / binning,
+            min_radius_px=self.min_radius_px / binning,
+            max_radius_px=self.max_radius_px / binning,
+        )
 
 
 def require_positive(options: object, *numbers: float) -> None:

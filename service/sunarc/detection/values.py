@@ -82,11 +82,12 @@ class Sensor:
     Attributes
     ----------
     full_scale : the largest count (255, 1023, 4095, 65535).
-    gain_e_per_count : electrons per count.
-    read_noise_e : electrons, rms.
+    gain_e_per_count : electrons per count; of averaged pixels those of all of them together.
+    read_noise_e : electrons, rms; likewise.
     black_level : counts without light.
     bayer : colours of the top-left 2×2 pixels, row by row; None for mono.
     blooming : a saturated pixel spills into its neighbours, so that they are masked too.
+    binning : pixels that the camera averages in either direction: a mean of clipped pixels lies below full scale.
     """
 
     full_scale: int
@@ -95,9 +96,12 @@ class Sensor:
     black_level: float = 0.0
     bayer: Bayer | None = None
     blooming: bool = False
+    binning: int = 1
 
     def __post_init__(self) -> None:
         """Refuse values that no sensor has."""
+        if self.binning < 1:
+            raise InputError(field="sensor", problem=f"binning {self.binning} is below 1", remedy="give 1 or more")
         numbers = (self.gain_e_per_count, self.read_noise_e, self.black_level)
         if not all(math.isfinite(number) for number in numbers) or self.gain_e_per_count <= 0.0:
             raise InputError(field="sensor", problem="gain or noise is not a positive number", remedy="give electrons")

@@ -1,11 +1,12 @@
 """What to expose for the sun, and what to keep of a cycle: all pure.
 
-Map: `exposure` the sun exposure controller, `brightness` whether frames had their exposures beside one another, `level`
-whether a cycle had them beside the one before, `hdr` the merge, `preview` for people, `metadata` what a file says of
-itself.
+Map: `exposure` the sun exposure controller, `darkness` whether a frame is black, `brightness` whether frames had their
+exposures beside one another, `level` whether a cycle had them beside the one before, `hdr` the merge, `preview` for
+people, `metadata` what a file says of itself.
 """
 
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
+from sunarc.imaging.darkness import is_dark
 from sunarc.imaging.exposure import (
     ExposureBounds,
     Peak,
@@ -33,6 +34,7 @@ __all__ = [
     "document_of",
     "factor_all_over",
     "first_sun_exposures",
+    "is_dark",
     "jpeg_with",
     "level_of",
     "light_ratio_contradiction",

@@ -1,6 +1,7 @@
 """Frames from a known truth: the sky, the lens, the sensor, faults; in-process, or served as a GigE Vision camera."""
 
-from sunarc.simulation.imager import ImagerOptions, run_imager, scene_of
+from sunarc.simulation.fake_camera import FakeCamera
+from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager, scene_of
 from sunarc.simulation.options import WEATHERS, Bump, Obstruction, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene, bumped_camera
 from sunarc.simulation.scene_camera import SceneCamera
@@ -12,6 +13,7 @@ __all__ = [
     "SGP",
     "WEATHERS",
     "Bump",
+    "FakeCamera",
     "ImagerOptions",
     "Obstruction",
     "Scene",
@@ -21,6 +23,7 @@ __all__ = [
     "Timeline",
     "Weather",
     "bumped_camera",
+    "halve_speed",
     "run_imager",
     "scene_of",
     "true_camera",

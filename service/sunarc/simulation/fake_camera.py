@@ -16,7 +16,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from sunarc.cameras import Counts
+import numpy as np
+from numpy.typing import NDArray
+
 from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.simulation import genicam
 
@@ -74,8 +76,8 @@ class FakeCamera:
             ctypes.c_void_p(self._handle), b"gvsp-lost-ratio", ctypes.c_double(share), ctypes.c_void_p(None)
         )
 
-    def fill_with(self, fill: Callable[[Request], tuple[Counts, int]]) -> None:
-        """Have every frame filled: `fill` returns its counts and its timestamp in nanoseconds.
+    def fill_with(self, fill: Callable[[Request], tuple[NDArray[np.uint8], int]]) -> None:
+        """Have every frame filled: `fill` returns its bytes and its timestamp in nanoseconds.
 
         It is called in the thread that also answers the control channel: within 500 ms, or clients ask again. What it
         raises is logged, and the frame is left as it is.
@@ -106,13 +108,14 @@ class FakeCamera:
         with self._lock:
             self._closed = True
 
-    def _write_frame(self, buffer: int, image: Counts, timestamp_ns: int) -> None:
+    def _write_frame(self, buffer: int, image: NDArray[np.uint8], timestamp_ns: int) -> None:
         # the library has compared the buffer with what the registers say; a larger image would end the process
-        expected = self.read(genicam.WIDTH) * self.read(genicam.HEIGHT) * image.itemsize
-        if image.nbytes != expected:
+        bits = self.read(genicam.PIXEL_FORMAT) >> 16 & 0xFF
+        expected = self.read(genicam.WIDTH) * self.read(genicam.HEIGHT) * bits // 8
+        if image.nbytes < expected or image.nbytes > expected + 1:
             raise ValueError(f"a frame of {image.nbytes} bytes where {expected} are due")
         target = self._library.arv_buffer_get_data(buffer, ctypes.byref(ctypes.c_size_t()))
-        ctypes.memmove(target, image.ctypes.data, image.nbytes)
+        ctypes.memmove(target, image.ctypes.data, expected)
         self._library.arv_buffer_set_timestamp(buffer, timestamp_ns)
 
 

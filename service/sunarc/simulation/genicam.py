@@ -9,6 +9,7 @@ SimWrongExposurePercent : of the stated exposure, which the next frame gets · S
 gets · SimStaleExposure : every frame has the exposure of the one before · SimClockDriftPpm : the timestamps run fast
 SimRepeatFrame : the last frame of the same exposure is sent again, its timestamp new · SimBlack : no light reaches the
 sensor · SimClockOffsetMs : the timestamps are ahead by so much
+SimSpeedPermille : seconds of its clock in 1000 real seconds, which may be changed while it runs
 SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
 
@@ -23,7 +24,7 @@ BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 
 CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
-ALL_EXPOSURES = 0xB120
+ALL_EXPOSURES, SPEED = 0xB120, 0xB124
 REPEAT_FRAME, BLACK, CLOCK_OFFSET = 0xB130, 0xB134, 0xB138
 EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
@@ -36,7 +37,10 @@ PIXEL_FORMATS = {
     "BayerRG10": 0x0110000D,
     "BayerRG12": 0x01100011,
     "BayerRG16": 0x0110002F,
-    "Mono12Packed": 0x010C0006,  # offered as real cameras do, and never delivered
+    "Mono10Packed": 0x010C0004,
+    "Mono12Packed": 0x010C0006,
+    "Mono10p": 0x010A0046,
+    "Mono12p": 0x010C0047,
 }
 GAIN_STEPS_PER_DB = 10
 TEMPERATURE_STEPS_PER_DEGREE = 10
@@ -149,6 +153,7 @@ def _faults() -> list[Feature]:
         _integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimClockOffsetMs", CLOCK_OFFSET, category),
+        _integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
     ]
 
 

@@ -13,7 +13,10 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from sunarc.cameras import Counts, full_scale_of
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.cameras import Counts, full_scale_of, pack, packing_of
 from sunarc.clock import Clock, SystemClock
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
@@ -35,6 +38,8 @@ _IMAGES_KEPT = 8
 """Images that can be repeated: those of a cycle."""
 _DARK_US = 1e-6
 """Exposure, µs, in which even the sun leaves no count: a closed dome."""
+SLOWEST = 10.0
+"""Speed that an overloaded host is not slowed below."""
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -126,6 +131,12 @@ def run_imager(
             imager.obey()
 
 
+def halve_speed(camera: FakeCamera) -> None:
+    """Let simulated time pass half as fast, but not slower than `SLOWEST`."""
+    speed, slowest = camera.read(genicam.SPEED), round(1000 * SLOWEST)
+    camera.write(genicam.SPEED, min(speed, max(speed // 2, slowest)))
+
+
 def scene_of(options: ImagerOptions) -> Scene:
     """Return the very scene that an imager with these options shows."""
     first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
@@ -151,13 +162,17 @@ class _Imager:
         self._timeline = Timeline(
             options.site, start_unix_s=start_unix_s, speed=options.speed, skip_nights=options.skip_nights
         )
-        self._started_at = clock.monotonic()
+        self._camera.write(genicam.SPEED, round(1000.0 * options.speed))
+        self._started_at: float | None = None
 
-    def fill(self, request: Request) -> tuple[Counts, int]:
-        """Return a frame's counts and its timestamp in nanoseconds: the simulated start of the exposure."""
+    def fill(self, request: Request) -> tuple[NDArray[np.uint8], int]:
+        """Return a frame's bytes and its timestamp in nanoseconds: the simulated start of the exposure."""
         begun = self._clock.monotonic()
         name = _FORMAT_NAMES[request.pixel_format]
+        if self._started_at is None:
+            self._started_at = begun  # nothing of the day is lost while a busy host starts who asks for frames
         elapsed_s = begun - self._started_at
+        self._follow_speed(elapsed_s)
         start_us = round(self._timeline.at(elapsed_s) * 1e6)
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
         offset_us = self._camera.read(genicam.CLOCK_OFFSET) * 1000
@@ -176,7 +191,7 @@ class _Imager:
             )
             self._keep(request, image)
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
-        return image, (start_us + round(drift_us) + offset_us) * 1000
+        return _as_bytes(image, name), (start_us + round(drift_us) + offset_us) * 1000
 
     def _keep(self, request: Request, image: Counts) -> None:
         """Keep an image to be repeated; of the oldest requests none is kept."""
@@ -188,6 +203,12 @@ class _Imager:
     def _repeated(self, request: Request) -> Counts | None:
         """Return the image that was last sent for the same request; None where there is none."""
         return self._last_images.get(request)
+
+    def _follow_speed(self, elapsed_s: float) -> None:
+        """Go on at the speed that the register asks for."""
+        speed = self._camera.read(genicam.SPEED) / 1000.0
+        if speed > 0.0 and abs(speed - self._timeline.speed) > 1e-3:
+            self._timeline.set_speed(speed, elapsed_s=elapsed_s)
 
     def obey(self) -> None:
         """Do what is asked for at any time: be switched off and on, or let go of who is in control."""
@@ -263,6 +284,13 @@ class _Imager:
         }
         for address, value in registers.items():
             self._camera.write(address, value)
+
+
+def _as_bytes(image: Counts, pixel_format: str) -> NDArray[np.uint8]:
+    packing = packing_of(pixel_format)
+    if packing is None:
+        return np.ascontiguousarray(image).view(np.uint8).ravel()
+    return np.frombuffer(pack(image.astype(np.uint16), packing), np.uint8)
 
 
 def _weathers(clouds: str) -> tuple[Weather, ...]:

@@ -29,10 +29,21 @@ class Timeline:
         self._speed = speed
         self._skip_nights = skip_nights
         self._skipped_s = 0.0
+        self._since_s = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per real second."""
+        return self._speed
+
+    def set_speed(self, speed: float, *, elapsed_s: float) -> None:
+        """Go on at another speed from an elapsed real time on, without a step."""
+        self._start_unix_s += (elapsed_s - self._since_s) * self._speed
+        self._since_s, self._speed = elapsed_s, speed
 
     def at(self, elapsed_s: float) -> float:
         """Return the simulated time in seconds since 1970-01-01 UTC; must not be asked for earlier times again."""
-        now = self._start_unix_s + elapsed_s * self._speed + self._skipped_s
+        now = self._start_unix_s + (elapsed_s - self._since_s) * self._speed + self._skipped_s
         if self._skip_nights and _is_night(now, self._site):
             dawn = next_dawn(now, self._site)
             self._skipped_s += dawn - now

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from sunarc.board import StatusBoard
-from sunarc.cameras import Frame, SkyCamera
+from sunarc.cameras import CameraCondition, Frame, SkyCamera
 from sunarc.clock import Clock
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.workers.capture_report import CaptureReport
@@ -23,6 +23,7 @@ from sunarc.workers.vouching import Taken, Vouching
 _HEARTBEAT_S = 1.0
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
 _LEAD_SHARE = 0.2  # of short cadences
+_SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +63,21 @@ class CaptureOptions:
             raise InputError(
                 field="capture.hdr_exposures_us", problem="not positive", remedy="give exposures in microseconds"
             )
+        _require_microseconds(self.hdr_exposures_us)
         if self.attempts < 1:
             raise InputError(field="capture.attempts", problem="below 1", remedy="give 1 or more")
+
+
+def _require_microseconds(exposures_us: Sequence[float]) -> None:
+    """Refuse normal exposures that only milliseconds explain."""
+    bracket_is_short = len(exposures_us) > 1 and max(exposures_us) < _SHORTEST_BRACKET_US
+    if min(exposures_us) < _SHORTEST_NORMAL_US or bracket_is_short:
+        listed = ", ".join(f"{exposure:g}" for exposure in exposures_us)
+        raise InputError(
+            field="capture.hdr_exposures_us",
+            problem=f"{listed} us are too short for the sky, and look like milliseconds",
+            remedy=f"give microseconds: {', '.join(f'{1000.0 * exposure:g}' for exposure in exposures_us)}",
+        )
 
 
 class CaptureWorker:
@@ -106,6 +120,7 @@ class CaptureWorker:
         self._report = CaptureReport(board, name=name)
         self._vouching = Vouching(cadence_s=options.cadence_s)
         self._served_at_s: float | None = None
+        self._missed_before = 0
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Capture until stopped; a lost camera is opened again, ever less often."""
@@ -134,12 +149,12 @@ class CaptureWorker:
         while not stop.is_set():
             daylight = self._apparent_zenith() < self._options.daylight_zenith_deg
             every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
-            real_every_s = every_s / self._options.speed
+            real_every_s = every_s / self._frame_time.speed
             slot = self._next_slot(every_s=every_s)
             lead_s = min(_LEAD_S, _LEAD_SHARE * real_every_s)
             if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot) - lead_s):
                 return
-            camera.check()  # what was changed since is noticed before the slot, and costs it nothing
+            self._follow_speed(camera.check())  # a change is noticed before the slot, and costs it nothing
             left_s = self._frame_time.real_seconds_until(slot)
             if not -real_every_s / 2.0 < left_s <= 2.0 * lead_s:
                 continue  # the clock was set meanwhile: another slot is the next one
@@ -156,7 +171,7 @@ class CaptureWorker:
     def _next_slot(self, *, every_s: float) -> datetime:
         """Return the next slot that was not served."""
         slot = self._frame_time.next_slot(every_s=every_s)
-        real_every_s = every_s / self._options.speed
+        real_every_s = every_s / self._frame_time.speed
         at_s = self._clock.monotonic() + self._frame_time.real_seconds_until(slot)
         if self._served_at_s is not None and at_s - self._served_at_s < real_every_s / 2.0:
             slot += timedelta(seconds=every_s)  # the clock was set back, or repeats a leap second
@@ -165,9 +180,16 @@ class CaptureWorker:
     def _serve(self, *, real_every_s: float) -> None:
         """Note that a slot is served, and count those that passed since the last."""
         now_s = self._clock.monotonic()
+        self._missed_before = 0
         if self._served_at_s is not None:
-            self._report.add(missed=max(round((now_s - self._served_at_s) / real_every_s) - 1, 0))
+            self._missed_before = max(round((now_s - self._served_at_s) / real_every_s) - 1, 0)
+        self._report.add(missed=self._missed_before)
         self._served_at_s = now_s
+
+    def _follow_speed(self, condition: CameraCondition) -> None:
+        """Go as fast as a simulated camera says that its clock goes."""
+        if condition.speed is not None and condition.speed != self._frame_time.speed:
+            self._frame_time.set_speed(condition.speed)
 
     def cycle(self, camera: SkyCamera, slot: datetime, *, within_s: float) -> None:
         """Take the exposures of one slot and hand them over, once the camera says that nothing of it has changed."""
@@ -183,6 +205,7 @@ class CaptureWorker:
         if not good:
             raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
+        self._report.normal_frames(good, apparent_zenith=self._apparent_zenith())
         taken = Taken(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
         for vouched in self._vouching.vouched(taken):
@@ -206,7 +229,9 @@ class CaptureWorker:
             return []
         chosen = self._sun_exposures.choose(camera.info)
         frames = [exposer.take_beside(e, normal[:1]) if exposer.has_time() else None for e in chosen]
-        return [frame for frame in frames if frame is not None]
+        taken = [frame for frame in frames if frame is not None]
+        self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
+        return taken
 
     def _sign_of_life(self, exposer: Exposer, exposure_us: float) -> None:
         """Take an exposure that only shows that the camera lives, and what time it has."""
@@ -225,7 +250,7 @@ class CaptureWorker:
         """Return the real seconds from a slot to its first frame's beginning; None where the clock was set between."""
         began = first.time - timedelta(microseconds=first.exposure_us / 2.0)
         late_s = (began - slot).total_seconds()
-        return late_s / self._options.speed if abs(late_s) < self._options.cadence_s else None
+        return late_s / self._frame_time.speed if abs(late_s) < self._options.cadence_s else None
 
     def _require_exposures(self, camera: SkyCamera) -> None:
         beyond = unreachable_exposures(self._options.hdr_exposures_us, camera.info)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sunarc.board import CameraStatus, CaptureStatus, Reason, StatusBoard
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
+from sunarc.workers.dark_frames import DarkFrames
+from sunarc.workers.missed_slots import MissedSlots
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row
@@ -29,6 +32,8 @@ class CaptureReport:
         self._name = name
         self._camera = CameraStatus(name=name, connected=False)
         self._counts = CaptureStatus()
+        self._missed_slots = MissedSlots(board)
+        self._dark_frames = DarkFrames(board)
         self._incomplete = 0  # cycles in a row
         self._overrun = 0
         self._failure = ""
@@ -70,6 +75,23 @@ class CaptureReport:
         self._overrun = self._overrun + 1 if overran else 0
         self._tell_failing()
         self._tell_overrun(hdr_s)
+
+    def sun_slot(self, *, observed: bool, missed_before: int, dropped: int) -> None:
+        """Take note of a slot with the sun up.
+
+        Parameters
+        ----------
+        observed : whether a sun exposure was taken.
+        missed_before : slots that passed without a cycle since the last one.
+        dropped : sun exposures that were not evaluated, since the service started.
+        """
+        self.add(sun_missed=missed_before + int(not observed))
+        self._counts = replace(self._counts, sun_dropped=dropped)
+        self._missed_slots.add(missed_before=missed_before)
+
+    def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
+        """Say what a slot's normal exposures show."""
+        self._dark_frames.add(frames, apparent_zenith=apparent_zenith)
 
     def frame(self, frame: Frame) -> None:
         """Say that a frame came."""
@@ -137,6 +159,7 @@ class CaptureReport:
     def lost(self, error: CameraError) -> None:
         """Say that the camera is gone."""
         _log.warning("camera lost: %s", error)
+        self._missed_slots.outage()
         if self._camera.connected:  # it costs a cycle, and is told until one is whole, though the camera comes back
             self._incomplete, self._failure = self._incomplete + 1, str(error)
             self._tell_failing()

@@ -76,12 +76,12 @@ class DayJudge:
 
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self._site.longitude)
-        columns = self._archive.sun_point_columns(
-            self._camera, since=datetime.fromtimestamp(start, UTC), until=datetime.fromtimestamp(end, UTC)
-        )
+        since, until = datetime.fromtimestamp(start, UTC), datetime.fromtimestamp(end, UTC)
+        columns = self._archive.sun_point_columns(self._camera, since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > self._options.largest_clock_error_s
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
-        if share <= self._options.doubtful_share:  # else the day is judged by its clock
+        largest_s = self._options.largest_clock_error_s if share <= self._options.doubtful_share else None
+        if largest_s is not None:  # else the day is judged by its clock
             columns = columns.select(~doubtful)
         frames = np.arange(start, end, self._cadence_s)
         up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
@@ -89,6 +89,9 @@ class DayJudge:
             points_of(columns),
             site=self._site,
             n_possible=int(np.count_nonzero(up)),
+            observed_unix_s=self._archive.observation_times(
+                self._camera, since=since, until=until, largest_clock_error_s=largest_s
+            ),
             cadence_s=self._cadence_s,
             options=self._options,
         )
@@ -103,6 +106,7 @@ class DayJudge:
             n=measure.n,
             n_cycles=measure.n_cycles,
             n_possible=measure.n_possible,
+            n_observed=measure.n_observed,
             decided_at=self._now(),
             arc_deg=measure.arc_deg,
             solid_angle_sr=measure.solid_angle_sr,

@@ -37,6 +37,19 @@ class FrameTime:
         self._offsets_s: deque[float] = deque(maxlen=_COMPARED)
 
     @property
+    def speed(self) -> float:
+        """Seconds of frame time in a real second."""
+        return self._speed
+
+    def set_speed(self, speed: float) -> None:
+        """Go on at another speed from now on; only a simulated camera changes it."""
+        now, at = self.now(), self._clock.monotonic()
+        with self._lock:
+            if self._last is not None:
+                self._last = (now, at)
+            self._speed = speed
+
+    @property
     def known(self) -> bool:
         """Whether a time can be told: at once from the host, after the first frame from a camera."""
         return not self._follows_camera or self._last is not None

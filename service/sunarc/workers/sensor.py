@@ -35,12 +35,16 @@ class SensorOptions:
 
 
 def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
-    """Return the sensor as the detector and the merge want it told, for a frame's pixel format."""
+    """Return the sensor as the detector and the merge want it told, for a frame's pixel format and binning.
+
+    The mean of n² pixels has the noise of n² times the electrons per count.
+    """
     return Sensor(
         full_scale=frame.full_scale,
-        gain_e_per_count=options.full_well_e / frame.full_scale,
-        read_noise_e=options.read_noise_e,
+        gain_e_per_count=frame.binning**2 * options.full_well_e / frame.full_scale,
+        read_noise_e=frame.binning * options.read_noise_e,
         black_level=options.black_level_fraction * frame.full_scale,
         bayer=bayer_of(frame.pixel_format),
         blooming=options.blooming,
+        binning=frame.binning,
     )

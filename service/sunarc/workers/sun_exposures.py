@@ -102,7 +102,8 @@ class SunExposures:
 
 def _is_burnt(frame: Frame) -> bool:
     """Return whether so much is saturated that only the sun can have done it."""
-    return int(np.count_nonzero(frame.image >= _SATURATED * frame.full_scale)) > _BURNT_PX
+    saturated = int(np.count_nonzero(frame.image >= _SATURATED * frame.full_scale))
+    return saturated * frame.binning**2 > _BURNT_PX
 
 
 def _too_bright(shortest_us: float) -> Reason:

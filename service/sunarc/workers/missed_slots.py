@@ -1,0 +1,60 @@
+"""Whether most slots get a cycle, or the host or the camera is too slow for the cadence."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from sunarc.board import Reason, StatusBoard
+
+CODE = "slots_missed"
+_SLOTS = 40
+"""Over how many slots the share is taken: 20 min at the default cadence."""
+_FEWEST_SLOTS = 10
+_SET_SHARE, _CLEAR_SHARE = 0.25, 0.1
+"""Shares of missed slots at which the condition is set and cleared; between them it stays as it is."""
+
+
+class MissedSlots:
+    """Keeps the last slots with the sun up, and sets the condition `slots_missed`.
+
+    Parameters
+    ----------
+    board : where the condition is set.
+    """
+
+    def __init__(self, board: StatusBoard) -> None:
+        self._board = board
+        self._served: deque[bool] = deque(maxlen=_SLOTS)
+        self._after_outage = False
+
+    def add(self, *, missed_before: int) -> None:
+        """Add a slot that got its cycle, and those that passed without one before it; set or clear the condition.
+
+        Parameters
+        ----------
+        missed_before : slots without a cycle since the last one; not counted after the camera was lost, which has a
+            condition of its own.
+        """
+        if not self._after_outage:
+            self._served.extend([False] * min(missed_before, _SLOTS))
+        self._after_outage = False
+        self._served.append(True)
+        missed = self._served.count(False)
+        if len(self._served) >= _FEWEST_SLOTS and missed >= _SET_SHARE * len(self._served):
+            self._board.set_reason(_reason(missed, len(self._served)))
+        elif missed <= _CLEAR_SHARE * len(self._served):
+            self._board.clear_reason(CODE)
+
+    def outage(self) -> None:
+        """Take note that the camera is lost: the slots until it is back are not the host's."""
+        self._after_outage = True
+
+
+def _reason(missed: int, slots: int) -> Reason:
+    return Reason(
+        code=CODE,
+        severity="degraded",
+        text=f"{missed} of the last {slots} slots with the sun up passed without a cycle; "
+        "days are judged by the others",
+        remedy="free processor time on the host (see its load), or set a longer capture.cadence_s",
+    )

@@ -1,0 +1,67 @@
+"""Black frames by day make the service not ready; by night they say nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunarc.board import StatusBoard
+from sunarc.cameras import Frame
+from sunarc.clock import VirtualClock
+from sunarc.errors import InputError
+from sunarc.workers import CaptureOptions
+from sunarc.workers.dark_frames import DarkFrames
+
+from .conftest import FakeCamera
+
+
+def frame(clock: VirtualClock, *, light: bool) -> Frame:
+    image = np.full((64, 64), 30, dtype=np.uint16)
+    if light:
+        image[:, 32:] = 400
+    return replace(FakeCamera(clock).expose(48_000.0), image=image)
+
+
+def test_ten_black_slots_by_day_are_not_ready_and_light_ends_it(clock: VirtualClock, board: StatusBoard) -> None:
+    watch = DarkFrames(board)
+    for _ in range(9):
+        watch.add([frame(clock, light=False)], apparent_zenith=40.0)
+    assert board.snapshot().health == "ready"
+    watch.add([frame(clock, light=False)], apparent_zenith=40.0)
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("black_frames", "not_ready")
+    assert reason.text == "the last 10 slots by day are black at 48000 us: no sun can be found in them"
+    assert "lens cap" in reason.remedy
+    watch.add([frame(clock, light=False)], apparent_zenith=95.0)
+    assert board.snapshot().health == "not_ready"  # the cap is still on after sunset
+    watch.add([frame(clock, light=True)], apparent_zenith=85.0)
+    assert board.snapshot().health == "ready"
+
+
+def test_black_frames_at_dusk_and_in_the_night_say_nothing(clock: VirtualClock, board: StatusBoard) -> None:
+    watch = DarkFrames(board)
+    for _ in range(50):
+        watch.add([frame(clock, light=False)], apparent_zenith=81.0)
+    assert board.snapshot().health == "ready"
+
+
+def test_the_longest_exposure_decides(clock: VirtualClock, board: StatusBoard) -> None:
+    watch = DarkFrames(board)
+    short = replace(frame(clock, light=False), exposure_us=3000.0)
+    for _ in range(20):
+        watch.add([short, frame(clock, light=True)], apparent_zenith=40.0)
+    assert board.snapshot().health == "ready"
+
+
+@pytest.mark.parametrize("exposures", [(3.0, 12.0, 48.0), (3.0,), (15.0, 60.0)])
+def test_exposures_in_milliseconds_are_refused_in_one_line(exposures: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match=r"look like milliseconds.*give microseconds: \d+000") as caught:
+        CaptureOptions(hdr_exposures_us=exposures)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("exposures", [(3000.0, 12_000.0), (10.0,), (50.0, 200.0)])
+def test_short_exposures_in_microseconds_are_taken(exposures: tuple[float, ...]) -> None:
+    assert CaptureOptions(hdr_exposures_us=exposures).hdr_exposures_us == exposures
