@@ -1,12 +1,12 @@
-"""The service's fit beside the paper's on real-like tracks: does it ever meet the sightings less well?
+"""The service's fit beside the paper's on real-like tracks: where it meets the sightings less well.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python docs/studies/real_like_fits.py --tracks 200 [--first 0] [--moves]
 
 For every place of the cloud: tracks, how many fits end above the paper's by the data part of the robust cost
-(relative 1e-6, at the noise that the fit states), how many have a median residual more than 1.05 times the paper's, the
-median of the ratios of the median residuals, the residual of the sightings that no cloud drew aside, the true error over
-the sky inside the image of both, how many verdicts accept, and processor seconds. With --moves the tracks are fitted as
-`sunarc calibrate` does.
+(relative 1e-6, at the noise that the fit states), how many have a median residual more than 1.05 times the paper's,
+the median of the ratios of the median residuals, the residual of the sightings that no cloud drew aside, the true error
+over the sky inside the image of both, how many verdicts accept, and processor seconds. With --moves the tracks are
+fitted as `sunarc calibrate` does.
 """
 
 from __future__ import annotations
@@ -29,6 +29,18 @@ FloatArray = NDArray[np.float64]
 
 _RELATIVE = 1e-6
 _MEDIAN_RATIO = 1.05
+_HEADS = (
+    "cloud",
+    "tracks",
+    "above the paper's cost",
+    "median > 1.05 of the paper's",
+    "median ratio",
+    "RMS off cloud, in noise",
+    "sky, px: median (90 %)",
+    "the paper's",
+    "accepted",
+    "s",
+)
 
 
 class Compared(NamedTuple):
@@ -93,9 +105,8 @@ def compared(track: Track, *, moves: bool = False) -> Compared:
 def table(found: list[Compared]) -> str:
     """Return the table in Markdown."""
     lines = [
-        "| cloud | tracks | above the paper's cost | median > 1.05 of the paper's | median ratio | RMS off cloud, in noise "
-        "| sky, px: median (90 %) | the paper's | accepted | s |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        f"| {' | '.join(_HEADS)} |",
+        f"|{'---|' * len(_HEADS)}",
     ]
     for cloud in ("none", "middle", "start", "end", "both", "all"):
         mine = [one for one in found if cloud in (one.cloud, "all")]

@@ -35,7 +35,9 @@ _FOCAL_STEPS = (-0.5, 0.5)
 _SETTLING = 3
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
-"""Factor on the prior precisions of plain least squares: the paper's method knows no prior."""
+"""Prior precisions of plain least squares: the paper's method knows no prior."""
+_SKEW_AND_ASPECT = np.array([1, 2])
+"""Where the whitened unknowns hold αx − αy and the skew."""
 
 
 def best_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -56,10 +58,23 @@ def best_start(problem: Problem, seen: Observations, start: FloatArray, *, preci
 
 def least_squares(problem: Problem, seen: Observations, start: FloatArray, *, iterations: int = 25) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
+    precision = loosened(problem)
+    return most_probable(problem, seen, start, precision=precision, iterations=iterations).unknowns
+
+
+def loosened(problem: Problem) -> FloatArray:
+    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
     precision = np.full(problem.size, 1e-9)
     precision[:N_LENS] = _LOOSENED
-    precision[RADIAL] = _LOOSENED / 4.0
-    return most_probable(problem, seen, start, precision=precision, iterations=iterations).unknowns
+    precision[_SKEW_AND_ASPECT] = 1.0
+    return precision
+
+
+def undistorted(unknowns: FloatArray) -> FloatArray:
+    """Return the unknowns of the same camera with an ideal lens."""
+    plain = unknowns.copy()
+    plain[RADIAL] = plain[DECENTERING] = 0.0
+    return plain
 
 
 def at_rest(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -93,8 +108,7 @@ def distance_sigmas(problem: Problem, seen: Observations, unknowns: FloatArray) 
 def _plain_starts(problem: Problem, seen: Observations, start: FloatArray) -> list[FloatArray]:
     """Return least-squares answers from the start's lens without distortion: thinned, and from other focal lengths."""
     few = seen.select(slice(None, None, 1 + len(seen) // _FEW))
-    plain = start.copy()
-    plain[RADIAL] = plain[DECENTERING] = 0.0
+    plain = undistorted(start)
     found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
     for step in _FOCAL_STEPS:
         other = plain.copy()
