@@ -44,7 +44,7 @@ def test_an_overlay_among_true_sightings_is_left_out_and_named(
     usable = usable_points(points, site=seen.site)
     assert np.array_equal(np.sort(usable.index), np.flatnonzero(~still))
     assert len(usable.static) == len(places)
-    assert sum(position.count for position in usable.static) == still.sum()
+    assert sum(position.n for position in usable.static) == still.sum()
     found = calibrate(points, site=seen.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
     assert found.used is not None

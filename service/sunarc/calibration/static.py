@@ -33,7 +33,7 @@ class StaticPosition(NamedTuple):
 
     x: float
     y: float
-    count: int
+    n: int
 
 
 def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray) -> BoolArray:
@@ -77,7 +77,7 @@ def static_positions(pixels: FloatArray, static: BoolArray) -> tuple[StaticPosit
         mine = np.max(np.abs(left - middle), axis=-1) <= 3.0
         found.append(StaticPosition(float(middle[0]), float(middle[1]), int(mine.sum())))
         left = left[~mine]
-    return tuple(sorted(found, key=lambda one: -one.count))
+    return tuple(sorted(found, key=lambda one: -one.n))
 
 
 def _place(cells: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:

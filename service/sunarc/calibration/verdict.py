@@ -29,7 +29,7 @@ class Handedness(NamedTuple):
 
 def before_fit(usable: Usable) -> tuple[str, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
-    n_static = sum(position.count for position in usable.static)
+    n_static = sum(position.n for position in usable.static)
     if n_static > _MOST_STATIC * (len(usable) + n_static):
         said = f"{n_static} of {len(usable) + n_static} sightings do not move with the sun ({_places(usable)})"
         return (f"{said}: a text overlay, a reflection or a hot pixel; mask it, or leave these sightings out",)
@@ -48,7 +48,7 @@ def before_fit(usable: Usable) -> tuple[str, ...]:
 
 def _places(usable: Usable) -> str:
     """Return where sightings stand still, in words."""
-    named = [f"{one.count} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
+    named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
     further = len(usable.static) - len(named)
     return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
 
