@@ -40,7 +40,8 @@ def test_one_minute_only(clear_day: Simulated) -> None:
 
 def test_all_on_one_pixel(clear_day: Simulated) -> None:
     pixels = np.full_like(clear_day.points.pixels, 800.0)
-    assert "not the sun" in _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+    reason = _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+    assert "do not move with the sun" in reason
 
 
 def test_nothing_but_nan(clear_day: Simulated) -> None:

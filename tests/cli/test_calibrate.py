@@ -87,6 +87,16 @@ def test_a_readable_summary_is_printed_without_json(sunarc: Sunarc, points: Path
     assert "accepted" in answer.out
 
 
+def test_a_record_that_stands_still_is_refused_in_a_readable_table(sunarc: Sunarc, tmp_path: Path) -> None:
+    rows = [f"2013-05-13T{hour}:{minute}:00Z,1700.0,40.0" for hour in range(15, 23) for minute in range(10, 60, 10)]
+    still = tmp_path / "still.csv"
+    still.write_text("\n".join(["time_utc,x_px,y_px", *rows]) + "\n", encoding="utf-8")
+    answer = sunarc("calibrate", str(still), *AT_SGP)
+    assert answer.code == 1
+    assert "do not move" in answer.out
+    assert "no fit" in answer.out
+
+
 def test_a_refused_fit_exits_1_and_still_prints_its_document(sunarc: Sunarc, points: Path) -> None:
     lines = points.read_text().splitlines()
     points.write_text("\n".join(lines[:4]))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sunarc.calibration.static import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, sun_directions
 
@@ -121,6 +122,8 @@ class Usable:
     day : (n,) local mean solar day, counted from 1970.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
+    n_dropped, dropped : how many were left out, and why.
+    static : positions that do not move with the sun, left out.
     """
 
     index: IntArray
@@ -133,13 +136,14 @@ class Usable:
     refraction_sd: FloatArray
     n_dropped: int
     dropped: tuple[str, ...]
+    static: tuple[StaticPosition, ...] = ()
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
 
 
 def usable_points(points: SunPoints, *, site: Site) -> Usable:
-    """Return what a fit can use: finite, above the horizon, one sighting a moment.
+    """Return what a fit can use: finite, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters
     ----------
@@ -163,21 +167,25 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
     single = np.ones(order.size, dtype=bool)
     single[1:] = np.any(np.diff(moments, axis=0) != 0.0, axis=-1)
     kept = order[single]
-    times = points.unix_s[kept]
-    days = np.floor((times + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
-    counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum())
-    reasons = ("not finite", "below the horizon", "of a moment already seen")
+    day = _solar_day(points.unix_s[kept], site)
+    groups = np.unique(np.stack([points.epoch[kept], day], axis=-1), axis=0, return_inverse=True)[1].ravel()
+    still = static_sightings(points.pixels[kept], directions[kept], groups)
+    static = static_positions(points.pixels[kept], still)
+    kept, day = kept[~still], day[~still]
+    counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum(), still.sum())
+    reasons = ("not finite", "below the horizon", "of a moment already seen", "that do not move with the sun")
     return Usable(
         index=kept,
-        unix_s=times,
+        unix_s=points.unix_s[kept],
         pixels=points.pixels[kept],
         directions=directions[kept],
         sigma_px=_relative_sigma(points.sigma_px[kept]),
         epoch=points.epoch[kept],
-        day=days,
-        refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], days, site),
+        day=day,
+        refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], day, site),
         n_dropped=len(points) - kept.size,
         dropped=tuple(f"{n} {why}" for n, why in zip(counts, reasons, strict=True) if n),
+        static=static,
     )
 
 
@@ -189,6 +197,11 @@ def _refraction_sd(measured: NDArray[np.bool_], directions: FloatArray, day: Int
     daily = DAILY_AIR_SD * (run[:, None] == np.arange(runs)) * ~measured[:, None]
     share = np.column_stack([MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured, daily])
     return np.asarray(refraction_rad(directions, site)[:, None] * share)
+
+
+def _solar_day(unix_s: FloatArray, site: Site) -> IntArray:
+    """Return (n,) local mean solar days, counted from 1970."""
+    return np.floor((unix_s + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
 
 
 def _relative_sigma(sigma_px: FloatArray) -> FloatArray:

@@ -12,39 +12,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins, time_bins
-from sunarc.calibration.consensus import consensus_start
 from sunarc.calibration.decentering import deepest_valley
 from sunarc.calibration.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.doubt import Doubt, doubt
 from sunarc.calibration.evidence import Scales, marginal_fit, prior_precision
 from sunarc.calibration.linear import LinearSystem, linear_system, settled
-from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_weights
+from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
+from sunarc.calibration.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
 from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.reference import at_least_least_squares
 from sunarc.calibration.scales import Grid, likely_scales, log_evidence, scale_grid
-from sunarc.calibration.solve import information, most_probable
+from sunarc.calibration.solve import information
 from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _ROUNDS = 5
-_SETTLING = 3
-_ENOUGH = 6000
-"""Sightings that the first fits look at; the last ones look at all."""
 _FIRST_FIELD_PX = 1.0
-_SMALLEST_SIGMA_PX = 1e-4
 _LOOSE_RADIAL_PX = 16.0
 _LOOSE_DECENTERING_PX = 3.0
 _PROOF_OF_AIR = math.log(20.0)
 """By how much more probable other air must make the sightings: as 20 to 1, the usual "strong" evidence."""
+_FIELD_MAY_COST = 1.1
+"""Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
+_FIELD_SHRINKS = 0.25
+_FIELD_BOUNDS = 4
+"""How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +86,14 @@ class _State:
     scales: Scales
 
 
+class _Course(NamedTuple):
+    """How sightings follow one another: bins, runs of one day and pose (n,), neighbours in time (n - 1,)."""
+
+    bins: Bins
+    run: IntArray
+    follows: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Noise:
     sigma_px: float
@@ -98,32 +109,35 @@ class _Noise:
 def fit_robustly(
     problem: Problem, seen: Observations, usable: Usable, start: FloatArray, *, options: CalibrationOptions
 ) -> RobustFit:
-    """Return the fit of all sightings from a start in the right valley."""
+    """Return the fit of all sightings from the answer of the coarse search.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : sightings, in the order of time within each epoch.
+    usable : their times, days and epochs.
+    start : (p,) unknowns of the coarse search; other starts are tried beside it.
+    options : floor of the field, and tolerances of the lens.
+    """
     grid = _grid(problem.template, options)
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
-    follows = neighbours(usable.unix_s, run)
-    n_air = seen.refraction_sd.shape[1]
-    unknowns = np.concatenate([_without_field(problem, seen, start, bins), np.zeros(n_air)])
-    problem = replace(problem, n_air=n_air)
-    first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
-    for number in range(_ROUNDS):
-        noise = _noise(state.left, seen, follows, run)
-        system = linear_system(
-            problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis
-        )
-        state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
+    course = _Course(bins, run, neighbours(usable.unix_s, run))
+    plain = _without_field(problem, seen, start, bins)
+    problem = replace(problem, n_air=seen.refraction_sd.shape[1])
+    plain = np.concatenate([plain, np.zeros(problem.n_air)])
+    state, noise, grid = _with_field(problem, seen, plain, grid, course)
     state = _in_assumed_air(problem, seen.weighted(noise.information(seen)), bins, state, grid)
-    system = linear_system(problem, seen, bins, state.unknowns, information=noise.information(seen), basis=grid.basis)
-    gaussian = doubt(system.normal(), grid, problem, state.unknowns)
+    unknowns = _as_good_as_least_squares(problem, seen, state.unknowns, sigma=noise.sigma_px)
+    system = linear_system(problem, seen, bins, unknowns, information=noise.information(seen), basis=grid.basis)
+    gaussian = doubt(system.normal(), grid, problem, unknowns)
     return RobustFit(
         problem=problem,
         system=system,
-        unknowns=state.unknowns,
-        doubt=mixed_over_decentering(gaussian, problem, system, state.unknowns, state.scales),
+        unknowns=unknowns,
+        doubt=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales),
         scales=state.scales,
         grid=grid,
-        residual=problem.residuals(state.unknowns, seen),
+        residual=problem.residuals(unknowns, seen),
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
@@ -138,6 +152,56 @@ def _grid(template: Camera, options: CalibrationOptions) -> Grid:
         radial_px=options.tolerances.radial_px,
         decentering_px=options.tolerances.decentering_px,
     )
+
+
+def _with_field(
+    problem: Problem, seen: Observations, plain: FloatArray, grid: Grid, course: _Course
+) -> tuple[_State, _Noise, Grid]:
+    """Return the rounds' answer, and the grid of scales that it took.
+
+    A field is there to widen the uncertainty, and does not enter the prediction. One that lets the camera itself miss
+    the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
+    again.
+    """
+    allowed = _FIELD_MAY_COST * _robust_cost(problem, seen, plain, plain)
+    state, noise = _rounds(problem, seen, plain, grid, course)
+    for _ in range(_FIELD_BOUNDS):
+        if _robust_cost(problem, seen, state.unknowns, plain) <= allowed:
+            break
+        grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
+        state, noise = _rounds(problem, seen, plain, grid, course)
+    return state, noise, grid
+
+
+def _rounds(
+    problem: Problem, seen: Observations, unknowns: FloatArray, grid: Grid, course: _Course
+) -> tuple[_State, _Noise]:
+    first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
+    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
+    noise = _noise(state.left, seen, course.follows, course.run)
+    for number in range(_ROUNDS):
+        noise = _noise(state.left, seen, course.follows, course.run)
+        system = linear_system(
+            problem, seen, course.bins, state.unknowns, information=noise.information(seen), basis=grid.basis
+        )
+        state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
+    return state, noise
+
+
+def _robust_cost(problem: Problem, seen: Observations, unknowns: FloatArray, plain: FloatArray) -> float:
+    """Return the data part of the robust cost, at the scale of the fit without a field."""
+    sigma = core_sigma(distance_sigmas(problem, seen, plain), floor=SMALLEST_SIGMA_PX)
+    return float(np.sum(tukey_loss(distance_sigmas(problem, seen, unknowns), sigma=sigma)))
+
+
+def _as_good_as_least_squares(
+    problem: Problem, seen: Observations, unknowns: FloatArray, *, sigma: float
+) -> FloatArray:
+    """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
+    assumed = replace(problem, n_air=0)
+    in_this_air = replace(seen, directions=problem.directions(unknowns, seen))
+    camera = at_least_least_squares(assumed, in_this_air, unknowns[: assumed.size], sigma=sigma)
+    return np.concatenate([camera, unknowns[assumed.size :]])
 
 
 def _judged(problem: Problem, seen: Observations, system: LinearSystem, state: _State) -> _State:
@@ -170,30 +234,20 @@ def _in_assumed_air(problem: Problem, seen: Observations, bins: Bins, state: _St
 
 
 def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:
-    """Return the robust fit without a field, the scale of the loss coming down to the core's."""
+    """Return the robust fit without a field: the best of several starts."""
     precision = prior_precision(problem.size, _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    at = consensus_start(problem, seen, start, precision=precision)
-    thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
-    sigma = 1.0
-    for _ in range(_SETTLING):
-        sigma = _widest_core(problem.residuals(at, thin), thin)
-        at = most_probable(problem, thin, at, precision=precision, sigma=sigma, iterations=20).unknowns
+    at = best_start(problem, seen, start, precision=precision)
     left = problem.residuals(at, seen)
+    sigma = core_sigma(distance_sigmas(problem, seen, at), floor=SMALLEST_SIGMA_PX)
     gathered, residual = bins.gathered(seen, left, information(left, seen, sigma))
     pixels = gathered.pixels + residual - problem.residuals(at, gathered)
-    return deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
-
-
-def _widest_core(left: FloatArray, seen: Observations) -> float:
-    """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
-    distance = np.linalg.norm(left, axis=-1) * np.sqrt(seen.information)
-    epochs = np.unique(seen.epoch)
-    return max(core_sigma(distance[seen.epoch == epoch], floor=_SMALLEST_SIGMA_PX) for epoch in epochs)
+    deepest = deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
+    return lowest(problem, seen, [at, deepest], precision=precision)
 
 
 def _noise(left: FloatArray, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
     """Return the noise as it shows beside model and field."""
     distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
-    sigma = core_sigma(distance, floor=_SMALLEST_SIGMA_PX)
+    sigma = core_sigma(distance, floor=SMALLEST_SIGMA_PX)
     weight = tukey_weights(distance, sigma=sigma)
     return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(left, weight, follows, run))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,10 @@ _DECENTERING_DOUBT = math.log(1.6)
 _USUAL_FIELD_PX = 0.3
 _FIELD_DOUBT = math.log(3.0)
 """Where a lens is not as modelled, it is by tenths of px: the paper's own data miss the model by 0.5 to 1.2 px."""
+_LARGEST_FIELD_PX = 1.5
+"""1-sigma, px, of a Gaussian bound on the amplitude. A displacement of several px is a matter of the lens's own
+parameters; without the bound, a large field beside a lens that fits nothing can be the more probable explanation of a
+lens with a strong radial residual."""
 _NO_FIELD = 1.5
 """Odds, before the sightings are looked at, that there is no field but the floor's."""
 
@@ -45,6 +49,11 @@ class Grid:
     log_prior: FloatArray
     basis: WaveBasis
 
+    def up_to(self, amplitude_px: float) -> Grid:
+        """Return the grid without larger fields than this; the smallest one always stays."""
+        count = max(int(np.sum(self.amplitudes <= amplitude_px)), 1)
+        return replace(self, amplitudes=self.amplitudes[:count], log_prior=self.log_prior[:count])
+
 
 def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float) -> Grid:
     """Return the grid of scales for an image size.
@@ -62,6 +71,7 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
     of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_DOUBT) ** 2
     of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_DOUBT) ** 2
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
+    of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
     of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))
     return Grid(
         amplitudes=amplitudes,

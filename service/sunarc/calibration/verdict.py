@@ -15,6 +15,9 @@ from sunarc.calibration.result import Calibration, Verdict
 _FEWEST = 20
 _SHORTEST_ARC_DEG = 10.0
 _SMALLEST_SPREAD_PX = 10.0
+_MOST_STATIC = 0.5
+"""Share of the sightings that may stand still: a detector that finds an overlay more often than the sun is at fault."""
+_POSITIONS_NAMED = 3
 
 
 class Handedness(NamedTuple):
@@ -25,7 +28,11 @@ class Handedness(NamedTuple):
 
 
 def before_fit(usable: Usable) -> tuple[str, ...]:
-    """Return what makes a fit pointless: too few sightings, too short an arc, all on one pixel."""
+    """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
+    n_static = sum(position.n for position in usable.static)
+    if n_static > _MOST_STATIC * (len(usable) + n_static):
+        said = f"{n_static} of {len(usable) + n_static} sightings do not move with the sun ({_places(usable)})"
+        return (f"{said}: a text overlay, a reflection or a hot pixel; mask it, or leave these sightings out",)
     dropped = f" ({', '.join(usable.dropped)})" if usable.dropped else ""
     if len(usable) < _FEWEST:
         return (f"only {len(usable)} usable sightings{dropped}; at least {_FEWEST} are needed",)
@@ -37,6 +44,13 @@ def before_fit(usable: Usable) -> tuple[str, ...]:
     if spread < _SMALLEST_SPREAD_PX:
         problems.append(f"all sightings lie within {spread:.1f} px: that is not the sun")
     return tuple(problems)
+
+
+def _places(usable: Usable) -> str:
+    """Return where sightings stand still, in words."""
+    named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
+    further = len(usable.static) - len(named)
+    return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
 
 
 def own_verdict(
@@ -55,6 +69,8 @@ def own_verdict(
     ]
     if usable.dropped:
         said.append(f"left out before the fit: {', '.join(usable.dropped)}")
+    if usable.static:
+        said.append(f"a text overlay, a reflection or a hot pixel at {_places(usable)}: mask it")
     if options.free == "pose":
         said.append("provisional: the lens is that of an earlier pose, kept within what was known of it")
     if options.mirrored == "auto":

@@ -124,7 +124,7 @@ def _print_calibration(document: dict[str, Any]) -> None:
         ["principal point", "{:.3f}, {:.3f} px".format(*model["principal_point_px"])],
         *([name.removesuffix("_deg"), f"{value:.3f}°"] for name, value in document["pose"].items()),
         ["sightings used", f"{document['evidence']['n_used']} of {metrics['n'] + document['evidence']['n_rejected']}"],
-        ["RMSE", f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"],
+        ["RMSE", _rmse(metrics)],
         [
             "1-sigma over the sky",
             "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
@@ -133,3 +133,10 @@ def _print_calibration(document: dict[str, Any]) -> None:
         *(["", reason] for reason in verdict["reasons"]),
     ]
     Console(soft_wrap=True).print(table(("", ""), rows))
+
+
+def _rmse(metrics: dict[str, Any]) -> str:
+    """Return the RMSE in words; what was refused before a fit has none."""
+    if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
+        return "no fit"
+    return f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"

@@ -1,0 +1,124 @@
+"""Several starts of the robust fit, compared on all sightings by one robust cost.
+
+A redescending loss has many local minima: which one a fit ends in depends on the first residuals. So several starts are
+each brought to rest, and the lowest cost decides. All costs are taken at one scale, that of the candidate which the
+better half of the sightings fits best: with a scale of its own, a camera that follows a third of the arc closely and
+misses the rest would be rated above one that fits everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.consensus import consensus_start
+from sunarc.calibration.loss import core_sigma, tukey_loss
+from sunarc.calibration.priors import DECENTERING, N_LENS, RADIAL
+from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.solve import most_probable
+
+FloatArray = NDArray[np.float64]
+
+SMALLEST_SIGMA_PX = 1e-4
+"""px; exact (simulated) sightings must not make a scale of 0."""
+
+_ENOUGH = 6000
+"""Sightings that a start is brought to rest on."""
+_FEW = 600
+"""Sightings that the plain least-squares starts look at."""
+_THINNED = (1, 2, 3)
+"""Every first, second and third of them: subsets in which an episode of outliers weighs differently."""
+_FOCAL_STEPS = (-0.5, 0.5)
+"""Further focal lengths, in prior sigmas: 15 % shorter and longer where no image circle is known."""
+_SETTLING = 3
+_CENTRAL_SHARE = 0.5
+_LOOSENED = 1e-4
+"""Prior precisions of plain least squares: the paper's method knows no prior."""
+_SKEW_AND_ASPECT = np.array([1, 2])
+"""Where the whitened unknowns hold αx − αy and the skew."""
+
+
+def best_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+    """Return the unknowns of the lowest robust cost that the starts lead to.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : all sightings, in the order of time within each epoch.
+    start : (p,) unknowns from the coarse search.
+    precision : (p,) prior precisions of the unknowns.
+    """
+    thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
+    starts = [consensus_start(problem, seen, start, precision=precision), *_plain_starts(problem, seen, start)]
+    rested = [at_rest(problem, thin, at, precision=precision) for at in starts]
+    return lowest(problem, thin, rested, precision=precision)
+
+
+def least_squares(problem: Problem, seen: Observations, start: FloatArray, *, iterations: int = 25) -> FloatArray:
+    """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
+    precision = loosened(problem)
+    return most_probable(problem, seen, start, precision=precision, iterations=iterations).unknowns
+
+
+def loosened(problem: Problem) -> FloatArray:
+    """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
+    precision = np.full(problem.size, 1e-9)
+    precision[:N_LENS] = _LOOSENED
+    precision[_SKEW_AND_ASPECT] = 1.0
+    return precision
+
+
+def undistorted(unknowns: FloatArray) -> FloatArray:
+    """Return the unknowns of the same camera with an ideal lens."""
+    plain = unknowns.copy()
+    plain[RADIAL] = plain[DECENTERING] = 0.0
+    return plain
+
+
+def at_rest(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+    """Return the robust fit from one start, the scale of the loss coming down to that of the core."""
+    at = start
+    for _ in range(_SETTLING):
+        sigma = _widest_core(problem.residuals(at, seen), seen)
+        at = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20).unknowns
+    return at
+
+
+def lowest(
+    problem: Problem, seen: Observations, candidates: Sequence[FloatArray], *, precision: FloatArray
+) -> FloatArray:
+    """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
+    distances = [distance_sigmas(problem, seen, at) for at in candidates]
+    sigma = min(core_sigma(d, share=_CENTRAL_SHARE, floor=SMALLEST_SIGMA_PX) for d in distances)
+    costs = [
+        float(np.sum(tukey_loss(distance, sigma=sigma))) + 0.5 * float(np.sum(precision * at**2))
+        for distance, at in zip(distances, candidates, strict=True)
+    ]
+    return candidates[int(np.argmin(costs))]
+
+
+def distance_sigmas(problem: Problem, seen: Observations, unknowns: FloatArray) -> FloatArray:
+    """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma."""
+    left = problem.residuals(unknowns, seen)
+    return np.asarray(np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information))
+
+
+def _plain_starts(problem: Problem, seen: Observations, start: FloatArray) -> list[FloatArray]:
+    """Return least-squares answers from the start's lens without distortion: thinned, and from other focal lengths."""
+    few = seen.select(slice(None, None, 1 + len(seen) // _FEW))
+    plain = undistorted(start)
+    found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
+    for step in _FOCAL_STEPS:
+        other = plain.copy()
+        other[0] += step
+        found.append(least_squares(problem, few.select(slice(None, None, 2)), other))
+    return found
+
+
+def _widest_core(left: FloatArray, seen: Observations) -> float:
+    """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
+    distance = np.linalg.norm(left, axis=-1) * np.sqrt(seen.information)
+    epochs = np.unique(seen.epoch)
+    return max(core_sigma(distance[seen.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)

@@ -1,0 +1,85 @@
+"""Least squares as the reference that a robust fit must reach: its priors and its field may not cost it the data.
+
+The most probable camera meets the sightings a little worse than the best one does: priors and correlated noise hold it
+back where the sightings say next to nothing, and that is what keeps the error over the sky small. The little is bounded
+here. A fit that meets the sightings clearly worse than plain least squares (the paper's method without its penalties)
+is brought towards the robust fit with loose priors, by as little as is needed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.loss import tukey_loss
+from sunarc.calibration.multistart import distance_sigmas, least_squares, loosened, undistorted
+from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.solve import most_probable
+
+FloatArray = NDArray[np.float64]
+
+_SCALES = (0.7, 1.0, 1.4)
+"""The cost is compared at these multiples of the noise: a fit must not win by the choice of its scale."""
+_COST_RATIO = 1.03
+"""Largest robust cost over that of least squares. What priors cost a day's fit is 0.1 to 2.5 %."""
+_MEDIAN_RATIO = 1.04
+"""Largest ratio of the median residuals: 1.05 to the paper's answer, which its penalties shift a little."""
+_HALVINGS = 7
+"""Bisections of the way: to 1 %."""
+
+
+class _Level(NamedTuple):
+    """Robust costs (3,) at the scales, and the median residual in px."""
+
+    costs: FloatArray
+    median: float
+
+    def reaches(self, other: _Level) -> bool:
+        """Return whether this is as good as another one."""
+        return bool(np.all(self.costs <= other.costs) and self.median <= other.median)
+
+
+def at_least_least_squares(problem: Problem, seen: Observations, unknowns: FloatArray, *, sigma: float) -> FloatArray:
+    """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
+
+    Parameters
+    ----------
+    problem : the camera sought.
+    seen : all sightings.
+    unknowns : (p,) the most probable ones.
+    sigma : px, scale of the robust loss.
+    """
+    plain = [least_squares(problem, seen, begin) for begin in (unknowns, undistorted(unknowns))]
+    levels = [_level(problem, seen, at, sigma) for at in plain]
+    best = int(np.argmin([level.costs[1] for level in levels]))
+    wanted = _Level(_COST_RATIO * levels[best].costs, _MEDIAN_RATIO * levels[best].median)
+    if _level(problem, seen, unknowns, sigma).reaches(wanted):
+        return unknowns
+    precision = loosened(problem)
+    for begin in (unknowns, *plain):
+        end = most_probable(problem, seen, begin, precision=precision, sigma=sigma, iterations=30).unknowns
+        if _level(problem, seen, end, sigma).reaches(wanted):
+            return _nearest(problem, seen, unknowns, end, wanted=wanted, sigma=sigma)
+    return _nearest(problem, seen, unknowns, plain[best], wanted=wanted, sigma=sigma)
+
+
+def _nearest(
+    problem: Problem, seen: Observations, start: FloatArray, end: FloatArray, *, wanted: _Level, sigma: float
+) -> FloatArray:
+    """Return the unknowns nearest to the start, on the line to the end, that reach the wanted level."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _level(problem, seen, start + middle * (end - start), sigma).reaches(wanted):
+            high = middle
+        else:
+            low = middle
+    return np.asarray(start + high * (end - start))
+
+
+def _level(problem: Problem, seen: Observations, unknowns: FloatArray, sigma: float) -> _Level:
+    distance = distance_sigmas(problem, seen, unknowns)
+    costs = np.array([float(np.sum(tukey_loss(distance, sigma=scale * sigma))) for scale in _SCALES])
+    return _Level(costs, float(np.median(distance)))
