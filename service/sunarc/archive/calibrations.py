@@ -7,13 +7,13 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, or_, select
 
 from sunarc.archive.documents import Documents
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration
 from sunarc.archive.used import keep_used
-from sunarc.archive.validity import SERVED, end_others, set_columns, told, wrong_state
+from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, told, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.errors import InputError, NotFoundError
 
@@ -76,6 +76,26 @@ class Calibrations(Store):
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
         return told(chosen)
 
+    def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
+        """Let a candidate answer for times past, `since` <= t < `until`, in place of what answered for them.
+
+        What began before `since` ends there; what began between and goes on beyond begins at `until`. Where one answers
+        from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.
+        """
+        with self._writing() as connection:
+            record = self._required(connection, calibration_id)
+            if record.state != "candidate":
+                raise wrong_state(calibration_id, f"is {record.state}", remedy="name a candidate")
+            c = calibration.c
+            around = (c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > until))
+            pinned = (c.pinned, c.valid_from < until)
+            held = or_(and_(*around), and_(*pinned))
+            if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), held):
+                return told(record)
+            clear_interval(connection, record.camera, since, until)
+            set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
+            return told(self._required(connection, calibration_id))
+
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
         with self._writing() as connection:
@@ -112,6 +132,13 @@ class Calibrations(Store):
         with self._reading() as connection:
             served = select(c.id).where(c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED)).limit(1)
             return connection.scalar(served) is not None
+
+    def last_served(self, camera: str, *, pose_epoch: str) -> datetime | None:
+        """Return when the latest calibration of a pose epoch that ever answered was made; None without one."""
+        c = calibration.c
+        mine = (c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+        with self._reading() as connection:
+            return connection.scalar(select(c.created_at).where(*mine).order_by(c.created_at.desc()).limit(1))
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none."""

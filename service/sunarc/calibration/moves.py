@@ -148,16 +148,23 @@ def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: 
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
-        better = _best_row(row, usable, [replace(fitted.camera, rotation_cam_enu=p) for p in fitted.poses[first:]])
+        cameras = [replace(fitted.camera, rotation_cam_enu=pose) for pose in fitted.poses[first:]]
+        better = best_row(slice(max(row - _SIDE // 2, 0), row + _SIDE // 2), usable, cameras)
         if better == row:
             break
         row = better
     return Moved(fitted, apart)
 
 
-def _best_row(row: int, usable: Usable, cameras: Sequence[Camera]) -> int:
-    """Return which row the move came before, by the first two cameras: each sighting to the one that it fits."""
-    near = slice(max(row - _SIDE // 2, 0), row + _SIDE // 2)
+def best_row(near: slice, usable: Usable, cameras: Sequence[Camera]) -> int:
+    """Return which row a move came before, by the cameras before and after it.
+
+    Parameters
+    ----------
+    near : the rows that it may have come before; `start` is given.
+    usable : sightings in the order of time.
+    cameras : the first two are looked at.
+    """
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
     scale = core_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
     before, after = (tukey_loss(np.nan_to_num(distance, nan=1e4), sigma=scale) for distance in off)

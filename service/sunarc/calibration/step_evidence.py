@@ -58,9 +58,9 @@ class Amplitudes(NamedTuple):
 
     white: float = 1.0
     autoregressive: float = 0.0
-    autoregressive_time: int = 0
+    autoregressive_time: float = 0
     misfit: float = 0.0
-    misfit_angle: int = 0
+    misfit_angle: float = 0
 
 
 _GRID: dict[str, tuple[float, ...]] = {
@@ -119,7 +119,7 @@ class _Model:
         information = np.eye(p) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
         gradient = np.einsum("nai,na->i", rows, left)
         square = float(np.sum(left**2) - gradient @ np.linalg.solve(information, gradient))
-        determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information)[1])
+        determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information).logabsdet)
         return -0.5 * (square + determinant) - n * math.log(2.0 * math.pi)
 
 
