@@ -10,15 +10,10 @@ the moves lies within 30 sightings of it.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from real_like_tracks import Track, real_like_track
 
 from sunarc.calibration import calibrate_moved
