@@ -71,7 +71,7 @@ def moved(first: int, count: int) -> dict[float, list[Outcome]]:
     print("| turn, degrees | found | misdated: median, most (sightings) | false beside it |", flush=True)
     for size in SIZES_DEG:
         table[size] = [outcome(real_like_track(seed, move_deg=size)) for seed in range(first, first + count)]
-        hits = [one.misdated for one in table[size] if one.found]
+        hits = [one.misdated for one in table[size] if one.misdated is not None and one.found]
         off = f"{np.median(hits):.0f}, {max(hits)}" if hits else "-"
         beside = sum(len(one.turns_deg) - one.found for one in table[size])
         print(f"| {size} | {len(hits)} of {count} | {off} | {beside} |", flush=True)

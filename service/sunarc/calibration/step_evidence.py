@@ -49,6 +49,7 @@ _SPREAD_PER_MEDIAN = 1.2533
 _LOCAL = 4
 """Neighbours on each side whose running median tells an isolated gross error."""
 _GROSS_SIGMAS = 3.5
+_UNSEEN_PX = 5e3
 _FLOOR_PX = 1e-3
 _RIGHT_ANGLE = math.pi / 2
 
@@ -120,7 +121,7 @@ class _Model:
         gradient = np.einsum("nai,na->i", rows, left)
         square = float(np.sum(left**2) - gradient @ np.linalg.solve(information, gradient))
         determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information).logabsdet)
-        return -0.5 * (square + determinant) - n * math.log(2.0 * math.pi)
+        return float(-0.5 * (square + determinant) - n * math.log(2.0 * math.pi))
 
 
 def log_bayes_factor(
@@ -137,7 +138,11 @@ def log_bayes_factor(
     turn_rad : the angle between the two poses.
     """
     near = (usable.epoch == usable.epoch[row]) & (np.abs(usable.day - usable.day[row]) <= _DAYS_BESIDE)
+    for _, residual in (one, two):  # what either camera cannot see says nothing of the difference
+        near &= np.linalg.norm(residual, axis=-1) < _UNSEEN_PX
     picked = np.flatnonzero(near)
+    if not np.any(picked < row) or not np.any(picked >= row):
+        return -math.inf
     member = _members(picked, row, usable)
     rows = _rows(picked, member, row, usable, two[1])
     models = []

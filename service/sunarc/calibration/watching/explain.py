@@ -31,9 +31,11 @@ _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _CLEARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
-_CLEARER_THAN_CLOUD = 4.0
+_CLEARER_THAN_CLOUD = 5.0
 """Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
-a change about once a year."""
+a change about once a year, and a first few sightings seldom tell more."""
+_LENS_CLEARER_THAN_CLOUD = 12.0
+"""The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
 _CLOCK_PRIOR = 5.0
 """Powers of e that a clock is less likely than a bump where the host says nothing."""
 _AS_LIKELY = 5.0
@@ -109,7 +111,8 @@ def explain(
         return None
     if chosen.agreeing < int(nothing.believed[chosen.of.first :].sum()):
         return None
-    if chosen.evidence - drift_evidence(window, chosen.of.first) < _CLEARER_THAN_CLOUD:
+    clearer = _LENS_CLEARER_THAN_CLOUD if chosen.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
+    if chosen.evidence - drift_evidence(window, chosen.of.first) < clearer:
         return None
     alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
     near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > chosen.evidence - _CLEARER}
