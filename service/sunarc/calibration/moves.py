@@ -1,8 +1,8 @@
 """Was the camera moved among the sightings that a fit is given? When, and by how much; each piece gets its own pose.
 
 What one pose leaves over runs on smoothly through all that lens and sky do, within a day and from a day to the next at
-the same hour. A move makes it jump. A jump is a suggestion only: a move counts when two poses lower the robust cost, and
-are likelier by their marginal likelihood than one pose with a misfit of the lens and episodes of cloud.
+the same hour. A move makes it jump. A jump is a suggestion only: a move counts when two poses lower the robust cost,
+and are likelier by their marginal likelihood than one pose with a misfit of the lens and episodes of cloud.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _CLEARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
-_CLEARER_THAN_CLOUD = 5.0
+_CLEARER_THAN_CLOUD = 4.0
 """Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
 a change about once a year, and a first few sightings seldom tell more."""
 _LENS_CLEARER_THAN_CLOUD = 12.0
