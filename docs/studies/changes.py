@@ -1,11 +1,14 @@
 """How soon a change is noticed, what it is called, and how often there was none.
 
     OMP_NUM_THREADS=1 python docs/studies/changes.py --days 300
+    OMP_NUM_THREADS=1 python docs/studies/changes.py --clouded 100 --cadence 60
     OMP_NUM_THREADS=1 python docs/studies/changes.py --changes 20
 
 The first counts false alarms over simulated days, half of them cloudy with 30 % false sightings, on a mount that
-wanders by 0.01 degrees with the heat of the day. The second makes changes of every kind at random times of random days,
-and prints after how many sightings they were noticed, how far the change was misdated, and what they were called.
+wanders by 0.01 degrees with the heat of the day. The second counts them over days on each of which cloud draws the
+detections aside three times, for 5 minutes to an hour, by 1 to 10 px. The third makes changes of every kind at random
+times of random days, and prints after how many sightings they were noticed, how far the change was misdated, and what
+they were called.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import Calibration, SunPoints, calibrate
@@ -92,6 +96,28 @@ def false_alarms(days: int, calibration: Calibration, cadence_s: float) -> None:
             found.append((day, change.kind, change.text))
             watch = Watch()
     print(f"{days} days, {total} sightings: {len(found)} false alarms {found}")
+
+
+def clouded(days: int, calibration: Calibration, cadence_s: float) -> int:
+    """Print, and return, the false alarms over days on which cloud draws the detections aside."""
+    rng, watch, found, total = np.random.default_rng(11), Watch(), [], 0
+    for day in range(days):
+        times = times_of(day, cadence_s)
+        pixels = wandering(times, np.array([0.7, 0.7, 0.1])) + rng.normal(0.0, _SIGMA_PX, (times.size, 2))
+        for _ in range(3):
+            long = float(rng.uniform(300.0, 3600.0))
+            share = (times - rng.uniform(times[0] - 0.5 * long, times[-1] - 0.5 * long)) / long
+            mine = (share >= 0.0) & (share <= 1.0)
+            pixels[mine] += drawn_aside(rng, share[mine], float(rng.uniform(1.0, 10.0)))
+        total += times.size
+        watch, number, change = looked(watch, calibration, times, pixels)
+        if change is not None:
+            found.append((day, number, change.kind, change.text))
+            watch = Watch()
+    print(f"{days} days with cloud, a sighting every {cadence_s:g} s, {total}: {len(found)} false alarms", flush=True)
+    for one in found:
+        print(f"  {one}")
+    return len(found)
 
 
 def bump(size_deg: float) -> Callable[[np.random.Generator, FloatArray], FloatArray]:
@@ -173,12 +199,15 @@ def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--days", type=int, default=0)
+    parser.add_argument("--clouded", type=int, default=0, help="days on which cloud draws detections aside")
     parser.add_argument("--changes", type=int, default=0)
     parser.add_argument("--cadence", type=float, default=120.0)
     chosen = parser.parse_args()
     calibration = calibrated()
     if chosen.days:
         false_alarms(chosen.days, calibration, chosen.cadence)
+    if chosen.clouded:
+        clouded(chosen.clouded, calibration, chosen.cadence)
     if chosen.changes:
         changes(chosen.changes, calibration, chosen.cadence)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, calibrate_moved, from_document, to_document
@@ -71,6 +72,26 @@ def test_cloud_and_a_camera_that_stood_still_are_no_move(simulator: Simulator) -
     assert calibrate_moved(seen.points, site=seen.site, image_size=SIZE)[0].evidence.moves == ()
     points = replace(seen.points, pixels=pixels)
     assert calibrate_moved(points, site=seen.site, image_size=SIZE)[0].evidence.moves == ()
+
+
+def test_cloud_that_draws_a_real_like_track_aside_is_no_move() -> None:
+    # two episodes and whole pixels: by the robust cost alone, two poses are better by far
+    track = real_like_track(71)
+    solved, points = calibrate_moved(track.points, site=track.site, image_size=track.image_size, options=track.options)
+    assert solved.evidence.moves == ()
+    assert not np.any(points.epoch)
+
+
+def test_a_step_is_likelier_than_cloud_only_where_the_pose_stays(simulator: Simulator) -> None:
+    before = simulator(cadence_s=300.0, sigma_px=0.3)
+    after = simulator(turned(before.camera, 0.4), cadence_s=300.0, sigma_px=0.3, seed=2)
+    points = moved_after(0.5, before, after)
+    share = np.clip((np.arange(len(points)) / len(points) - 0.5) / 0.1, 0.0, 1.0)
+    aside = before.points.pixels + (4.0 * np.sin(np.pi * share))[:, None] * np.array([0.8, -0.6])
+    (move,) = calibrate_moved(points, site=before.site, image_size=SIZE)[0].evidence.moves
+    assert move.turn_deg == pytest.approx(0.4, abs=0.1)
+    clouded = replace(before.points, pixels=aside)
+    assert calibrate_moved(clouded, site=before.site, image_size=SIZE)[0].evidence.moves == ()
 
 
 def test_a_jump_in_an_arc_too_short_for_any_fit_is_refused_like_the_arc(simulator: Simulator) -> None:

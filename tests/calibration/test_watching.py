@@ -210,3 +210,21 @@ def test_an_image_that_comes_again_is_no_exception(calibrated: Calibration, came
     frozen = {"first": pixels[:1], "last": pixels[BEFORE - 1 : BEFORE], "two": pixels[:2]}[shown]
     pixels[BEFORE:] = np.resize(frozen, (AFTER, 2))
     watched(calibrated, times, pixels)
+
+
+@pytest.mark.parametrize(
+    ("cadence_s", "shape"),
+    [(60.0, "grows and vanishes"), (60.0, "comes at once and fades"), (120.0, "comes at once and fades")],
+)
+def test_cloud_that_draws_the_detections_aside_for_twenty_minutes_is_no_change(
+    calibrated: Calibration, camera: Camera, cadence_s: float, shape: str
+) -> None:
+    times = NOON + np.arange(-40.0 * cadence_s, 1600.0, cadence_s)
+    share = times - NOON
+    share = np.clip(share / 1200.0, 0.0, 1.0)
+    size = np.sin(np.pi * share) if shape == "grows and vanishes" else np.where(share > 0.0, 1.0 - share, 0.0)
+    angle = 1.0 + 0.7 * share
+    aside = 5.0 * size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    noise = np.random.default_rng(9).normal(0.0, 0.02, aside.shape)
+    pixels = project(camera, sun_directions(times, SGP)) + aside + noise
+    assert watched(calibrated, times, pixels) == (times.size, None)

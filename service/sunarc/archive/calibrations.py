@@ -7,7 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, or_, select
 
 from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
 from sunarc.archive.doubts import LENS_CHANGED
@@ -15,7 +15,7 @@ from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.used import keep_used
-from sunarc.archive.validity import SERVED, end_others, set_columns, told, wrong_state
+from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, told, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.errors import InputError, NotFoundError
 
@@ -78,6 +78,26 @@ class Calibrations(Store):
             chosen = replace(record, state="current", valid_from=start, valid_until=None)
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
         return told(chosen)
+
+    def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
+        """Let a candidate answer for times past, `since` <= t < `until`, in place of what answered for them.
+
+        What began before `since` ends there; what began between and goes on beyond begins at `until`. Where one answers
+        from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.
+        """
+        with self._writing() as connection:
+            record = self._required(connection, calibration_id)
+            if record.state != "candidate":
+                raise wrong_state(calibration_id, f"is {record.state}", remedy="name a candidate")
+            c = calibration.c
+            around = (c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > until))
+            pinned = (c.pinned, c.valid_from < until)
+            held = or_(and_(*around), and_(*pinned))
+            if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), held):
+                return told(record)
+            clear_interval(connection, record.camera, since, until)
+            set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
+            return told(self._required(connection, calibration_id))
 
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
@@ -150,6 +170,13 @@ class Calibrations(Store):
         with self._reading() as connection:
             served = select(c.id).where(c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED)).limit(1)
             return connection.scalar(served) is not None
+
+    def last_served(self, camera: str, *, pose_epoch: str) -> datetime | None:
+        """Return when the latest calibration of a pose epoch that ever answered was made; None without one."""
+        c = calibration.c
+        mine = (c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+        with self._reading() as connection:
+            return connection.scalar(select(c.created_at).where(*mine).order_by(c.created_at.desc()).limit(1))
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""

@@ -27,16 +27,21 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
     """Return the sightings of a camera that meet the conditions, in the order of their times."""
     epochs = tables.pose_epoch.c
     rows = _numbers(connection, [*wanted, epochs.camera == camera])
-    known = connection.execute(select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera))
-    ids = {int(number): epoch_id for number, epoch_id in known}
-    present, epoch = np.unique(rows["epoch"], return_inverse=True)
+    known = connection.execute(
+        select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera).order_by(epochs.started_at)
+    ).all()
+    ids = [str(row.id) for row in known]
+    place = {int(row[0]): place for place, row in enumerate(known)}  # an epoch may be written down after a later one
+    numbers, member = np.unique(rows["epoch"], return_inverse=True)
+    places = np.array([place[int(number)] for number in numbers], dtype=np.int64)
+    present, epoch = np.unique(places[member], return_inverse=True)
     return SunPointColumns(
         unix_s=rows["time"] / 1e6,
         pixels=np.stack([rows["x"], rows["y"]], axis=-1),
         sigma_px=_nan_for_negative(rows["sigma"]),
         clock_error_s=_nan_for_negative(rows["clock"]),
         epoch=epoch.astype(np.int64),
-        epoch_ids=tuple(ids[number] for number in present.tolist()),
+        epoch_ids=tuple(ids[place] for place in present.tolist()),
         ids=rows["id"].copy(),
     )
 

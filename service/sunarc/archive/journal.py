@@ -109,12 +109,14 @@ class Journal(Store):
         since: datetime | None = None,
         until: datetime | None = None,
         severity: EventSeverity | None = None,
+        kind: str | None = None,
         limit: int | None = None,
     ) -> tuple[Event, ...]:
         """Return the events with `since` <= time < `until`, the newest first; None does not filter."""
         c = tables.event.c
         mine = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
         wanted = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
+        wanted += given((c.kind.__eq__, kind))
         statement = select(tables.event).where(*mine, *wanted).order_by(c.time.desc(), c.id.desc()).limit(limit)
         return self._values(statement, Event)
 

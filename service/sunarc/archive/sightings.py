@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 from datetime import date, datetime
 
-from sqlalchemy import ColumnElement, Engine, func, or_, select, text, update
+from sqlalchemy import ColumnElement, Connection, Engine, func, or_, select, text, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
@@ -14,6 +14,7 @@ from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_t
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
+from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.errors import InputError
 from sunarc.sky import day_bounds_unix_s, solar_date
@@ -75,6 +76,38 @@ class Sightings(Store):
             moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.time >= at)
             connection.execute(moving.values(pose_epoch=epoch.id))
         return epoch
+
+    def split_epoch(self, camera: str, *, at: datetime, reason: str) -> tuple[PoseEpoch, PoseEpoch]:
+        """Divide the pose epoch that `at` lies in, and return both parts; sightings go with their part.
+
+        The part that calibrations answered for keeps the id: the later one where they all answer from `at` on, else
+        the earlier one.
+
+        Raises
+        ------
+        InputError : no epoch has `at` within it.
+        """
+        epochs = tables.pose_epoch.c
+        with self._writing() as connection:
+            known = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
+            every = values_of(connection, known, PoseEpoch)
+            begun = [
+                epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
+            ]
+            if not begun:
+                raise InputError(field="at", problem="not within a pose epoch", remedy="give a time within one")
+            whole, new = begun[-1], f"{camera}-{len(every) + 1}"
+            first = _first_answered(connection, whole.id)
+            keeps_later = first is not None and first >= at
+            earlier = replace(whole, id=new if keeps_later else whole.id, ended_at=at)
+            later = replace(whole, id=whole.id if keeps_later else new, started_at=at, reason=reason)
+            kept, added = (later, earlier) if keeps_later else (earlier, later)
+            connection.execute(update(tables.pose_epoch).where(epochs.id == whole.id).values(asdict(kept)))
+            connection.execute(insert(tables.pose_epoch).values(asdict(added)))
+            side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
+            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == whole.id, side)
+            connection.execute(moving.values(pose_epoch=new))
+        return earlier, later
 
     def epoch_at(self, camera: str, at: datetime, *, reason: str) -> PoseEpoch:
         """Return the pose epoch of a moment; the first one reaches back to the earliest moment asked for."""
@@ -209,6 +242,13 @@ class Sightings(Store):
         with self._reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
         return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
+
+
+def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
+    """Return from when on a calibration of a pose epoch answered; None where none did."""
+    c = tables.calibration.c
+    mine = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+    return connection.scalar(select(c.valid_from).where(*mine).order_by(c.valid_from).limit(1))
 
 
 def _wanted(

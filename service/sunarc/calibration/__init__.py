@@ -41,6 +41,7 @@ from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTole
 from sunarc.calibration.points import SunPoints
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.priors import prior_knowledge
+from sunarc.calibration.record_steps import PoseStep, find_pose_steps
 from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
@@ -66,6 +67,7 @@ __all__ = [
     "Moved",
     "PaperOptions",
     "PoseOffset",
+    "PoseStep",
     "Selection",
     "SelectionOptions",
     "SunPoints",
@@ -84,6 +86,7 @@ __all__ = [
     "disagreement",
     "distance_px",
     "find_image_circle",
+    "find_pose_steps",
     "fit_backward",
     "from_document",
     "hemisphere",

@@ -1,8 +1,8 @@
 """Was the camera moved among the sightings that a fit is given? When, and by how much; each piece gets its own pose.
 
 What one pose leaves over runs on smoothly through all that lens and sky do, within a day and from a day to the next at
-the same hour. A move makes it jump. A jump is a suggestion only: a move counts when the same sightings fit clearly
-better with a pose on either side of it.
+the same hour. A move makes it jump. A jump is a suggestion only: a move counts when two poses lower the robust cost,
+and are likelier by their marginal likelihood than one pose with a misfit of the lens and episodes of cloud.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from sunarc.calibration.loss import core_sigma, tukey_loss
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.points import SunPoints, Usable, usable_points
 from sunarc.calibration.result import Calibration, Move
+from sunarc.calibration.step_evidence import log_bayes_factor
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site
 
@@ -44,6 +45,9 @@ _SMALLEST_NIGHT_DEG = 0.05
 _DAY_S = 86_400.0
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
+_LEAST_EVIDENCE = 12.0
+"""Powers of e by which a move must be likelier than none: cameras are moved about once a year, and the moment is one of
+hundreds; the largest seen of a camera that stood still is 6.7 (docs/studies.md)."""
 _MOST = 6
 _FEWEST = 20
 _FLOOR_PX = 1e-3
@@ -102,7 +106,7 @@ def calibrate_moved(
 def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: _Fit) -> Moved | None:
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
-    best, gained = None, _GAIN
+    tried: list[tuple[float, Moved]] = []
     for suggested in (*_jumps(residual, usable), *_nights(residual, usable)):
         found = _parted_at(suggested.row, points, usable, solved.camera, fit)
         if found is None:
@@ -111,9 +115,27 @@ def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: 
         ended = int(usable.epoch[suggested.row])
         turn_deg = _turn_deg(*found.calibration.poses[ended : ended + 2])
         gain = _gain(residual, _residuals(found.calibration, numbered), usable, found.calibration)
-        if gain > gained and turn_deg > suggested.smallest_deg:
-            best, gained = found, gain
-    return best
+        if gain > _GAIN and turn_deg > suggested.smallest_deg:
+            tried.append((gain, found))
+    for _, found in sorted(tried, key=lambda item: -item[0]):
+        if _log_bayes_factor(solved, found, usable) > _LEAST_EVIDENCE:
+            return found
+    return None
+
+
+def _log_bayes_factor(solved: Calibration, found: Moved, usable: Usable) -> float:
+    """Return by how many powers of e the added move explains the sightings better than episodes of cloud do."""
+    numbered = replace(usable, epoch=found.points.epoch[usable.index])
+    row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
+    ended = int(usable.epoch[row])
+    after = found.calibration.poses[ended + 1]
+    return log_bayes_factor(
+        row,
+        usable,
+        one=(replace(solved.camera, rotation_cam_enu=solved.poses[ended]), _residuals(solved, usable)),
+        two=(replace(found.calibration.camera, rotation_cam_enu=after), _residuals(found.calibration, numbered)),
+        turn_rad=math.radians(_turn_deg(found.calibration.poses[ended], after)),
+    )
 
 
 def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: _Fit) -> Moved | None:
@@ -126,16 +148,23 @@ def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: 
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
-        better = _best_row(row, usable, [replace(fitted.camera, rotation_cam_enu=p) for p in fitted.poses[first:]])
+        cameras = [replace(fitted.camera, rotation_cam_enu=pose) for pose in fitted.poses[first:]]
+        better = best_row(slice(max(row - _SIDE // 2, 0), row + _SIDE // 2), usable, cameras)
         if better == row:
             break
         row = better
     return Moved(fitted, apart)
 
 
-def _best_row(row: int, usable: Usable, cameras: Sequence[Camera]) -> int:
-    """Return which row the move came before, by the first two cameras: each sighting to the one that it fits."""
-    near = slice(max(row - _SIDE // 2, 0), row + _SIDE // 2)
+def best_row(near: slice, usable: Usable, cameras: Sequence[Camera]) -> int:
+    """Return which row a move came before, by the cameras before and after it.
+
+    Parameters
+    ----------
+    near : the rows that it may have come before; `start` is given.
+    usable : sightings in the order of time.
+    cameras : the first two are looked at.
+    """
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
     scale = core_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
     before, after = (tukey_loss(np.nan_to_num(distance, nan=1e4), sigma=scale) for distance in off)

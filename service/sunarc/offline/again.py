@@ -24,7 +24,7 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     archive = open_archive(settings.database)
     try:
         record = archive.calibration(calibration_id)
-        points = points_of(archive.sightings_of(calibration_id))
+        points = points_of(archive.sightings_of(calibration_id), latest=record.pose_epoch)
     finally:
         archive.close()
     past = from_document(record.document)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import LENS_CHANGED, Archive, SunPointColumns
+from sunarc.archive import Archive, SunPointColumns
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -18,6 +17,7 @@ from sunarc.calibration import (
     select_sightings,
 )
 from sunarc.sky import Site
+from sunarc.workers.epoch_search import since_lens
 from sunarc.workers.points import points_of
 from sunarc.workers.solve import Problem
 
@@ -43,18 +43,14 @@ class Task:
         """The pose epoch that the answer speaks of."""
         return self.used.epoch_ids[-1]
 
+    def of_epoch(self, epoch: str) -> Problem:
+        """Return the same solve, its answer that of another pose epoch."""
+        return replace(self.problem, points=points_of(self.used, latest=epoch))
+
     def with_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence tells how its sightings were picked."""
         told = {**asdict(self.limits), **self.selection.told()}
         return replace(solved, evidence=replace(solved.evidence, selection=told))
-
-
-def _since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
-    """Return when the lens was last changed before now; None where it never was."""
-    changed = [
-        epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED and epoch.started_at <= now
-    ]
-    return changed[-1] if changed else None
 
 
 def next_task(
@@ -70,7 +66,7 @@ def next_task(
 ) -> Task | str:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve, in words."""
     sizes = {known.name: (known.width, known.height) for known in archive.cameras()}
-    columns = archive.sun_point_columns(camera, since=_since_lens(archive, camera, now), until=now)
+    columns = archive.sun_point_columns(camera, since=since_lens(archive, camera, now), until=now)
     if camera not in sizes or columns.ids.size == 0:
         return "there are no accepted sightings yet"
     left_out = days_left_out({day.date: day.verdict for day in archive.days(camera)})

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from typing import Any
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
@@ -16,6 +18,7 @@ from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
     ImageCircle,
+    PoseStep,
     SelectionOptions,
     Verdict,
     accept,
@@ -28,13 +31,16 @@ from sunarc.calibration import (
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.sky import Site, solar_date
+from sunarc.workers.epoch_search import EpochSearch
 from sunarc.workers.problem import Task, next_task
-from sunarc.workers.solve import SolveFailedError, SolverDiedError, solve_in_child
+from sunarc.workers.solve import Problem, SolveFailedError, SolverDiedError, search_in_child, solve_in_child
 from sunarc.workers.soundness import Soundness
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
 _DAYS_OF_SPREAD = 60
+_MOST_PAST = 8
+"""Earlier pose epochs that one refit solves for; each costs as long as the fit itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +78,7 @@ class RefitWorker:
     now : frame time, which dates calibrations.
     board : where the lack of a calibration is shown.
     may_solve : whether a refit may begin now; the others wait.
-    solve : how a problem is solved; see `solve_in_child`.
+    solve, search : how a problem is solved, and searched for pose epochs; see `solve_in_child`, `search_in_child`.
     """
 
     def __init__(
@@ -89,6 +95,7 @@ class RefitWorker:
         board: StatusBoard,
         may_solve: Callable[[], bool] = lambda: True,
         solve: Callable[..., Calibration | None] = solve_in_child,
+        search: Callable[..., tuple[PoseStep, ...] | None] = search_in_child,
     ) -> None:
         self._archive = archive
         self._camera = camera
@@ -101,6 +108,16 @@ class RefitWorker:
         self._soundness = Soundness(archive=archive, camera=camera, now=now, board=board)
         self._may_solve = may_solve
         self._solve = solve
+        self._search = search
+        self._epochs = EpochSearch(
+            archive=archive,
+            camera=camera,
+            site=site,
+            options=calibration,
+            circle=self._circle(),
+            largest_clock_error_s=options.selection.largest_clock_error_s,
+            now=now,
+        )
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
@@ -116,6 +133,15 @@ class RefitWorker:
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
         self._archive.start_refit(refit.id, started_at=self._now())
+        child: dict[str, Any] = {
+            "clock": self._clock,
+            "time_limit_s": self._options.time_limit_s,
+            "stop": stop,
+            "heartbeat": heartbeat,
+        }
+        self._search_epochs(child)
+        if stop.is_set():
+            return
         task = next_task(
             self._archive,
             camera=self._camera,
@@ -123,33 +149,65 @@ class RefitWorker:
             cadence_s=self._cadence_s,
             limits=self._options.selection,
             options=self._calibration,
-            circle=None if self._options.image_circle_px is None else _circle(self._options.image_circle_px),
+            circle=self._circle(),
             now=self._now(),
         )
         if isinstance(task, str):
             self._finish(refit, "failed", task)
             return
         try:
-            solved = self._solved(task, stop, heartbeat)
+            solved = self._solved(task.problem, child)
         except SolveFailedError as error:
             self._finish(refit, "failed", str(error))
             return
         if solved is not None:
             self._judge(refit, task, task.with_selection(solved))
+        if solved is not None and solved.verdict.accepted:
+            self._answer_for_past(task, child)
 
-    def _solved(self, task: Task, stop: threading.Event, heartbeat: Callable[[], None]) -> Calibration | None:
-        """Solve, and once more where the process died: it may have been killed for another's need of memory."""
+    def _circle(self) -> ImageCircle | None:
+        numbers = self._options.image_circle_px
+        return None if numbers is None else ImageCircle(x=numbers[0], y=numbers[1], radius=numbers[2])
 
-        def solve() -> Calibration | None:
-            return self._solve(
-                task.problem, clock=self._clock, time_limit_s=self._options.time_limit_s, stop=stop, heartbeat=heartbeat
-            )
-
+    def _search_epochs(self, child: Mapping[str, Any]) -> None:
+        """Open the pose epochs of sightings that no monitoring looked at."""
+        problem = self._epochs.due()
+        if problem is None:
+            return
         try:
-            return solve()
+            steps = self._search(problem, **child)
+        except SolveFailedError as error:  # the fit says itself when it cannot do with one pose
+            _log.warning("pose epochs were not searched for: %s", error)
+            return
+        if steps is not None:
+            self._epochs.keep(steps)
+
+    def _answer_for_past(self, task: Task, child: Mapping[str, Any]) -> None:
+        """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
+        epochs = self._archive.epochs(self._camera)
+        ends = {epoch.id: following.started_at for epoch, following in pairwise(epochs)}
+        starts = {epoch.id: epoch.started_at for epoch in epochs}
+        waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
+        for epoch in reversed(waiting[-_MOST_PAST:]):
+            try:
+                solved = self._solved(task.of_epoch(epoch), child)
+            except SolveFailedError as error:
+                _log.warning("no calibration of pose epoch %s: %s", epoch, error)
+                continue
+            if solved is None:
+                return
+            solved = task.with_selection(solved)
+            record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
+            if record.accepted:
+                self._archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
+
+    def _solved(self, problem: Problem, child: Mapping[str, Any]) -> Calibration | None:
+        """Solve, and once more where the process died: it may have been killed for another's need of memory."""
+        try:
+            return self._solve(problem, **child)
         except SolverDiedError as error:
             _log.warning("%s; solving once more", error)
-            return solve()
+            return self._solve(problem, **child)
 
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
@@ -191,24 +249,26 @@ class RefitWorker:
             return Verdict(accepted=True, reasons=("it replaces a damaged calibration", *verdict.reasons))
         return verdict
 
-    def _keep(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> CalibrationRecord:
+    def _keep(
+        self, task: Task, solved: Calibration, current: CalibrationRecord | None, *, pose_epoch: str | None = None
+    ) -> CalibrationRecord:
         """Store the calibration; the first one of a pose epoch answers from the epoch's beginning."""
-        now = self._now()
+        now, epoch = self._now(), pose_epoch or task.pose_epoch
         document = to_document(
             solved,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
             camera=self._camera,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
-            valid_from=self._answers_from(task.pose_epoch, now),
+            valid_from=self._answers_from(epoch, now),
             valid_until=None,
-            pose_epoch=task.pose_epoch,
+            pose_epoch=epoch,
             software_version=sunarc.__version__,
         )
         return self._archive.add_calibration(document, parent=None if current is None else current.id, used=task.used)
 
     def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
-        if self._archive.was_served(self._camera, pose_epoch=pose_epoch):
+        if not self._epochs.unanswered(pose_epoch):
             return now
         started = {epoch.id: epoch.started_at for epoch in self._archive.epochs(self._camera)}
         return started.get(pose_epoch, now)
@@ -226,8 +286,3 @@ class RefitWorker:
                 details={"refit": refit.id, "calibration": calibration},
             )
         )
-
-
-def _circle(numbers: tuple[float, float, float]) -> ImageCircle:
-    x, y, radius = numbers
-    return ImageCircle(x=x, y=y, radius=radius)

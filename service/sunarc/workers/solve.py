@@ -12,7 +12,15 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, SunPoints, calibrate
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    ImageCircle,
+    PoseStep,
+    SunPoints,
+    calibrate,
+    find_pose_steps,
+)
 from sunarc.clock import Clock
 from sunarc.sky import Site
 
@@ -32,13 +40,14 @@ class SolverDiedError(SolveFailedError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Problem:
-    """What `sunarc.calibration.calibrate` is given."""
+    """What `sunarc.calibration.calibrate` or `find_pose_steps` is given; `lens` is for the latter alone."""
 
     points: SunPoints
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
     circle: ImageCircle | None = None
+    lens: Calibration | None = None
 
 
 def solve_in_child(
@@ -60,17 +69,56 @@ def solve_in_child(
     SolverDiedError : when the process died.
     SolveFailedError : when it failed, or took longer than `time_limit_s`.
     """
+    answer = _in_child(_calibrate, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    if answer is not None and not isinstance(answer, Calibration):
+        raise SolveFailedError(f"the solve failed: {answer}")
+    return answer
+
+
+def search_in_child(
+    problem: Problem,
+    *,
+    clock: Clock,
+    time_limit_s: float,
+    stop: threading.Event,
+    heartbeat: Callable[[], None],
+) -> tuple[PoseStep, ...] | None:
+    """Search a record for steps of the pose, as `solve_in_child` solves.
+
+    Raises
+    ------
+    SolveFailedError : when the process died or took longer than `time_limit_s`.
+    """
+    answer = _in_child(_find_steps, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    if answer is not None and not isinstance(answer, tuple):
+        raise SolveFailedError(f"the search for pose epochs failed: {answer}")
+    return answer
+
+
+def _in_child(
+    work: Callable[[Problem], object],
+    problem: Problem,
+    *,
+    clock: Clock,
+    time_limit_s: float,
+    stop: threading.Event,
+    heartbeat: Callable[[], None],
+) -> object:
+    """Return what the work on a problem returns in a fresh process; None when `stop` was set before."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
     context = multiprocessing.get_context("spawn")
-    receiving, sending = context.Pipe(duplex=False)
-    process = context.Process(target=_solve, args=(sending, problem), name="solve", daemon=True)
+    receiving, sending = context.Pipe()
+    process = context.Process(target=_child, args=(sending, work), name="solve", daemon=True)
     try:
         process.start()
         sending.close()
+        # Not an argument: `start` holds both ends of the pipe that carries those, and more than the pipe takes would
+        # block it for ever where the child has died.
+        receiving.send(problem)
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
-    except (EOFError, BrokenPipeError):  # it died before it answered, or before it had read its problem
+    except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
         exit_code = _exit_code(process)
-        if clock.wait(stop, _STOP_FOLLOWS_S):  # both are ended by one stop, the child a moment before this is told
+        if clock.wait(stop, _STOP_FOLLOWS_S):  # one stop ends both, and the child a moment before this is reached
             return None
         raise SolverDiedError(f"the solving process died ({_end(exit_code)}); see the log") from None
     finally:
@@ -87,15 +135,12 @@ def _answer(
     time_limit_s: float,
     stop: threading.Event,
     heartbeat: Callable[[], None],
-) -> Calibration | None:
+) -> object:
     end = monotonic() + time_limit_s
     while not stop.is_set():
         heartbeat()
         if receiving.poll(_POLL_S):
-            answer = receiving.recv()
-            if not isinstance(answer, Calibration):
-                raise SolveFailedError(f"the solve failed: {answer}")
-            return answer
+            return receiving.recv()
         if monotonic() > end:
             raise SolveFailedError(f"the solve took longer than {time_limit_s:g} s")
     return None
@@ -112,20 +157,37 @@ def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
 
 
-def _solve(sending: Connection[object, object], problem: Problem) -> None:
-    with suppress(PermissionError):  # the unit's filter knows no priorities: it then runs as an equal
+def _child(connection: Connection[object, Problem], work: Callable[[Problem], object]) -> None:
+    """Read the problem, and send what the work returns, or its error as text."""
+    with suppress(PermissionError):  # the unit's filter permits no priorities: the child then has the service's own
         os.nice(_NICENESS)
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE, encoding="ascii")
+    problem = connection.recv()
     try:
-        answer: object = calibrate(
-            problem.points,
-            site=problem.site,
-            image_size=problem.image_size,
-            options=problem.options,
-            circle=problem.circle,
-        )
-    except Exception as error:  # noqa: BLE001 - the parent tells it; the process ends anyway
+        answer = work(problem)
+    except Exception as error:  # noqa: BLE001 - the parent reports it; the process ends anyway
         answer = f"{type(error).__name__}: {error}"
-    with suppress(BrokenPipeError):  # the service was killed meanwhile; its next start asks anew
-        sending.send(answer)
+    with suppress(BrokenPipeError):  # the service was killed meanwhile; its next start begins anew
+        connection.send(answer)
+
+
+def _calibrate(problem: Problem) -> Calibration:
+    return calibrate(
+        problem.points,
+        site=problem.site,
+        image_size=problem.image_size,
+        options=problem.options,
+        circle=problem.circle,
+    )
+
+
+def _find_steps(problem: Problem) -> tuple[PoseStep, ...]:
+    return find_pose_steps(
+        problem.points,
+        site=problem.site,
+        image_size=problem.image_size,
+        options=problem.options,
+        circle=problem.circle,
+        lens=problem.lens,
+    )

@@ -95,10 +95,17 @@ def held_to(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> Hel
         if np.array_equal(following, believed) or not np.any(following):
             break
         believed = following
-    false = seen.false_density[~believed] + math.log(_FALSE_SHARE)
-    n_true = int(believed.sum())
-    evidence = log_normal(covariance, seen, believed) + n_true * math.log(1.0 - _FALSE_SHARE) + float(false.sum())
-    return Held(believed=believed, log_evidence=evidence, gap=gap, gap_covariance=spread)
+    return Held(
+        believed=believed, log_evidence=log_evidence(covariance, seen, believed), gap=gap, gap_covariance=spread
+    )
+
+
+def log_evidence(covariance: FloatArray, seen: Sightings, inliers: BoolArray) -> float:
+    """Return the log likelihood of all sightings, the inliers jointly normal and the others false; see `held_to`."""
+    false = seen.false_density[~inliers] + math.log(_FALSE_SHARE)
+    return (
+        log_normal(covariance, seen, inliers) + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE) + float(false.sum())
+    )
 
 
 def _gaps(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,7 @@ from sunarc.calibration.posing.condition import Held, Sightings, held_to
 from sunarc.calibration.posing.seen import finite
 from sunarc.calibration.posing.stated import joined, predicted, turned
 from sunarc.calibration.posing.turn import likely_turn
+from sunarc.calibration.watching.cloud_drift import drift_evidence
 from sunarc.calibration.watching.tell import told
 from sunarc.calibration.watching.values import Change, ChangeKind, WatchOptions
 from sunarc.calibration.watching.window import Window, errors_at
@@ -30,6 +31,11 @@ _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _CLEARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
+_CLEARER_THAN_CLOUD = 4.0
+"""Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
+a change about once a year, and a first few sightings seldom tell more."""
+_LENS_CLEARER_THAN_CLOUD = 12.0
+"""The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
 _CLOCK_PRIOR = 5.0
 """Powers of e that a clock is less likely than a bump where the host says nothing."""
 _AS_LIKELY = 5.0
@@ -104,6 +110,9 @@ def explain(
     if gain < options.least_gain or chosen.agreeing < options.least_agreeing:
         return None
     if chosen.agreeing < int(nothing.believed[chosen.of.first :].sum()):
+        return None
+    clearer = _LENS_CLEARER_THAN_CLOUD if chosen.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
+    if chosen.evidence - drift_evidence(window, chosen.of.first) < clearer:
         return None
     alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
     near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > chosen.evidence - _CLEARER}

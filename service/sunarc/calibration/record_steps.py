@@ -1,0 +1,189 @@
+"""Steps of the pose in a long record: daily poses tell where to look, fits of a few days whether and when.
+
+A record of years costs one pose a day, and one search of a few days for every place where the daily poses jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.moves import best_row, calibrate_moved
+from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.posing import daily_pose_offset
+from sunarc.calibration.result import Calibration, Move
+from sunarc.sky import Site
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_PER_DAY = 150
+"""Sightings of a day that the search looks at; the step itself is dated among all."""
+_FEWEST_PER_DAY = 20
+_LENS_DAYS = 3
+_LENS_TRIALS = 4
+"""Places of the record that a lens is sought at where none is known: a step may lie in any of them."""
+_BESIDE = 3
+"""Days on either side whose median pose is compared, and which are fitted where it jumps."""
+_SMALLEST_DEG = 0.03
+"""Difference of daily poses that is looked at; mounts wander by about a third of it."""
+_JUMP_RATIO = 4.0
+"""Difference that is looked at, in that of usual days: masts that lean and a lens known from other seasons drift."""
+_MOST = 24
+"""Places that are looked at in one search; the largest differences come first."""
+
+
+class PoseStep(NamedTuple):
+    """A turn of the camera: between which sightings (seconds since 1970-01-01 UTC), and by which angle, degrees."""
+
+    before_unix_s: float
+    after_unix_s: float
+    turn_deg: float
+
+
+class _Daily(NamedTuple):
+    """Poses of days against one calibration: (d,) solar days since 1970, (d, 3) turns, degrees."""
+
+    day: IntArray
+    turn_deg: FloatArray
+
+
+def find_pose_steps(
+    points: SunPoints,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions | None = None,
+    circle: ImageCircle | None = None,
+    lens: Calibration | None = None,
+) -> tuple[PoseStep, ...]:
+    """Return the steps of the pose within the epochs of a record, in the order of time.
+
+    Parameters
+    ----------
+    points, site, image_size, options, circle : as `calibrate` takes them; epochs are searched one by one.
+    lens : a calibration of the same lens; sought in the record where None.
+
+    Returns
+    -------
+    None are found by a method or options without a free pose and lens, or where no lens fits any few days.
+    """
+    chosen = CalibrationOptions() if options is None else options
+    if chosen.method != "robust" or chosen.free != "all":
+        return ()
+    search = _Search(site=site, image_size=image_size, options=chosen, circle=circle)
+    steps: list[PoseStep] = []
+    for epoch in np.unique(points.epoch).tolist():
+        mine = points.select(points.epoch == epoch)
+        steps += search.steps(replace(mine, epoch=np.zeros(len(mine), dtype=np.int64)), lens)
+    return tuple(sorted(steps))
+
+
+class _Search(NamedTuple):
+    site: Site
+    image_size: tuple[int, int]
+    options: CalibrationOptions
+    circle: ImageCircle | None
+
+    def steps(self, points: SunPoints, lens: Calibration | None) -> list[PoseStep]:
+        """Return the steps within one epoch."""
+        thin, day = _thinned(points, self.site)
+        days = np.unique(day)
+        if days.size <= 2 * _BESIDE:
+            places = [(days[0], days[-1])] if days.size else []
+        else:
+            known = self._lens(thin, day, days) if lens is None else lens
+            places = [] if known is None else _places(self._daily(thin, day, known))
+        found: list[PoseStep] = []
+        for first, last in places:
+            found += self._verified(points, thin.select((day >= first) & (day <= last)))
+        return _distinct(found)
+
+    def _lens(self, thin: SunPoints, day: IntArray, days: IntArray) -> Calibration | None:
+        """Return the fit of a few days that scatters least; a step within them makes it scatter."""
+        fits = []
+        for begin in np.unique(np.linspace(0, days.size - _LENS_DAYS, _LENS_TRIALS).astype(int)):
+            some = thin.select(np.isin(day, days[begin : begin + _LENS_DAYS]))
+            solved = calibrate(
+                some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle
+            )
+            if solved.verdict.accepted:
+                fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
+        return min(fits, key=lambda item: item[:2])[2] if fits else None
+
+    def _daily(self, thin: SunPoints, day: IntArray, lens: Calibration) -> _Daily:
+        days, turns = [], []
+        for one in np.unique(day):
+            offset = daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site)
+            if offset is not None:
+                days.append(int(one))
+                turns.append(offset.turn_deg)
+        return _Daily(np.array(days, dtype=np.int64), np.array(turns, dtype=np.float64).reshape(-1, 3))
+
+    def _verified(self, points: SunPoints, some: SunPoints) -> list[PoseStep]:
+        """Return the steps that a fit of a few days finds, dated among all sightings."""
+        solved, _ = calibrate_moved(
+            some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle
+        )
+        moves = solved.evidence.moves
+        poses = [*(move.pose_before for move in moves), solved.camera.rotation_cam_enu]
+        return [
+            self._dated(move, points, replace(solved, poses=(poses[number], poses[number + 1])))
+            for number, move in enumerate(moves)
+        ]
+
+    def _dated(self, move: Move, points: SunPoints, solved: Calibration) -> PoseStep:
+        """Return the step between the sightings of the whole record that it came between."""
+        near = (points.unix_s >= move.before_unix_s) & (points.unix_s <= move.after_unix_s)
+        usable = usable_points(points.select(near), site=self.site)
+        cameras = [replace(solved.camera, rotation_cam_enu=pose) for pose in solved.poses]
+        row = min(max(best_row(slice(0, len(usable)), usable, cameras), 1), len(usable) - 1)
+        return PoseStep(float(usable.unix_s[row - 1]), float(usable.unix_s[row]), move.turn_deg)
+
+
+def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
+    """Return some of each day's usable sightings, in the order of time, and the solar day of each."""
+    usable = usable_points(points, site=site)
+    kept = []
+    for day in np.unique(usable.day):
+        rows = np.flatnonzero(usable.day == day)
+        if rows.size >= _FEWEST_PER_DAY:
+            kept.append(rows[:: -(-rows.size // _PER_DAY)])
+    rows = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    return points.select(usable.index[rows]), usable.day[rows]
+
+
+def _places(daily: _Daily) -> list[tuple[int, int]]:
+    """Return the first and last day about each jump of the daily poses, the largest jumps first."""
+    size = np.array([_jump(daily.turn_deg, row) for row in range(1, daily.day.size)])
+    if size.size == 0:
+        return []
+    threshold = max(_SMALLEST_DEG, _JUMP_RATIO * float(np.median(size)))
+    found: list[tuple[int, int]] = []
+    while len(found) < _MOST and size.max() > threshold:
+        row = int(np.argmax(size)) + 1
+        first, last = max(row - _BESIDE, 0), min(row + _BESIDE, daily.day.size) - 1
+        found.append((int(daily.day[first]), int(daily.day[last])))
+        size[max(row - 1 - _BESIDE + 1, 0) : row + _BESIDE - 1] = 0.0
+    return found
+
+
+def _jump(turn_deg: FloatArray, row: int) -> float:
+    """Return the angle between the median poses of the days before and from a day on, degrees."""
+    before = np.median(turn_deg[max(row - _BESIDE, 0) : row], axis=0)
+    after = np.median(turn_deg[row : row + _BESIDE], axis=0)
+    return float(np.linalg.norm(after - before))
+
+
+def _distinct(steps: list[PoseStep]) -> list[PoseStep]:
+    """Return the steps without those that overlap one found in another place."""
+    kept: list[PoseStep] = []
+    for step in sorted(steps):
+        if not kept or step.before_unix_s >= kept[-1].after_unix_s:
+            kept.append(step)
+    return kept

@@ -1,0 +1,299 @@
+"""Bayes factor of a step of the pose against one pose, by the residuals of a fit with and of one without it.
+
+Both hypotheses explain the residuals by small changes of the lens and the pose (linearised, with the fit's priors), by
+white and first-order autoregressive noise, by a smooth misfit over the sky, and by episodes in which cloud draws the
+detections aside; the first also by a turn from one sighting on. Amplitudes and episodes are chosen for each hypothesis
+by its own marginal likelihood.
+References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (1995); C. Rasmussen and C. Williams,
+"Gaussian processes for machine learning" (2006), chapter 5.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from sunarc.calibration.loss import core_sigma
+from sunarc.calibration.options import LensTolerances
+from sunarc.calibration.points import Usable
+from sunarc.calibration.priors import LENS, N_LENS, POSE, lens_prior, precisions
+from sunarc.optics import Camera, project_with_rows_fast
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_MOST_ROWS = 280
+"""Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
+_DAYS_BESIDE = 3
+"""Days on either side of the step that are looked at."""
+_DAY_S = 86_400.0
+_LONGEST_EPISODE_S = 4500.0
+"""Longest episode of cloud that competes with a step: what lasts longer and is constant is a move."""
+_EPISODES_S = (900.0, 2400.0, _LONGEST_EPISODE_S)
+_MOST_EPISODES = 3
+_EPISODE_TIMES_S = (300.0, 1200.0)
+"""Correlation times of what cloud does to a detection."""
+_EPISODE_GAIN = 2.0
+"""Logarithm of the likelihood that an episode must gain: its own improbability."""
+_POSE_RAD = 0.1
+"""Prior 1-sigma of a correction of the pose about the fit; the same in both hypotheses."""
+_RADIAL_PX, _DECENTERING_PX = 16.0, 3.0
+_SPREAD_PER_MEDIAN = 1.2533
+"""1-sigma of a median of many Gaussian numbers over that of their mean."""
+_LOCAL = 4
+"""Neighbours on each side whose running median tells an isolated gross error."""
+_GROSS_SIGMAS = 3.5
+_UNSEEN_PX = 5e3
+_FLOOR_PX = 1e-3
+_RIGHT_ANGLE = math.pi / 2
+
+
+class Amplitudes(NamedTuple):
+    """Noise of the residuals, in units of the core's 1-sigma, and its scales by their place in the grid."""
+
+    white: float = 1.0
+    autoregressive: float = 0.0
+    autoregressive_time: float = 0
+    misfit: float = 0.0
+    misfit_angle: float = 0
+
+
+_GRID: dict[str, tuple[float, ...]] = {
+    "white": (0.25, 0.5, 0.75, 1.0, 1.5),
+    "autoregressive": (0.0, 0.5, 0.8, 1.1, 1.6),
+    "autoregressive_time": (0, 1, 2),
+    "misfit": (0.0, 0.5, 1.0, 2.0, 4.0),
+    "misfit_angle": (0, 1),
+}
+_AUTOREGRESSIVE_STEPS = (1.5, 5.0, 15.0)
+"""Correlation times of the noise, in usual steps between sightings."""
+_MISFIT_ANGLES = (math.radians(9.0), math.radians(20.0))
+
+
+class Episode(NamedTuple):
+    """An interval in which detections drift by about an amplitude (px) with a correlation time (s)."""
+
+    begin_s: float
+    end_s: float
+    amplitude_px: float
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    """Gathered sightings near a step, and kernels between them, each (n, n)."""
+
+    unix_s: FloatArray
+    directions: FloatArray
+    variance: FloatArray
+    after: BoolArray
+    sigma_px: float
+    apart_s: FloatArray
+    autoregressive: tuple[FloatArray, ...]
+    misfit: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Model:
+    """A linearised hypothesis: residuals (n, 2), derivatives (n, 2, p) by unknowns of unit prior variance."""
+
+    rows: _Rows
+    residual: FloatArray
+    derivatives: FloatArray
+
+    def log_likelihood(self, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> float:
+        """Return the logarithm of the marginal likelihood; minus infinity where the matrix is not positive definite."""
+        try:
+            factor = cholesky(_covariance(self.rows, amplitudes, episodes), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            return -math.inf
+        n, _, p = self.derivatives.shape
+        stacked = np.concatenate([self.residual, self.derivatives.reshape(n, 2 * p)], axis=1)
+        white = solve_triangular(factor, stacked, lower=True, check_finite=False)
+        left, rows = white[:, :2], white[:, 2:].reshape(n, 2, p)
+        information = np.eye(p) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
+        gradient = np.einsum("nai,na->i", rows, left)
+        square = float(np.sum(left**2) - gradient @ np.linalg.solve(information, gradient))
+        determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information).logabsdet)
+        return float(-0.5 * (square + determinant) - n * math.log(2.0 * math.pi))
+
+
+def log_bayes_factor(
+    row: int, usable: Usable, *, one: tuple[Camera, FloatArray], two: tuple[Camera, FloatArray], turn_rad: float
+) -> float:
+    """Return by how many powers of e a turn before a sighting explains the residuals better than one pose does.
+
+    Parameters
+    ----------
+    row : the first sighting after the turn.
+    usable : the sightings; those of the same epoch, days beside the turn, count.
+    one : the camera without the turn, and its residuals (n, 2), px.
+    two : the camera after the turn, and the residuals of the fit with two poses (n, 2), px.
+    turn_rad : the angle between the two poses.
+    """
+    near = (usable.epoch == usable.epoch[row]) & (np.abs(usable.day - usable.day[row]) <= _DAYS_BESIDE)
+    for _, residual in (one, two):  # what either camera cannot see says nothing of the difference
+        near &= np.linalg.norm(residual, axis=-1) < _UNSEEN_PX
+    picked = np.flatnonzero(near)
+    if not np.any(picked < row) or not np.any(picked >= row):
+        return -math.inf
+    member = _members(picked, row, usable)
+    rows = _rows(picked, member, row, usable, two[1])
+    models = []
+    for (camera, residual), turn in ((one, 0.0), (two, turn_rad)):
+        gathered = _medians(residual[picked], member)
+        models.append(_Model(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=turn)))
+    windows = _windows(rows)
+    without, with_turn = (_best(model, windows) for model in models)
+    return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
+
+
+def _members(picked: IntArray, row: int, usable: Usable) -> IntArray:
+    """Return (n,): the group of consecutive sightings, of one day and side of the step, that each belongs to."""
+    size = -(-picked.size // _MOST_ROWS)
+    run = np.r_[0, np.cumsum((np.diff(usable.day[picked]) != 0) | (np.diff(picked >= row) != 0))]
+    first = np.searchsorted(run, run)
+    _, member = np.unique(run * picked.size + (np.arange(picked.size) - first) // size, return_inverse=True)
+    return member.astype(np.int64)
+
+
+def _medians(values: FloatArray, member: IntArray) -> FloatArray:
+    """Return the medians of groups (k, 2) of consecutive values (n, 2)."""
+    starts = np.flatnonzero(np.r_[True, np.diff(member) != 0])
+    return np.array([np.median(part, axis=0) for part in np.split(values, starts[1:])])
+
+
+def _rows(picked: IntArray, member: IntArray, row: int, usable: Usable, residual: FloatArray) -> _Rows:
+    """Return what both hypotheses share; the noise's scale and gross errors are those of the residuals about two."""
+    count = np.bincount(member)
+    middle = np.searchsorted(member, np.arange(count.size)) + count // 2
+    times, directions = usable.unix_s[picked][middle], usable.directions[picked][middle]
+    left = _medians(residual[picked], member)
+    sigma = core_sigma(np.linalg.norm(left, axis=-1), share=0.5, floor=_FLOOR_PX)
+    relative = usable.sigma_px[picked][middle]
+    gross = np.linalg.norm(left - _running_median(left), axis=-1) / (sigma * relative)
+    variance = (
+        relative**2 * np.where(count > 2, _SPREAD_PER_MEDIAN**2, 1.0) * np.maximum(gross / _GROSS_SIGMAS, 1.0) ** 4
+    )
+    apart = np.abs(times[:, None] - times)
+    step = float(np.median(np.diff(times))) if times.size > 1 else 1.0
+    angle = np.linalg.norm(directions[:, None] - directions, axis=-1)
+    return _Rows(
+        unix_s=times,
+        directions=directions,
+        variance=variance,
+        after=picked[middle] >= row,
+        sigma_px=sigma,
+        apart_s=apart,
+        autoregressive=tuple(np.exp(-apart / (steps * step)) for steps in _AUTOREGRESSIVE_STEPS),
+        misfit=tuple(np.exp(-0.5 * (angle / length) ** 2) for length in _MISFIT_ANGLES),
+    )
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    padded = np.pad(values, ((_LOCAL, _LOCAL), (0, 0)), mode="reflect")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _LOCAL + 1, axis=0), axis=-1))
+
+
+def _derivatives(camera: Camera, rows: _Rows, *, turn_rad: float) -> FloatArray:
+    """Return (n, 2, p): the prediction by lens, pose and (`turn_rad` > 0) step, each of unit prior variance."""
+    widest = float(np.clip(camera.max_angle, 0.1, _RIGHT_ANGLE))
+    prior = lens_prior(camera, tolerances=LensTolerances(), circle=None, field_angle=widest)
+    basis = np.zeros((23, N_LENS + 3))
+    basis[LENS, :N_LENS] = prior.basis / np.sqrt(precisions(_RADIAL_PX, _DECENTERING_PX))
+    basis[POSE, N_LENS:] = _POSE_RAD * np.eye(3)
+    by_parameters = project_with_rows_fast(camera, rows.directions)[1]
+    derivatives = np.nan_to_num(by_parameters @ basis)
+    if turn_rad <= 0.0:
+        return np.asarray(derivatives)
+    step = derivatives[..., N_LENS:] * (turn_rad / math.sqrt(3.0) / _POSE_RAD) * rows.after[:, None, None]
+    return np.concatenate([derivatives, step], axis=-1)
+
+
+def _covariance(rows: _Rows, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> FloatArray:
+    """Return the covariance (n, n) of one axis of the residuals, px²."""
+    noise = amplitudes.autoregressive**2 * rows.autoregressive[int(amplitudes.autoregressive_time)]
+    noise = noise + amplitudes.misfit**2 * rows.misfit[int(amplitudes.misfit_angle)]
+    noise[np.diag_indices_from(noise)] += amplitudes.white**2 * rows.variance
+    covariance = rows.sigma_px**2 * noise
+    for episode in episodes:
+        inside = np.flatnonzero((rows.unix_s >= episode.begin_s) & (rows.unix_s <= episode.end_s))
+        square = np.ix_(inside, inside)
+        scaled = math.sqrt(3.0) * rows.apart_s[square] / episode.time_s
+        covariance[square] += episode.amplitude_px**2 * (1.0 + scaled) * np.exp(-scaled)
+    return np.asarray(covariance)
+
+
+def _windows(rows: _Rows) -> list[tuple[float, float]]:
+    """Return intervals in which cloud may have been: at the ends, beside and across the step, and regularly."""
+    times, found = rows.unix_s, []
+    at = float(times[rows.after][0])
+    for long in _EPISODES_S:
+        regular = np.arange(times[0], times[-1], 0.5 * long) if times[-1] - times[0] < 2.0 * _DAY_S else np.zeros(0)
+        begins = [times[0], times[-1] - long, at - long - 1.0, at, at - 0.5 * long, *regular.tolist()]
+        found += [(float(begin), float(begin) + long) for begin in begins]
+    return found
+
+
+def _best(model: _Model, windows: list[tuple[float, float]]) -> float:
+    """Return the largest log likelihood over amplitudes and up to three episodes."""
+    amplitudes, best = _amplitudes(model, Amplitudes(), ())
+    episodes: tuple[Episode, ...] = ()
+    for _ in range(_MOST_EPISODES):
+        tried = [(*episodes, _episode(model, window)) for window in windows]
+        values = [model.log_likelihood(amplitudes, some) for some in tried]
+        chosen = _refined(model, amplitudes, tried[int(np.argmax(values))])
+        following, value = _amplitudes(model, amplitudes, chosen)
+        value -= _EPISODE_GAIN * len(chosen)
+        if value <= best:
+            break
+        amplitudes, episodes, best = following, chosen, value
+    return best
+
+
+def _episode(model: _Model, window: tuple[float, float]) -> Episode:
+    """Return an episode of the amplitude that the residuals have within an interval."""
+    inside = (model.rows.unix_s >= window[0]) & (model.rows.unix_s <= window[1])
+    size = float(np.median(np.linalg.norm(model.residual[inside], axis=-1))) if np.any(inside) else 0.0
+    return Episode(*window, amplitude_px=max(size, 2.0 * model.rows.sigma_px), time_s=_EPISODE_TIMES_S[1])
+
+
+def _refined(model: _Model, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+    """Return the episodes, the last one with its best amplitude, time and (shrunken) interval."""
+    last = episodes[-1]
+    long = last.end_s - last.begin_s
+    for begin, end in ((0.0, 1.0), (0.25, 1.0), (0.0, 0.75)):
+        shorter = last._replace(begin_s=last.begin_s + begin * long, end_s=last.begin_s + end * long)
+        tried = [
+            shorter._replace(amplitude_px=factor * last.amplitude_px, time_s=time)
+            for factor in (0.5, 1.0, 3.0)
+            for time in _EPISODE_TIMES_S
+        ]
+        episodes = max(
+            [episodes, *((*episodes[:-1], one) for one in tried)], key=lambda e: model.log_likelihood(amplitudes, e)
+        )
+    return episodes
+
+
+def _amplitudes(model: _Model, begin: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Amplitudes, float]:
+    """Return the amplitudes of the largest log likelihood by coordinate ascent on the grid, and that likelihood."""
+    best, value = begin, model.log_likelihood(begin, episodes)
+    for _ in range(2):
+        before = value
+        for name, choices in _GRID.items():
+            for choice in choices:
+                trial = best._replace(**{name: choice})
+                if trial == best:
+                    continue
+                reached = model.log_likelihood(trial, episodes)
+                if reached > value:
+                    best, value = trial, reached
+        if value - before < 0.5:
+            break
+    return best, value

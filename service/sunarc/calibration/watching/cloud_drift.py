@@ -1,0 +1,71 @@
+"""Evidence of an episode of cloud: detections that drift away smoothly while camera, clock and lens are as they were.
+
+The drift of each axis is a Gaussian process in time (Matérn, twice differentiable) that begins at one sighting. A turn
+of the camera is constant at once; what cloud does to a detection is not.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from sunarc.calibration.posing.condition import held_to, log_evidence
+from sunarc.calibration.watching.window import Window
+
+FloatArray = NDArray[np.float64]
+
+_AMPLITUDES_PX = (0.1, 0.5, 2.0, 8.0)
+"""1-sigma of the drift: from what passes for noise to the largest that detectors were seen to follow."""
+_TIMES_S = (200.0, 700.0, 2400.0)
+"""Correlation times: episodes of a few minutes to an hour."""
+_ONSETS_BACK = (0, 2, 6, 14)
+"""Sightings before the change at which the episode may have begun; a slow one is trusted at first."""
+
+
+def drift_evidence(window: Window, first: int) -> float:
+    """Return the log evidence of the last sightings under an episode of cloud, averaged over its unknown numbers.
+
+    Parameters
+    ----------
+    window : the sightings.
+    first : the first sighting after the change that the episode competes with.
+    """
+    untrusted = np.flatnonzero(~window.watch.trusted[: first + 1])
+    begins = {max(first - back, 0) for back in _ONSETS_BACK}
+    if untrusted.size:
+        begins |= {_begin_of_last_run(untrusted)}
+    reached, best, likeliest = [], -math.inf, (first, 0.0, 1.0)
+    for begin, amplitude_px, time_s in itertools.product(sorted(begins), _AMPLITUDES_PX, _TIMES_S):
+        covariance = _with_drift(window, begin, amplitude_px, time_s)
+        reached.append(log_evidence(covariance, window.seen, _inliers(window, begin)))
+        if reached[-1] > best:
+            best, likeliest = reached[-1], (begin, amplitude_px, time_s)
+    # the likeliest one once more, with false sightings among the episode's
+    inliers = _inliers(window, likeliest[0])
+    among_false = held_to(_with_drift(window, *likeliest), window.seen, inliers).log_evidence
+    return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
+
+
+def _inliers(window: Window, begin: int) -> NDArray[np.bool_]:
+    return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
+
+
+def _begin_of_last_run(rows: NDArray[np.int64]) -> int:
+    """Return where the last run of rows begins; a single row between does not end it."""
+    breaks = np.flatnonzero(np.diff(rows) > 2)
+    return int(rows[breaks[-1] + 1] if breaks.size else rows[0])
+
+
+def _with_drift(window: Window, begin: int, amplitude_px: float, time_s: float) -> FloatArray:
+    """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
+    times = window.watch.unix_s[begin:]
+    apart = math.sqrt(5.0) * np.abs(times[:, None] - times) / time_s
+    kernel = amplitude_px**2 * (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
+    covariance = window.covariance.copy()
+    covariance[2 * begin :: 2, 2 * begin :: 2] += kernel
+    covariance[2 * begin + 1 :: 2, 2 * begin + 1 :: 2] += kernel
+    return covariance

@@ -1,0 +1,155 @@
+"""Searches sightings that no monitoring looked at for steps of the pose, and opens the pose epochs that they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.archive import LENS_CHANGED, Archive, Event, SunPointColumns
+from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep, from_document
+from sunarc.errors import InputError
+from sunarc.sky import Site
+from sunarc.workers.points import points_of
+from sunarc.workers.reposer import is_provisional
+from sunarc.workers.solve import Problem
+
+SEARCHED = "epochs_searched"
+"""Kind of the event that remembers up to which sighting the record was searched, and which epochs it divided."""
+
+_BESIDE_S = 4.0 * 86_400.0
+"""Time about new sightings that is searched with them: a step at their first or last day needs days on both sides."""
+_DAY_S = 86_400.0
+
+
+class EpochSearch:
+    """Knows what is to be searched, and writes down what was found.
+
+    Sightings are searched once: all of them while no calibration was ever served, later those that were imported.
+    What the service saw itself under a calibration is the monitor's.
+
+    Parameters
+    ----------
+    archive, camera, site : whose sightings, and where.
+    options, circle : how to fit.
+    largest_clock_error_s : sightings whose clock may be wrong by more are left out.
+    now : frame time, which dates events.
+    """
+
+    def __init__(
+        self,
+        *,
+        archive: Archive,
+        camera: str,
+        site: Site,
+        options: CalibrationOptions,
+        circle: ImageCircle | None,
+        largest_clock_error_s: float,
+        now: Callable[[], datetime],
+    ) -> None:
+        self._archive = archive
+        self._camera = camera
+        self._site = site
+        self._options = options
+        self._circle = circle
+        self._largest_clock_error_s = largest_clock_error_s
+        self._now = now
+        self._last_id = 0
+
+    def due(self) -> Problem | None:
+        """Return what is to be searched; None where nothing is new."""
+        now = self._now()
+        since = since_lens(self._archive, self._camera, now)
+        columns = self._archive.sun_point_columns(self._camera, since=since, until=now)
+        sizes = {known.name: (known.width, known.height) for known in self._archive.cameras()}
+        if columns.ids.size == 0 or self._camera not in sizes:
+            return None
+        self._last_id = int(columns.ids.max())
+        near = self._near_new(columns)
+        if not np.any(near) or float(np.ptp(columns.unix_s[near])) < _DAY_S:
+            return None
+        return Problem(
+            points=points_of(columns.select(near)),
+            site=self._site,
+            image_size=sizes[self._camera],
+            options=self._options,
+            circle=self._circle,
+            lens=self._lens(),
+        )
+
+    def _near_new(self, columns: SunPointColumns) -> NDArray[np.bool_]:
+        """Return which sightings are new to the search, or lie within days of such."""
+        known = self._archive.events(self._camera, kind=SEARCHED, limit=1)
+        searched = int(known[0].details["last_id"]) if known else 0
+        fresh = columns.ids > searched
+        if self._archive.current_calibration(self._camera) is not None:
+            imported = self._archive.sun_point_columns(self._camera, method="import")
+            fresh &= np.isin(columns.ids, imported.ids)
+        sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > self._largest_clock_error_s)
+        if not np.any(fresh):
+            return fresh
+        times, new = columns.unix_s, columns.unix_s[fresh]
+        place = np.searchsorted(new, times)
+        after = np.append(new, np.inf)[place] - times
+        before = times - np.insert(new, 0, -np.inf)[place]
+        return np.asarray(sure & (np.minimum(after, before) <= _BESIDE_S))
+
+    def _lens(self) -> Calibration | None:
+        """Return the calibration that is served, where it is a full fit that this version can read."""
+        current = self._archive.current_calibration(self._camera)
+        if current is None:
+            return None
+        try:
+            calibration = from_document(current.document)
+        except InputError:
+            return None
+        return None if is_provisional(calibration) else calibration
+
+    def keep(self, steps: tuple[PoseStep, ...]) -> None:
+        """Open the epochs that steps begin, with an event each, and remember that the search was made."""
+        divided: list[str] = []
+        for step in steps:
+            at = _moment(step.after_unix_s)
+            try:
+                parts = self._archive.split_epoch(self._camera, at=at, reason="bump")
+            except InputError:  # an epoch begins there already
+                continue
+            divided += [part.id for part in parts]
+            self._archive.add_event(_found(step, at, camera=self._camera))
+        text = f"the record was searched for steps of the pose: {len(steps)} found"
+        details = {"last_id": self._last_id, "divided": sorted(set(divided))}
+        now = self._now()
+        self._archive.add_event(
+            Event(time=now, kind=SEARCHED, severity="info", text=text, camera=self._camera, details=details)
+        )
+
+    def unanswered(self, epoch: str) -> bool:
+        """Return whether no calibration of a pose epoch answered since it has its present bounds."""
+        served = self._archive.last_served(self._camera, pose_epoch=epoch)
+        searches = self._archive.events(self._camera, kind=SEARCHED)
+        divided = [search.time for search in searches if epoch in search.details["divided"]]
+        return served is None or any(served < time for time in divided)
+
+
+def since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
+    """Return when the lens was last changed before now; None where it never was."""
+    changed = [
+        epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED and epoch.started_at <= now
+    ]
+    return changed[-1] if changed else None
+
+
+def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
+    before = _moment(step.before_unix_s)
+    text = (
+        f"the camera was moved between {before.isoformat(timespec='seconds')} and "
+        f"{at.isoformat(timespec='seconds')}, by {step.turn_deg:.3f} degrees: found in the record"
+    )
+    details = {"before": before.isoformat(), "turn_deg": step.turn_deg, "searched": True}
+    return Event(time=at, kind="bump", severity="warning", text=text, camera=camera, details=details)
+
+
+def _moment(unix_s: float) -> datetime:
+    return datetime.fromtimestamp(0.0, UTC) + timedelta(microseconds=round(unix_s * 1e6))
