@@ -62,13 +62,16 @@ def solve_in_child(
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
     context = multiprocessing.get_context("spawn")
-    receiving, sending = context.Pipe(duplex=False)
-    process = context.Process(target=_solve, args=(sending, problem), name="solve", daemon=True)
+    receiving, sending = context.Pipe()
+    process = context.Process(target=_child, args=(sending,), name="solve", daemon=True)
     try:
         process.start()
         sending.close()
+        # Not an argument: `start` holds both ends of the pipe that carries those, and more than the pipe takes would
+        # block it for ever where the child has died.
+        receiving.send(problem)
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
-    except (EOFError, BrokenPipeError):  # it died before it answered, or before it had read its problem
+    except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
         exit_code = _exit_code(process)
         if clock.wait(stop, _STOP_FOLLOWS_S):  # both are ended by one stop, the child a moment before this is told
             return None
@@ -110,6 +113,10 @@ def _exit_code(process: SpawnProcess) -> int | None:
 
 def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
+
+
+def _child(connection: Connection[object, Problem]) -> None:
+    _solve(connection, connection.recv())
 
 
 def _solve(sending: Connection[object, object], problem: Problem) -> None:
