@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import numpy as np
@@ -207,12 +208,17 @@ def test_a_child_that_was_killed_is_told_from_one_that_failed() -> None:
 def test_a_child_that_dies_before_it_has_read_its_problem_is_one_that_was_killed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def broken(_self: object) -> None:
-        raise BrokenPipeError(32, "Broken pipe")
+    start = SpawnProcess.start
 
-    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", broken)
+    def start_and_kill(self: SpawnProcess) -> None:
+        start(self)
+        self.kill()
+
+    monkeypatch.setattr(SpawnProcess, "start", start_and_kill)
+    points = sightings(every_s=4.0)  # more than a pipe takes
+    problem = Problem(points=points, site=SGP, image_size=SIZE, options=CalibrationOptions())
     with pytest.raises(SolverDiedError):
-        solve_and_kill(threading.Event())
+        solve_in_child(problem, clock=SystemClock(), time_limit_s=60.0, stop=threading.Event(), heartbeat=lambda: None)
 
 
 def test_a_child_that_is_ended_a_moment_before_the_stop_leaves_the_refit_unfinished() -> None:
