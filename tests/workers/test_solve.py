@@ -10,7 +10,7 @@ import pytest
 
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints
 from sunarc.sky import Site
-from sunarc.workers.solve import Problem, _solve
+from sunarc.workers.solve import Problem, _calibrate, _child
 
 
 def refuse(increment: int) -> int:
@@ -19,10 +19,11 @@ def refuse(increment: int) -> int:
 
 def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "nice", refuse)  # as the filter of deploy/sunarc.service does
-    receiving, sending = multiprocessing.Pipe(duplex=False)
+    receiving, sending = multiprocessing.Pipe()
     nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
-    _solve(sending, problem)
+    receiving.send(problem)
+    _child(sending, _calibrate)
     assert receiving.poll(1.0)
     assert isinstance(receiving.recv(), Calibration)  # refused, and told why; without it, a broken pipe
