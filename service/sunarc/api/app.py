@@ -22,6 +22,7 @@ from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
 from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
+from sunarc.api.epochs import epoch_routes
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.geolocation import geolocation_routes
 from sunarc.api.health import health_routes
@@ -144,6 +145,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
     for of_camera in (
         calibration_routes(served),
         decision_routes(served),
+        epoch_routes(served),
         direction_routes(served, places),
         map_routes(served),
         geolocation_routes(served, places),

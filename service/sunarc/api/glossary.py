@@ -17,6 +17,7 @@ _FIELDS: dict[str, tuple[str, Any]] = {
     "background_fraction": ("Of the sky beside the sun, share of full scale.", 0.03),
     "body": ("What was looked at.", "sun"),
     "calibration": ("Id of the calibration that answered, or that was made; null without one.", _CALIBRATION_ID),
+    "epoch_id": ("Id of a pose epoch, as events and calibrations name it.", "imager-2"),
     "calibration_id": ("Id of a calibration, as /v1/calibrations lists them.", _CALIBRATION_ID),
     "calibrations": ("On this page, the newest first.", None),
     "camera": ("Name of the camera; null where it concerns all.", "imager"),

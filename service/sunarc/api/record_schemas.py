@@ -74,6 +74,16 @@ class Decision(Asked):
     )
 
 
+class ClosedEpoch(BaseModel):
+    """A pose epoch that was closed as wrong."""
+
+    id: str = Field(description="Of the pose epoch.", examples=["imager-2"])
+    calibration: str | None = Field(
+        description="Id of the calibration that is current now; null where none was served before it.",
+        examples=["20130513T210000Z-3f2a91"],
+    )
+
+
 class EventOut(BaseModel):
     """Something that happened."""
 
