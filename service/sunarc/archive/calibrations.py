@@ -7,11 +7,12 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, not_, or_, select
 
 from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
 from sunarc.archive.doubts import LENS_CHANGED
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.used import keep_used
@@ -152,11 +153,8 @@ class Calibrations(Store):
 
     def _before(self, connection: Connection, damaged: CalibrationRecord) -> CalibrationRecord | None:
         """Return the newest undamaged calibration that answered before a damaged one, with the same lens."""
-        c, e = calibration.c, pose_epoch.c
-        mine = (e.camera == damaged.camera, e.reason == LENS_CHANGED, e.started_at <= damaged.valid_from)
-        changed = connection.scalar(select(e.started_at).where(*mine).order_by(e.started_at.desc()).limit(1))
-        answered = [c.camera == damaged.camera, c.state.in_(SERVED), c.valid_from <= damaged.valid_from]
-        answered += given((c.valid_from.__ge__, changed))
+        c = calibration.c
+        answered = self._may_stand_in(connection, damaged.camera, until=damaged.valid_from)
         order = (c.valid_from.desc(), c.created_at.desc())
         for name in connection.scalars(select(c.id).where(*answered, c.id != damaged.id).order_by(*order)).all():
             found = self._records(connection, c.id == name)
@@ -164,12 +162,18 @@ class Calibrations(Store):
                 return found[0]
         return None
 
-    def was_served(self, camera: str, *, pose_epoch: str) -> bool:
-        """Return whether any calibration of a pose epoch ever answered."""
-        c = calibration.c
-        with self._reading() as connection:
-            served = select(c.id).where(c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED)).limit(1)
-            return connection.scalar(served) is not None
+    def _may_stand_in(self, connection: Connection, camera: str, *, until: datetime) -> list[ColumnElement[bool]]:
+        """Return the conditions on what answered until a time and may answer again.
+
+        It is of the lens of that time, and of no pose epoch that was closed as wrong.
+        """
+        c, e = calibration.c, pose_epoch.c
+        mine = (e.camera == camera, e.reason == LENS_CHANGED, e.started_at <= until, not_closed())
+        changed = connection.scalar(select(e.started_at).where(*mine).order_by(e.started_at.desc()).limit(1))
+        closed = select(e.id).where(e.camera == camera, not_(not_closed()))
+        answered = [c.camera == camera, c.state.in_(SERVED), c.valid_from <= until]
+        answered.append(or_(c.pose_epoch.is_(None), c.pose_epoch.not_in(closed)))
+        return answered + given((c.valid_from.__ge__, changed))
 
     def last_served(self, camera: str, *, pose_epoch: str) -> datetime | None:
         """Return when the latest calibration of a pose epoch that ever answered was made; None without one."""

@@ -13,7 +13,7 @@ from sunarc.archive.history import History, add_copy
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import values_of
 from sunarc.archive.tables import calibration, event, pose_epoch, sun_point
-from sunarc.archive.validity import SERVED, end_others, set_columns
+from sunarc.archive.validity import end_others, set_columns
 from sunarc.archive.values import Event, PoseEpoch
 from sunarc.errors import InputError, NotFoundError
 
@@ -61,11 +61,8 @@ class EpochClosing(History):
         current = self._records(connection, c.camera == wrong.camera, c.state == "current")
         if current and current[0].pose_epoch != wrong.id:
             return current[0].id
-        served = [
-            record
-            for record in self._records(connection, c.camera == wrong.camera, c.state.in_(SERVED), c.valid_from <= at)
-            if record.pose_epoch != wrong.id
-        ]
+        answered = self._records(connection, *self._may_stand_in(connection, wrong.camera, until=at))
+        served = [record for record in answered if not record.damaged]
         end_others(connection, wrong.camera, at)
         if not served:
             return None

@@ -63,13 +63,14 @@ class Sightings(Store):
         """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
-            before = connection.execute(select(tables.pose_epoch).where(epochs.camera == camera)).all()
+            known = select(tables.pose_epoch).where(epochs.camera == camera)
+            before = values_of(connection, known, PoseEpoch)
             # a closed epoch has no duration, but its beginning stays unique
-            if any(row.started_at >= at for row in before if row.ended_at != row.started_at or row.started_at == at):
+            if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
                 raise InputError(
                     field="at", problem="a pose epoch began at that time or later", remedy="give a later time"
                 )
-            epoch = PoseEpoch(id=f"{camera}-{len(before) + 1}", camera=camera, started_at=at, reason=reason)
+            epoch = PoseEpoch(id=_next_id(connection, camera), camera=camera, started_at=at, reason=reason)
             closing = update(tables.pose_epoch).where(epochs.camera == camera, epochs.ended_at.is_(None))
             connection.execute(closing.values(ended_at=at))
             connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
@@ -85,7 +86,7 @@ class Sightings(Store):
 
         Raises
         ------
-        InputError : no epoch has `at` within it.
+        InputError : no epoch has `at` within it, or one that began at `at` was closed as wrong.
         """
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
@@ -96,7 +97,13 @@ class Sightings(Store):
             ]
             if not begun:
                 raise InputError(field="at", problem="not within a pose epoch", remedy="give a time within one")
-            whole, new = begun[-1], f"{camera}-{len(every) + 1}"
+            if any(epoch.started_at == at for epoch in every):
+                raise InputError(
+                    field="at",
+                    problem="an epoch that began at that time was closed as wrong",
+                    remedy="give another time",
+                )
+            whole, new = begun[-1], _next_id(connection, camera)
             first = _first_answered(connection, whole.id)
             keeps_later = first is not None and first >= at
             earlier = replace(whole, id=new if keeps_later else whole.id, ended_at=at)
@@ -242,6 +249,12 @@ class Sightings(Store):
         with self._reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
         return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
+
+
+def _next_id(connection: Connection, camera: str) -> str:
+    """Return an id for a new pose epoch; rows that cannot be read are counted, for their ids are taken."""
+    count = select(func.count()).select_from(tables.pose_epoch).where(tables.pose_epoch.c.camera == camera)
+    return f"{camera}-{(connection.scalar(count) or 0) + 1}"
 
 
 def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
