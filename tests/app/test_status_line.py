@@ -6,12 +6,12 @@ import os
 import socket
 import tempfile
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from sunarc.app.status_line import NO_FRAME_YET, StatusLine, clear_first_frame
+from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.board import Reason, StatusBoard
 from sunarc.clock import VirtualClock
 from sunarc.systemd import Notifier
@@ -98,10 +98,13 @@ def test_more_than_four_conditions_are_counted(line: StatusLine, board: StatusBo
     assert line.text().endswith("conditions: a, b, c, d and 2 more")
 
 
-def test_a_service_is_not_called_ready_before_its_first_frame(board: StatusBoard) -> None:
-    board.set_reason(NO_FRAME_YET)
-    clear_first_frame(board)
+@pytest.mark.parametrize("before", [None, START - timedelta(hours=1)])
+def test_a_service_is_not_called_ready_before_its_first_frame(board: StatusBoard, before: datetime | None) -> None:
+    board.note(last_frame_at=before)  # of the store, from before a restart
+    first = FirstFrame(board)
+    first.check()
+    assert [reason.code for reason in board.snapshot().reasons] == ["no_frame_yet"]
     assert board.snapshot().health == "degraded"
     board.note(last_frame_at=START)
-    clear_first_frame(board)
+    first.check()
     assert board.snapshot().health == "ready"

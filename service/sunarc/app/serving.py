@@ -21,7 +21,7 @@ import uvicorn
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
-from sunarc.app.status_line import NO_FRAME_YET, StatusLine, clear_first_frame
+from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.clock import SystemClock
 from sunarc.footing import listen, prepare_state
@@ -74,7 +74,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
     )
     server = _web_server(service, on_started=status.ready)
     schedule = _schedule(service)
-    service.board.set_reason(NO_FRAME_YET)
+    first_frame = FirstFrame(service.board)
     for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
         signal.signal(number, lambda *_: None)
     with ExitStack() as stack:
@@ -86,7 +86,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
                 feed=notifier.watchdog,
                 on_failed=lambda: _stop_serving(server),
                 monitored=_monitored(service, server=server, schedule=schedule),
-                on_check=(schedule.follow_clock, partial(clear_first_frame, service.board), status.update),
+                on_check=(schedule.follow_clock, first_frame.check, status.update),
             )
         )
         stack.enter_context(_running(schedule))

@@ -19,10 +19,23 @@ NO_FRAME_YET = Reason(
 """Set at the start: a service that is restarted again and again before its first frame is never called ready."""
 
 
-def clear_first_frame(board: StatusBoard) -> None:
-    """Clear `no_frame_yet` once a frame has come."""
-    if board.snapshot().last_frame_at is not None:
-        board.clear_reason(NO_FRAME_YET.code)
+class FirstFrame:
+    """Shows `no_frame_yet` until a frame has come.
+
+    Parameters
+    ----------
+    board : which may have the time of the last frame before the start (see `restore_last_known`).
+    """
+
+    def __init__(self, board: StatusBoard) -> None:
+        self._board = board
+        self._before = board.snapshot().last_frame_at
+        board.set_reason(NO_FRAME_YET)
+
+    def check(self) -> None:
+        """Clear it once the last frame is another one than that before the start."""
+        if self._board.snapshot().last_frame_at != self._before:
+            self._board.clear_reason(NO_FRAME_YET.code)
 
 
 class StatusLine:
