@@ -47,10 +47,16 @@ def start(tmp_path: Path) -> Callable[[], Service]:
     return started
 
 
-def look(service: Service, time: datetime, *, accepted: bool) -> None:
+def look(service: Service, time: datetime, *, accepted: bool, clock_error_s: float = 0.01) -> None:
     epoch = service.archive.epoch_at("imager", time, reason="first frame")
     rejected = SunPoint(
-        camera="imager", pose_epoch=epoch.id, time=time, method="disc", accepted=False, verdict="hidden"
+        camera="imager",
+        pose_epoch=epoch.id,
+        time=time,
+        method="disc",
+        accepted=False,
+        verdict="hidden",
+        clock_error_s=clock_error_s,
     )
     seen = replace(rejected, accepted=True, verdict="clear", x_px=4.0, y_px=3.0, sigma_px=0.1)
     service.archive.add_sun_points([seen if accepted else rejected])
@@ -75,11 +81,29 @@ def test_after_a_restart_the_last_sighting_and_the_last_frame_are_the_stores(sta
     assert start().board.snapshot().last_frame_at == NOON - timedelta(minutes=1)
 
 
+def test_times_of_a_clock_that_was_ahead_or_doubtful_are_not_shown(start: Callable[[], Service]) -> None:
+    first = start()
+    look(first, NOON - timedelta(hours=3), accepted=True)
+    look(first, NOON - timedelta(hours=1), accepted=True, clock_error_s=1e9)
+    look(first, NOON + timedelta(days=400), accepted=True)
+    first.images.write(NOON + timedelta(days=400), b"png", kind="hdr.png")
+    first.archive.close()
+    snapshot = start().board.snapshot()
+    assert snapshot.last_sighting_at == snapshot.last_frame_at == NOON - timedelta(hours=3)
+
+
 def test_a_store_that_cannot_be_read_hinders_no_start(start: Callable[[], Service], tmp_path: Path) -> None:
     service = start()
     look(service, NOON, accepted=True)
     with closing(sqlite3.connect(tmp_path / "sunarc.sqlite", isolation_level=None)) as other:
         other.execute("ALTER TABLE sun_point RENAME TO hidden")
     board = StatusBoard(version="1", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
-    restore_last_known(board, archive=service.archive, images=ImageStore(tmp_path / "images"), camera="imager")
+    restore_last_known(
+        board,
+        archive=service.archive,
+        images=ImageStore(tmp_path / "images"),
+        camera="imager",
+        until=None,
+        largest_clock_error_s=2.0,
+    )
     assert board.snapshot().last_sighting_at is None

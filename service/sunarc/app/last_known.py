@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from datetime import datetime
+from typing import TypedDict
 
 from sunarc.archive import Archive, ImageStore
 from sunarc.board import StatusBoard
@@ -12,7 +13,22 @@ from sunarc.errors import OutsideError
 _log = logging.getLogger(__name__)
 
 
-def restore_last_known(board: StatusBoard, *, archive: Archive, images: ImageStore, camera: str) -> None:
+class _Wanted(TypedDict):
+    until: datetime | None
+    largest_clock_error_s: float
+    newest_first: bool
+    limit: int
+
+
+def restore_last_known(
+    board: StatusBoard,
+    *,
+    archive: Archive,
+    images: ImageStore,
+    camera: str,
+    until: datetime | None,
+    largest_clock_error_s: float,
+) -> None:
     """Write on the board when the last frame and the last accepted sighting were, as the store has them.
 
     Parameters
@@ -20,12 +36,15 @@ def restore_last_known(board: StatusBoard, *, archive: Archive, images: ImageSto
     board : where they are shown until newer ones come.
     archive, images : what was stored; where that cannot be read, nothing is written.
     camera : whose sightings.
+    until : now; later times are of a clock that was ahead. None where times jump by nature (replay, simulation).
+    largest_clock_error_s : a sighting whose clock may be wrong by more is not counted.
     """
+    wanted: _Wanted = {"until": until, "largest_clock_error_s": largest_clock_error_s, "newest_first": True, "limit": 1}
     try:
-        looks = archive.sun_points(camera, newest_first=True, limit=1)
-        sightings = archive.sun_points(camera, accepted=True, newest_first=True, limit=1)
+        looks = archive.sun_points(camera, **wanted)
+        sightings = archive.sun_points(camera, accepted=True, **wanted)
         frames: list[datetime] = [look.time for look in looks]
-        if (image_at := images.newest_at(kind="hdr.png")) is not None:
+        if (image_at := images.newest_at(kind="hdr.png", until=until)) is not None:
             frames.append(image_at)
     except (OutsideError, OSError) as error:
         _log.warning("the times of the last frame and sighting cannot be read from the store: %s", error)

@@ -72,6 +72,7 @@ class Service:
         self.archive = archive
         self.clock = clock
         self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
+        in_real_time = settings.source == "aravis" and settings.capture.speed == 1.0
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = ClockWatch(
@@ -81,7 +82,7 @@ class Service:
             camera=settings.name,
             options=settings.clock,
             camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
-            finds_steps=settings.source == "aravis" and settings.capture.speed == 1.0,
+            finds_steps=in_real_time,
             board=self.board,
             largest_clock_error_s=self.largest_clock_error_s,
         )
@@ -93,7 +94,14 @@ class Service:
         )
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
-        restore_last_known(self.board, archive=archive, images=self.images, camera=settings.name)
+        restore_last_known(
+            self.board,
+            archive=archive,
+            images=self.images,
+            camera=settings.name,
+            until=clock.now() if in_real_time else None,
+            largest_clock_error_s=self.largest_clock_error_s,
+        )
         self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,

@@ -123,9 +123,9 @@ class ImageStore:
                     return max(images)
         return None
 
-    def newest_at(self, *, kind: str) -> datetime | None:
+    def newest_at(self, *, kind: str, until: datetime | None = None) -> datetime | None:
         """Return when the newest image of a kind was captured, or None; see `newest`."""
-        path = self.newest(kind=kind)
+        path = self.newest(kind=kind, until=until)
         return None if path is None or not _OURS.fullmatch(path.name) else _captured_at(path)
 
     def make_room(self, needed_bytes: int = 0) -> bool:
