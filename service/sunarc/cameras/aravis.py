@@ -35,13 +35,7 @@ from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.clock import Clock
-from sunarc.errors import (
-    CameraError,
-    CameraLostError,
-    CameraSilentError,
-    ConfigurationError,
-    SunarcError,
-)
+from sunarc.errors import CameraError, CameraLostError, CameraSilentError, ConfigurationError, SunarcError
 
 _log = logging.getLogger(__name__)
 
