@@ -72,7 +72,6 @@ class Service:
         self.archive = archive
         self.clock = clock
         self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
-        in_real_time = settings.source == "aravis" and settings.capture.speed == 1.0
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = ClockWatch(
@@ -82,7 +81,7 @@ class Service:
             camera=settings.name,
             options=settings.clock,
             camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
-            finds_steps=in_real_time,
+            finds_steps=self._in_real_time,
             board=self.board,
             largest_clock_error_s=self.largest_clock_error_s,
         )
@@ -94,14 +93,7 @@ class Service:
         )
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
-        restore_last_known(
-            self.board,
-            archive=archive,
-            images=self.images,
-            camera=settings.name,
-            until=clock.now() if in_real_time else None,
-            largest_clock_error_s=self.largest_clock_error_s,
-        )
+        self._restore_last_known()
         self.keeper = SightingKeeper(archive, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
@@ -123,6 +115,22 @@ class Service:
             request_refit=self.request_refit,
         )
         self._open_camera = open_camera
+
+    @property
+    def _in_real_time(self) -> bool:
+        """Whether times of frames go on as the host's do; a replay's and a simulation's jump."""
+        return self.settings.source == "aravis" and self.settings.capture.speed == 1.0
+
+    def _restore_last_known(self) -> None:
+        """Show what the store has of the time before the start."""
+        restore_last_known(
+            self.board,
+            archive=self.archive,
+            images=self.images,
+            camera=self.settings.name,
+            until=self.clock.now() if self._in_real_time else None,
+            largest_clock_error_s=self.largest_clock_error_s,
+        )
 
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
