@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, Event, Refit, SunPoint, open_archive, upgrade
 from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
@@ -30,6 +30,7 @@ from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker, points_of
+from sunarc.workers.epoch_search import SEARCHED, EpochSearch
 from sunarc.workers.solve import Problem
 
 FloatArray = NDArray[np.float64]
@@ -189,3 +190,46 @@ def test_what_was_imported_later_from_before_a_turn_leaves_the_current_calibrati
     assert error < 0.2
     error, _ = error_and_sigma_px(archive, float(times[-20]), turned(TRUTH, 0.4))
     assert error < 0.2
+
+
+def search_event(time: datetime, **details: object) -> Event:
+    return Event(time=time, kind=SEARCHED, severity="info", text="searched", camera="roof", details=details)
+
+
+def searching(archive: Archive) -> EpochSearch:
+    return EpochSearch(
+        archive=archive,
+        camera="roof",
+        site=SGP,
+        options=CalibrationOptions(),
+        circle=None,
+        largest_clock_error_s=2.0,
+        now=lambda: NOW,
+    )
+
+
+def test_a_damaged_event_of_a_search_does_not_end_the_refits(archive: Archive) -> None:
+    times, pixels, _ = record(0.0, clouds=False, days=3)
+    import_record(archive, times, pixels)
+    archive.add_event(search_event(NOW - timedelta(hours=2), last_id=times.size, divided=["roof-1"]))
+    archive.add_event(search_event(NOW - timedelta(hours=1)))  # as the archive reads details with a flipped bit
+    search = searching(archive)
+    assert search.due() is None  # the search before it is remembered
+    assert search.unanswered("roof-1")
+
+
+def test_a_search_that_a_clock_ahead_dated_is_neither_repeated_nor_answered_for_ever(archive: Archive) -> None:
+    times, pixels, _ = record(0.0, clouds=False, days=3)
+    import_record(archive, times, pixels)
+    ahead = NOW + timedelta(days=365)
+    archive.add_event(search_event(ahead, last_id=times.size // 2, divided=["roof-1"]))
+    archive.add_event(search_event(NOW - timedelta(hours=1), last_id=times.size, divided=[]))
+    search = searching(archive)
+    assert search.due() is None
+    assert search.unanswered("roof-1")
+    archive.add_calibration({
+        "id": "a", "camera": "roof", "method": "robust", "pose_epoch": "roof-1", "valid_from": NOW.isoformat(),
+        "created_at": NOW.isoformat(), "verdict": {"accepted": True, "reasons": []},
+    })  # fmt: skip
+    archive.activate("a")
+    assert not search.unanswered("roof-1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -22,6 +23,13 @@ SEARCHED = "epochs_searched"
 _BESIDE_S = 4.0 * 86_400.0
 """Time about new sightings that is searched with them: a step at their first or last day needs days on both sides."""
 _DAY_S = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    time: datetime
+    last_id: int
+    divided: tuple[str, ...]
 
 
 class EpochSearch:
@@ -81,8 +89,7 @@ class EpochSearch:
 
     def _near_new(self, columns: SunPointColumns) -> NDArray[np.bool_]:
         """Return which sightings are new to the search, or lie within days of such."""
-        known = self._archive.events(self._camera, kind=SEARCHED, limit=1)
-        searched = int(known[0].details["last_id"]) if known else 0
+        searched = max((search.last_id for search in self._searches()), default=0)
         fresh = columns.ids > searched
         if self._archive.current_calibration(self._camera) is not None:
             imported = self._archive.sun_point_columns(self._camera, method="import")
@@ -128,9 +135,14 @@ class EpochSearch:
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
         served = self._archive.last_served(self._camera, pose_epoch=epoch)
-        searches = self._archive.events(self._camera, kind=SEARCHED)
-        divided = [search.time for search in searches if epoch in search.details["divided"]]
-        return served is None or any(served < time for time in divided)
+        now = self._now()
+        divided = [search.time for search in self._searches() if epoch in search.divided]
+        return served is None or any(served < time <= now for time in divided)
+
+    def _searches(self) -> list[_Search]:
+        """Return the searches that were made; one whose event is damaged says nothing."""
+        events = self._archive.events(self._camera, kind=SEARCHED)
+        return [_search(event) for event in events]
 
 
 def since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
@@ -139,6 +151,16 @@ def since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
         epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED and epoch.started_at <= now
     ]
     return changed[-1] if changed else None
+
+
+def _search(event: Event) -> _Search:
+    """Return what an event says of a search; details with a flipped bit are read as far as they make sense."""
+    last_id, divided = event.details.get("last_id"), event.details.get("divided")
+    return _Search(
+        event.time,
+        last_id if isinstance(last_id, int) else 0,
+        tuple(str(name) for name in divided) if isinstance(divided, list) else (),
+    )
 
 
 def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
