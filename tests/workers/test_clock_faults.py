@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import LENS_CHANGED, Day, SunPoint
+from sunarc.archive import LENS_CHANGED, MOVED, Day, SunPoint
 from sunarc.errors import InputError, NotFoundError
 from sunarc.workers import UNKNOWN_ERROR_S
 
@@ -238,6 +238,8 @@ def test_closing_a_false_move_serves_a_copy_from_then_on_and_rewrites_no_past_an
     assert all(point.pose_epoch == "roof-1" for point in imager.archive.sun_points("roof"))
     imager.run(10.0)
     assert imager.served() == copy
+    assert [event.kind for event in imager.alarms()] == ["bump"]  # is not found again in the same sightings
+    assert not any(point.reason == MOVED for point in imager.archive.sun_points("roof", accepted=True))
 
 
 def test_the_first_epoch_an_unknown_and_a_closed_one_cannot_be_closed(tmp_path: Path) -> None:

@@ -280,3 +280,35 @@ def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None
     assert imager.archive.sun_point_columns("roof").unix_s.size == 7
     aside = [point for point in imager.archive.sun_points("roof") if point.verdict == "set_aside"]
     assert [point.reason for point in aside] == ["test"] * 3
+
+
+def test_a_closed_pose_epoch_ends_the_conditions_of_its_move(imager: Imager, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Reposer, "improve", lambda _: False)  # as while the sightings are too few for a pose
+    imager.see_many(TRUTH, range(-20, 0))
+    imager.see_many(turned(TRUTH, (0.12, -0.1, 0.12)), range(10))
+    assert imager.codes() == {"changed_bump"}
+    before = imager.events()
+    last = imager.archive.epochs("roof")[-1].id
+    assert imager.archive.close_epoch(last, at=imager.now, reason="a bird") == "full"
+    imager.see_many(TRUTH, range(10, 14))
+    assert imager.codes() == set()
+    assert imager.events() == before  # is not found again in the same sightings
+
+
+def test_a_provisional_pose_is_not_shown_once_it_is_retired(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-20, 0))
+    moved = turned(TRUTH, (0.12, -0.1, 0.12))
+    imager.see_many(moved, range(20))
+    current = imager.archive.current_calibration("roof")
+    assert current is not None
+    assert "provisional_pose" in imager.codes()
+    imager.archive.retire(current.id, at=imager.now)  # as when another camera takes its place
+    imager.see_many(moved, range(20, 22))
+    assert "provisional_pose" not in imager.codes()
+
+
+def test_an_epoch_that_another_part_opens_is_followed_though_there_was_none_at_the_start(imager: Imager) -> None:
+    imager.see_many(TRUTH, range(-20, 0))  # `remember` was never called: the record was empty then
+    imager.archive.open_epoch("roof", at=imager.now, reason="bump")
+    imager.see_many(TRUTH, range(1))
+    assert len(imager.watch._watch) == 2  # the last sighting before is the epoch's first

@@ -20,6 +20,7 @@ from sunarc.archive.csv_files import (
     write_sightings,
 )
 from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED, MOVED
+from sunarc.archive.epoch_closing import EPOCH_CLOSED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
@@ -44,6 +45,7 @@ from sunarc.archive.values import (
 
 __all__ = [
     "ELSEWHERE",
+    "EPOCH_CLOSED",
     "LENS_CHANGED",
     "MOVED",
     "Archive",

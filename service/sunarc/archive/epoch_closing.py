@@ -17,6 +17,9 @@ from sunarc.archive.validity import end_others, set_columns
 from sunarc.archive.values import Event, PoseEpoch
 from sunarc.errors import InputError, NotFoundError
 
+EPOCH_CLOSED = "epoch_closed"
+"""Kind of the event of a pose epoch that was closed as wrong."""
+
 
 class EpochClosing(History):
     """The part of the archive that undoes a change of the camera that never happened."""
@@ -49,7 +52,7 @@ class EpochClosing(History):
             text = f"pose epoch {wrong.id} (from {wrong.started_at.isoformat()}) was closed as wrong: {reason}"
             details = {"pose_epoch": wrong.id, "continues": before.id, "calibration": current}
             row = asdict(
-                Event(time=at, kind="epoch_closed", severity="info", text=text, camera=wrong.camera, details=details)
+                Event(time=at, kind=EPOCH_CLOSED, severity="info", text=text, camera=wrong.camera, details=details)
             )
             row.pop("id")
             connection.execute(insert(event).values(row))

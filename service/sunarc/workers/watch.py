@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
+from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
 from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import Calibration, from_document
 from sunarc.calibration.watching import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
@@ -98,9 +98,11 @@ class WatchWorker:
         self._show_future_epochs()
         if epoch is None:
             return
+        # what an operator has judged is not judged again: the move would be found once more in the same sightings
+        closed = self._archive.events(self._camera, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
         seen = self._archive.sun_points(
             self._camera,
-            since=epoch.started_at,
+            since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=self._largest_clock_error_s,
             newest_first=True,
@@ -120,7 +122,10 @@ class WatchWorker:
 
     def _begin_anew_if_outdated(self) -> None:
         try:
-            if self._is_outdated():
+            if self._is_of_another_epoch():
+                self._clear_move()
+                self.remember()
+            elif self._is_ahead():
                 self.remember()
             elif self._has_future_epochs:
                 self._show_future_epochs()
@@ -133,12 +138,14 @@ class WatchWorker:
     def _present_epoch(self) -> PoseEpoch | None:
         return self._archive.current_epoch(self._camera, at=self._latest())
 
-    def _is_outdated(self) -> bool:
-        """Return whether the time went back behind what is remembered, or an operator changed the pose epoch."""
-        if len(self._watch) and self._watch.unix_s[-1] > self._latest().timestamp():
-            return True
+    def _is_ahead(self) -> bool:
+        """Return whether the time went back behind what is remembered."""
+        return bool(len(self._watch)) and float(self._watch.unix_s[-1]) > self._latest().timestamp()
+
+    def _is_of_another_epoch(self) -> bool:
+        """Return whether an operator, the refit worker or another camera changed the pose epoch."""
         epoch = self._present_epoch()
-        return self._epoch is not None and epoch is not None and epoch.id != self._epoch
+        return epoch is not None and epoch.id != self._epoch
 
     def _look_safely(self, seen: Watched) -> None:
         try:
@@ -223,13 +230,16 @@ class WatchWorker:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
         self._board.set_reason(Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy))
 
+    def _clear_move(self) -> None:
+        for kind in ("bump", *LENS_KINDS):
+            self._board.clear_reason(f"changed_{kind}")
+
     def _show_pose(self) -> None:
         """Tell how the pose stands; a full fit of the epoch ends the matter."""
         current = self._current()
         if current is None:
             return
-        for kind in ("bump", *LENS_KINDS):
-            self._board.clear_reason(f"changed_{kind}")
+        self._clear_move()
         if not is_provisional(current):
             self._board.clear_reason("provisional_pose")
             return
@@ -243,6 +253,7 @@ class WatchWorker:
         record = self._archive.current_calibration(self._camera)
         if record is None:
             self._known = None
+            self._board.clear_reason("provisional_pose")
         elif self._known is None or self._known[0] != record.id:
             try:
                 self._known = (record.id, from_document(record.document))
