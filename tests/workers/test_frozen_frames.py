@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import FROZEN, Archive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
 from sunarc.clock import VirtualClock
@@ -20,7 +20,6 @@ from sunarc.optics import project
 from sunarc.simulation import SGP, Scene, SensorModel, true_camera
 from sunarc.sky import sun_directions
 from sunarc.workers import (
-    FROZEN,
     DetectWorker,
     FrozenFrames,
     Handover,
@@ -185,3 +184,17 @@ def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, 
 @pytest.fixture
 def clock() -> VirtualClock:
     return VirtualClock(START)
+
+
+def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
+    new_worker: Callable[[], DetectWorker], archive: Archive
+) -> None:
+    worker = new_worker()
+    clouds = replace(frame_at(0.0), image=np.random.default_rng(1).integers(90, 110, (SIDE, SIDE), dtype=np.uint16))
+    assert worker.look_at(clouds).verdict == "hidden"
+    assert worker.look_at(replace(clouds, time=START + timedelta(seconds=30))).verdict == FROZEN
+    assert worker.look_at(frame_at(60.0)).accepted
+    assert worker.look_at(frame_at(90.0, shown_s=60.0)).verdict == FROZEN
+    observed = archive.observation_times("roof", since=START, until=START + timedelta(hours=1))
+    assert observed is not None
+    assert (observed - START.timestamp()).tolist() == [0.0, 60.0]

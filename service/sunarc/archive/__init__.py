@@ -19,7 +19,7 @@ from sunarc.archive.csv_files import (
     write_columns,
     write_sightings,
 )
-from sunarc.archive.doubts import ELSEWHERE, LENS_CHANGED, MOVED
+from sunarc.archive.doubts import ELSEWHERE, FROZEN, LENS_CHANGED, MOVED
 from sunarc.archive.epoch_closing import EPOCH_CLOSED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
@@ -46,6 +46,7 @@ from sunarc.archive.values import (
 __all__ = [
     "ELSEWHERE",
     "EPOCH_CLOSED",
+    "FROZEN",
     "LENS_CHANGED",
     "MOVED",
     "Archive",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Literal
 
 from sqlalchemy import update
 
@@ -11,6 +12,8 @@ from sunarc.archive.tables import sun_point
 
 ELSEWHERE = "elsewhere"
 """Verdict on a clean disc where the sun should not be, as far as the calibration knows."""
+FROZEN: Literal["frozen"] = "frozen"
+"""Verdict on a sighting in an image that the camera had delivered before."""
 MOVED = "the camera had moved"
 """Reason of a sighting that was found elsewhere and accepted once the camera was known to have moved."""
 LENS_CHANGED = "lens"

@@ -11,6 +11,7 @@ from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
 from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_times
+from sunarc.archive.doubts import FROZEN
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
@@ -215,10 +216,12 @@ class Sightings(Store):
         """Return when sun exposures were taken, with a sighting or without, s since 1970-01-01 UTC (n,).
 
         None where sightings were imported: a file of sightings does not tell when there was an exposure without one.
-        Exposures whose clock may be wrong by more than `largest_clock_error_s` are left out.
+        Exposures whose clock may be wrong by more than `largest_clock_error_s` are left out, and images that the camera
+        had delivered before (`FROZEN`): they show another moment's sky.
         """
         c = sun_point.c
         wanted = [*_wanted(camera, since=since, until=until), c.body == "sun", *_clock_within(largest_clock_error_s)]
+        wanted.append(c.verdict != FROZEN)
         with self._reading() as connection:
             imported = select(c.id).where(*wanted, c.method == "import").limit(1)
             if connection.scalar(imported) is not None:

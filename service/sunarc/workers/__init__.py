@@ -8,7 +8,7 @@ from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.disk import DiskWorker
 from sunarc.workers.frame_time import FrameTime
-from sunarc.workers.frozen_frames import FROZEN, FrozenFrames
+from sunarc.workers.frozen_frames import FrozenFrames
 from sunarc.workers.handover import Handover
 from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
@@ -22,7 +22,6 @@ from sunarc.workers.sun_exposures import SunExposures
 from sunarc.workers.watch import WatchWorker
 
 __all__ = [
-    "FROZEN",
     "UNKNOWN_ERROR_S",
     "CaptureOptions",
     "CaptureWorker",

@@ -7,11 +7,10 @@ import logging
 from collections import OrderedDict, deque
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Literal
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, Archive, Event, SunPoint
+from sunarc.archive import ELSEWHERE, FROZEN, Archive, Event, SunPoint
 from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import Counts, Frame
 from sunarc.detection import Detection
@@ -19,8 +18,6 @@ from sunarc.errors import OutsideError
 from sunarc.sky import Site, angular_distance, sun_directions
 
 _log = logging.getLogger(__name__)
-FROZEN: Literal["frozen"] = "frozen"
-"""Verdict on a sighting in an image that the camera had delivered before."""
 _IMAGES_KEPT = 64
 _PIXELS_KEPT = 32
 _FEWEST_PIXELS = 100
@@ -41,7 +38,7 @@ class _Place:
 
 
 class FrozenFrames:
-    """Rejects sightings in images that were delivered before, and reports a camera that repeats its images.
+    """Rejects what is seen in images that were delivered before, and reports a camera that repeats its images.
 
     Parameters
     ----------
@@ -68,8 +65,6 @@ class FrozenFrames:
                 self._clear()
             return detection
         self._count(frame.time, earlier)
-        if detection.x_px is None:
-            return detection
         reason = f"the camera delivered the image of {earlier.isoformat(timespec='seconds')} again"
         return replace(detection, accepted=False, verdict=FROZEN, reason=reason)
 
