@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import socket
 import subprocess
 import sys
@@ -10,9 +11,10 @@ import threading
 import urllib.request
 from collections.abc import Callable
 
+import pytest
 import uvicorn
 
-from sunarc.app.serving import _Server
+from sunarc.app.serving import _Server, _stop_on_signals
 from sunarc.clock import SystemClock
 from sunarc.heartbeats import Heartbeat
 
@@ -81,6 +83,26 @@ def test_a_coroutine_that_blocks_the_loop_leaves_the_heartbeat_to_age_until_it_l
         assert wait_for(lambda: heartbeat.age_s() < 0.5)
         server.should_exit = True
         thread.join(PATIENCE_S)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_that_comes_while_the_workers_start_is_not_lost(number: signal.Signals) -> None:
+    before = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)}
+    config = uvicorn.Config(lambda *_: None, lifespan="off", log_level="warning")
+    server = _Server(config, on_started=lambda: None, heartbeat=Heartbeat(SystemClock().monotonic))
+    late = threading.Timer(PATIENCE_S, lambda: setattr(server, "force_exit", True))
+    try:
+        _stop_on_signals(server)
+        signal.raise_signal(number)
+        assert server.should_exit
+        late.start()
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            server.run(sockets=[listening])
+        assert not server.force_exit
+    finally:
+        late.cancel()
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def ended() -> subprocess.CompletedProcess[str]:

@@ -75,8 +75,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
     server = _web_server(service, on_started=status.ready)
     schedule = _schedule(service)
     first_frame = FirstFrame(service.board)
-    for number in (signal.SIGTERM, signal.SIGINT):  # the web server hands on what it was stopped by; it ends here
-        signal.signal(number, lambda *_: None)
+    _stop_on_signals(server)
     with ExitStack() as stack:
         stack.enter_context(listening)
         stack.callback(service.archive.close)
@@ -188,6 +187,12 @@ class _Server(uvicorn.Server):
 
 def _address(settings: Settings) -> str:
     return f"http://{settings.api.host}:{settings.api.port}/"
+
+
+def _stop_on_signals(server: uvicorn.Server) -> None:
+    """Let SIGTERM and SIGINT stop the server, also before it runs; afterwards it hands on what it was stopped by."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: _stop_serving(server))
 
 
 def _stop_serving(server: uvicorn.Server) -> None:
