@@ -93,3 +93,31 @@ def test_a_refit_takes_the_new_camera_s_sightings_alone(imager: Imager) -> None:
     worker = imager.service.refit_worker()
     worker.carry_out(refit, threading.Event(), lambda: None)
     assert imager.archive.refit(refit.id).message == "there are no accepted sightings yet"
+
+
+def test_a_camera_is_replaced_though_an_epoch_of_the_future_stands_in_the_way(imager: Imager) -> None:
+    future = imager.clock.now() + timedelta(days=400)
+    imager.archive.open_epoch("roof", at=future, reason="bump")
+    at = imager.clock.now()
+    open_camera(imager, serial="2")
+    present = imager.archive.current_epoch("roof", at=at)
+    assert present is not None
+    assert (present.started_at, present.ended_at, present.reason) == (at, future, LENS_CHANGED)
+    before = imager.archive.sun_point_columns("roof", until=at).epoch_ids
+    assert before == ("roof-1",)
+
+
+def test_a_calibration_that_was_retired_is_missed_at_once(imager: Imager) -> None:
+    worker = imager.service.refit_worker()
+    stop = threading.Event()
+    turns = iter(range(3))
+
+    def beat() -> None:
+        turn = next(turns)
+        if turn == 1:
+            imager.archive.retire("full", at=imager.clock.now())
+        elif turn == 2:
+            stop.set()
+        assert ("no_calibration" in imager.codes()) == (turn == 2)
+
+    worker.run(stop, beat)

@@ -99,10 +99,13 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
 
 
 def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
-    """Begin a pose epoch with another lens; where one has begun later, a wrong clock dated that, or the sky was."""
+    """Begin a pose epoch with another lens; where a wrong clock has begun one later, the one before that is divided."""
     if archive.current_epoch(camera) is None:
         return
     try:
-        archive.open_epoch(camera, at=at, reason=LENS_CHANGED)
+        if any(epoch.started_at > at for epoch in archive.epochs(camera)):
+            archive.split_epoch(camera, at=at, reason=LENS_CHANGED)
+        else:
+            archive.open_epoch(camera, at=at, reason=LENS_CHANGED)
     except InputError as error:
         _log.warning("could not begin a pose epoch for the new camera: %s", error)

@@ -124,6 +124,7 @@ class RefitWorker:
         self._soundness.look()
         while not stop.is_set():
             heartbeat()
+            self._soundness.follow()
             waiting = self._archive.refits(self._camera, unfinished=True)
             if waiting and self._may_solve():
                 self.carry_out(waiting[-1], stop, heartbeat)

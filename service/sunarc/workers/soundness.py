@@ -27,10 +27,23 @@ class Soundness:
         self._now = now
         self._board = board
         self._told: set[tuple[str, str]] = set()
+        self._revision: int | None = None
+        self._current: str | None = None
+
+    def follow(self) -> None:
+        """Look again where another calibration is current than at the last look; cheap where nothing was written."""
+        revision = self._archive.revision()
+        if revision == self._revision:
+            return
+        self._revision = revision
+        current = self._archive.current_calibration(self._camera)
+        if (None if current is None else current.id) != self._current:
+            self.look()
 
     def look(self) -> None:
         """Look, show what is wrong on the board, and write an event the first time."""
         current = self._archive.current_calibration(self._camera)
+        self._current = None if current is None else current.id
         damaged = self._archive.damaged_calibration(self._camera)
         if damaged is not None:
             reason = _damaged(damaged, current)
