@@ -60,9 +60,11 @@ def test_the_archive_is_asked_once_an_hour(archive: Archive, monkeypatch: pytest
     asked: list[object] = []
     learned = archive.sun_levels
 
-    def counted(_: Archive, camera: str, *, since: datetime, until: datetime) -> object:
+    def counted(
+        _: Archive, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None
+    ) -> object:
         asked.append(until)
-        return learned(camera, since=since, until=until)
+        return learned(camera, since=since, until=until, largest_clock_error_s=largest_clock_error_s)
 
     monkeypatch.setattr(Archive, "sun_levels", counted)
     predictor = SunPredictor(archive, camera="sky", site=SITE)

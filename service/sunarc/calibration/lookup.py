@@ -27,7 +27,7 @@ PROJECTED = ("x_px", "y_px", "sigma_px", "cov_xx_px2", "cov_xy_px2", "cov_yy_px2
 """Columns of what `Lookup.project` returns."""
 
 _RINGS = 96
-_SPOKES = 144
+_SPOKES = 192
 _PADDING = 6
 _CHUNK = 32_768
 

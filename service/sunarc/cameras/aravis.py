@@ -59,8 +59,7 @@ def open_aravis(options: AravisOptions, clock: Clock) -> AravisCamera:
         camera.connect()
     except SunarcError as error:
         camera.close()
-        # a traceback would keep the device alive, and with it the control that nobody could take again
-        error.__context__ = error.__cause__ = None
+        error.__context__ = error.__cause__ = None  # a traceback would keep the device, and with it the control of it
         raise error.with_traceback(None)  # noqa: B904 - the cause was cut off on purpose
     except BaseException:
         camera.close()
