@@ -17,7 +17,15 @@ from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch,
 from sunarc.errors import InputError, OutsideError
 from sunarc.offline.storing import database_of
 
-_UNITS = {"x_px": "px", "y_px": "px", "sigma_px": "px", "exposure_us": "us", "clock_error_s": "s"}
+_UNITS = {
+    "x_px": "px",
+    "y_px": "px",
+    "sigma_px": "px",
+    "exposure_us": "us",
+    "clock_error_s": "s",
+    "temperature_c": "degC",
+    "pressure_hpa": "hPa",
+}
 
 
 def export_everything(state: Path, folder: Path) -> dict[str, int]:
