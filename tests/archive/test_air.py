@@ -56,11 +56,14 @@ def test_a_days_air_is_kept_replaced_and_removed(archive: Archive) -> None:
 def test_air_out_of_bounds_is_refused(
     archive: Archive, field: str, accepted: tuple[float, ...], refused: tuple[float, ...]
 ) -> None:
+    def warm(value: float) -> DayAir:
+        return replace(WARM, temperature_c=value) if field == "temperature_c" else replace(WARM, pressure_hpa=value)
+
     for value in accepted:
-        assert getattr(archive.set_day_air(replace(WARM, **{field: value})), field) == value
+        assert getattr(archive.set_day_air(warm(value)), field) == value
     for value in refused:
         with pytest.raises(InputError, match=f"{field}: .* is not within"):
-            archive.set_day_air(replace(WARM, **{field: value}))
+            archive.set_day_air(warm(value))
 
 
 def test_air_of_an_unknown_camera_is_refused(archive: Archive) -> None:
