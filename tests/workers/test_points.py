@@ -121,6 +121,8 @@ def test_the_expected_sun_moves_by_what_pvlib_says(archive: Archive) -> None:
 
     shift_deg = by_pvlib(35.0, 96_000.0) - by_pvlib(SITE.temperature, SITE.pressure_pa)
     assert shift_deg > 0.005
+    assert warm.apparent_zenith is not None
+    assert assumed.apparent_zenith is not None
     assert np.degrees(warm.apparent_zenith - assumed.apparent_zenith) == pytest.approx(shift_deg, abs=1e-5)
     there = sun_angles(LOW_SUN.timestamp(), SITE)
     step = project(LENS, sun_directions(LOW_SUN.timestamp(), replace(SITE, temperature=35.0, pressure=96_000.0)))
