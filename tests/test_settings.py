@@ -39,7 +39,15 @@ def test_the_environment_goes_before_the_file(tmp_path: Path, monkeypatch: pytes
         ("colour = 1\n" + SITE, "unknown setting colour"),
         (SITE + '[capture]\ncadence_s = "often"\n', r"capture\.cadence_s: .*number"),
         (SITE + "[capture]\ncadence_s = -3\n", "capture: a duration is not positive"),
-        ("[site]\nlatitude = 136.6\nlongitude = -97.5\n", "latitude: 136.6 is not within -90 to 90"),
+        ("[site]\nlatitude = 136.6\nlongitude = -97.5\n", "site.latitude: 136.6 is not within -90 to 90"),
+        (
+            "[site]\nlatitude = 36.6\nlongitude = -97.5\ntemperature = 285.0\n",
+            "site.temperature: 285.0 is not within -60 to 60; give degrees Celsius",
+        ),
+        (
+            "[site]\nlatitude = 36.6\nlongitude = -97.5\npressure = 975.0\n",
+            "site.pressure: 975.0 is not within 30000 to 110000; give pascals",
+        ),
         ("", "setting site is missing"),
         ("[site\n", "is not TOML"),
     ],

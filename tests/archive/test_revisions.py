@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import Archive, Day, Event, Refit, SunPoint, check, downgrade, open_archive, upgrade
+from sunarc.archive import Archive, Day, DayAir, Event, Refit, SunPoint, check, downgrade, open_archive, upgrade
 from sunarc.archive.tables import metadata
 
 from .conftest import NOON
@@ -25,9 +25,10 @@ REVISIONS = sorted((script.name[:4] for script in VERSIONS.glob("[0-9]*.py")), r
 def filled(archive: Archive, path: Path) -> Path:
     """Return a database of the head revision with a row or more in every table."""
     epoch = archive.epoch_at("roof", NOON, reason="installed").id
+    archive.set_day_air(DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=980.0, set_at=NOON))
     archive.add_sun_points(
         SunPoint(camera="roof", pose_epoch=epoch, time=NOON + timedelta(seconds=30 * i), method="disc", accepted=True,
-                 verdict="clear", x_px=500.0 + i, y_px=900.0, sigma_px=0.02)
+                 verdict="clear", x_px=500.0 + i, y_px=900.0, sigma_px=0.02, temperature_c=30.0 + 0.01 * i)
         for i in range(100)
     )  # fmt: skip
     archive.add_calibration(document("a", pose_epoch=epoch), used=archive.sun_point_columns("roof"))

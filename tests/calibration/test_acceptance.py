@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import SunPoints, Verdict, accept, distance_px, hemisphere, unseen_points
+from sunarc.calibration import SunPoints, Verdict, accept, acceptance, distance_px, hemisphere, unseen_points
 from sunarc.optics import PARAMETER_NAMES, project, project_with_rows_fast
 from sunarc.sky import sun_directions
 
@@ -114,3 +114,15 @@ def test_unseen_are_the_latest_poses_days_that_a_calibration_does_not_know(
 def test_the_distance_of_a_camera_from_itself_is_nothing(calibrated: Calibration) -> None:
     assert distance_px(calibrated, calibrated) == 0.0
     assert distance_px(turned(calibrated, 1.0), calibrated) > 0.0
+
+
+def test_sightings_are_met_in_their_measured_air(calibrated: Calibration, clear_day: Simulated) -> None:
+    times = clear_day.points.unix_s
+    air = np.full(times.size, 40.0)
+    pixels = project(calibrated.camera, sun_directions(times, calibrated.site, temperature=air))
+    measured, assumed = (
+        acceptance._chi_square(calibrated, SunPoints(unix_s=times, pixels=pixels, temperature=one), 0.02)
+        for one in (air, np.full(times.size, np.nan))
+    )
+    assert measured < 1e-9
+    assert assumed > 1.0

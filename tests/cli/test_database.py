@@ -2,18 +2,19 @@ from __future__ import annotations
 
 import json
 import os
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 import xarray as xr
 
-from sunarc.archive import CameraRecord, lock_state, open_archive
+from sunarc.archive import CameraRecord, DayAir, lock_state, open_archive
 
 if TYPE_CHECKING:
     from .conftest import Sunarc
 
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 POINTS = (
     "time_utc,x_px,y_px,sigma_px,body\n2013-05-13T18:30:00Z,871.5,883.25,0.01,sun\n2013-05-13T18:31:00Z,870,880,,sun\n"
 )
@@ -70,6 +71,24 @@ def test_imported_sightings_come_out_again_and_are_not_doubled(sunarc: Sunarc, w
     ]
     since = sunarc("points", "export", "--config", str(with_camera), "--since", "2013-05-13T18:31:00Z")
     assert len(since.out.splitlines()) == 2
+
+
+def test_the_air_of_imported_sightings_comes_out_again(sunarc: Sunarc, with_camera: Path) -> None:
+    rows = (
+        "2013-05-13T18:30:00.000000Z,871.500000,883.250000,0.010000,sun,35.250,975.300",
+        "2013-05-13T18:31:00.000000Z,870.000000,880.000000,,sun,20.000,",
+        "2013-05-14T18:31:00.000000Z,870.000000,880.000000,,sun,,",
+    )
+    file = with_camera.parent / "points.csv"
+    file.write_text("\n".join(("time_utc,x_px,y_px,sigma_px,body,temperature_c,pressure_hpa", *rows)))
+    assert sunarc("points", "import", str(file), "--config", str(with_camera)).code == 0
+    assert sunarc("points", "export", "--config", str(with_camera)).out.splitlines()[1:] == list(rows)
+    archive = open_archive(with_camera.parent / "state" / "sunarc.sqlite")
+    day = DayAir(camera="roof", date=date(2013, 5, 13), temperature_c=30.0, pressure_hpa=980.0, set_at=NOON)
+    archive.set_day_air(day)
+    archive.close()
+    exported = sunarc("points", "export", "--config", str(with_camera)).out.splitlines()
+    assert exported[1:] == [rows[0], f"{rows[1]}980.000", rows[2]], "the day's air stands where a sighting has none"
 
 
 def test_a_bad_row_changes_nothing(sunarc: Sunarc, with_camera: Path) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.archive import CameraRecord, Event, SunPoint, open_archive, upgrade
+from sunarc.archive import CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
 from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
@@ -23,12 +24,12 @@ from sunarc.calibration import (
     project_with_covariance,
     to_document,
 )
-from sunarc.calibration.watching import WatchOptions
+from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import Reposer, WatchWorker
+from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.workers import Reposer, WatchWorker, watch
 
 FloatArray = NDArray[np.float64]
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()
@@ -312,3 +313,24 @@ def test_an_epoch_that_another_part_opens_is_followed_though_there_was_none_at_t
     imager.archive.open_epoch("roof", at=imager.now, reason="bump")
     imager.see_many(TRUTH, range(1))
     assert len(imager.watch._watch) == 2  # the last sighting before is the epoch's first
+
+
+def test_sightings_are_compared_with_the_sun_in_the_measured_air(
+    tmp_path: Path, good: Calibration, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    imager = Imager(tmp_path, good, board)
+    air = replace(SGP, temperature=40.0, pressure=90_000.0)
+    compared: list[tuple[float, ...]] = []
+
+    def noting(watched: Watch, seen: Watched, *, site: Site, **how: Any) -> tuple[Watch, Change | None]:  # noqa: ANN401 - of observe
+        compared.append(seen.direction)
+        assert site == (air if len(compared) == 2 else SGP)
+        return observe(watched, seen, site=site, **how)
+
+    monkeypatch.setattr(watch, "observe", noting)
+    low = datetime(2013, 5, 14, 12, 0, tzinfo=UTC).timestamp()
+    imager.see(project(TRUTH, sun_directions(low, SGP)), low)
+    day = DayAir(camera="roof", date=date(2013, 5, 14), temperature_c=40.0, pressure_hpa=900.0, set_at=imager.now)
+    imager.archive.set_day_air(day)
+    imager.see(project(TRUTH, sun_directions(low + 60.0, air)), low + 60.0)
+    assert compared == [tuple(sun_directions(low, SGP).tolist()), tuple(sun_directions(low + 60.0, air).tolist())]

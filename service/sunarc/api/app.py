@@ -20,6 +20,7 @@ from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
+from sunarc.api.day_air import day_air_routes
 from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
 from sunarc.api.epochs import epoch_routes
@@ -38,7 +39,7 @@ from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
 from sunarc.api.request_bodies import BodyReader
 from sunarc.api.schema import describe
-from sunarc.api.served import CurrentRecords, Served
+from sunarc.api.served import CurrentRecords, DaySites, Served
 from sunarc.api.sun import sun_routes
 from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit
@@ -81,6 +82,7 @@ def create_app(
     served = Served(
         archive=archive,
         current=CurrentRecords(archive),
+        sites=DaySites(archive),
         camera=camera,
         site=site,
         status=status,
@@ -130,7 +132,7 @@ def _add_guards(app: FastAPI, served: Served, faults: FaultLog) -> None:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=list(options.cors_origins),
-            allow_methods=["GET", "POST"],
+            allow_methods=["GET", "POST", "PUT"],
             allow_headers=["authorization", "content-type", "if-none-match"],
             expose_headers=["etag", "location", "retry-after", "sunarc-calibration", "sunarc-columns"],
         )
@@ -152,6 +154,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
         sun_routes(served),
         overlay_routes(served),
         record_routes(served),
+        day_air_routes(served),
         refit_routes(served),
     ):
         app.include_router(of_camera, prefix="/v1")

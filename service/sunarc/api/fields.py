@@ -13,6 +13,7 @@ MOST_ROWS = 10_000
 
 _YEARS = range(1970, 2200)
 _YEARS_PATTERN = r"^(19[7-9]\d|2[01]\d\d)-"
+_DATE_PATTERN = _YEARS_PATTERN + r"(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])$"
 
 
 def _written_in_full(value: object) -> object:
@@ -43,7 +44,7 @@ Time = Annotated[
 SolarDate = Annotated[
     date,
     BeforeValidator(_a_date),
-    Field(description="Local mean solar date.", examples=["2013-05-13"], json_schema_extra={"pattern": _YEARS_PATTERN}),
+    Field(description="Local mean solar date.", examples=["2013-05-13"], json_schema_extra={"pattern": _DATE_PATTERN}),
 ]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Pixel = Annotated[

@@ -66,7 +66,7 @@ def _read(body: bytes, most: int) -> FloatArray:
 
 
 def _locate(answering: Answering, points: Rows) -> Rows:
-    site, exact = answering.served.site, np.asarray(points, dtype=np.float64)
+    site, exact = answering.served.site_at(answering.moment), np.asarray(points, dtype=np.float64)
     directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
@@ -94,7 +94,7 @@ def _row(found: Located) -> FloatArray:
 
 
 def _tell(answering: Answering, rows: Rows) -> dict[str, Any]:
-    sun = sun_angles(answering.moment.timestamp(), answering.served.site)
+    sun = sun_angles(answering.moment.timestamp(), answering.served.site_at(answering.moment))
     return {
         "time": answering.moment,
         "sun": {"apparent_zenith": float(sun.apparent_zenith), "azimuth": float(sun.azimuth)},

@@ -11,7 +11,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 
 from sunarc.api.calibrations import summary
 from sunarc.api.problems import Fault, answers, problem_response
-from sunarc.api.record import day_out
+from sunarc.api.record import days_out
 from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
 from sunarc.api.served import Served
 from sunarc.board import StatusSnapshot
@@ -66,7 +66,7 @@ def _reasons(snapshot: StatusSnapshot) -> list[ReasonOut]:
 def _status(served: Served) -> Status:
     snapshot = served.status()
     record = served.current.get(served.camera)
-    days = served.archive.days(served.camera, limit=1)
+    days = days_out(served, served.archive.days(served.camera, limit=1))
     sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
     return Status(
         health=snapshot.health,
@@ -84,6 +84,6 @@ def _status(served: Served) -> Status:
         last_frame_at=snapshot.last_frame_at,
         last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),
-        last_day=day_out(days[0]) if days else None,
+        last_day=days[0] if days else None,
         image_size=sizes.get(served.camera),
     )

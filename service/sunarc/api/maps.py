@@ -29,7 +29,7 @@ from sunarc.archive import CalibrationRecord
 from sunarc.calibration import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError
 from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_table, netcdf_bytes, npz_bytes
-from sunarc.sky import sun_directions
+from sunarc.sky import Site, sun_directions
 
 _MOST_FILES = 4
 _MOST_SENT = 16
@@ -65,7 +65,8 @@ def map_routes(served: Served) -> APIRouter:
         """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
         chosen, record = await run_in_threadpool(_chosen, served, request, at)
         sun = None if sun_radius_deg is None else (at or chosen.frame_clock(), sun_radius_deg)
-        asked = _Map(served=chosen, record=record, format=wanted, sun=sun)
+        site = None if sun is None else await run_in_threadpool(chosen.site_at, sun[0])
+        asked = _Map(served=chosen, record=record, format=wanted, sun=sun, site=site)
         tag = await run_in_threadpool(_tag, asked)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
         if matches(if_none_match, tag):
@@ -99,12 +100,14 @@ class _Map:
     record : its calibration.
     format : of the file.
     sun : the moment and the radius in degrees of a mask round the sun; None: without.
+    site : in the air of that moment, which refracts the sun; None: without a mask.
     """
 
     served: Served
     record: CalibrationRecord
     format: MapFormat
     sun: tuple[datetime, float] | None
+    site: Site | None
 
 
 class _MapFile:
@@ -130,8 +133,8 @@ class _MapFile:
 def _file(asked: _Map) -> _MapFile:
     found = back_projection_map(asked.served.ready.get(asked.record))
     masks = _obstructions(asked.served, asked.record, found)
-    if asked.sun is not None:
-        masks |= _sun_mask(asked.served, *asked.sun, found)
+    if asked.sun is not None and asked.site is not None:
+        masks |= _sun_mask(asked.site, *asked.sun, found)
     table = map_table(found, asked.record.document, masks=masks)
     return _MapFile(netcdf_bytes(table) if asked.format == "netcdf" else npz_bytes(table))
 
@@ -141,12 +144,12 @@ def _tag(asked: _Map) -> str:
     served, record = asked.served, asked.record
     path = served.options.obstruction_mask if record.camera == served.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
-    parts = (record.id, sunarc.__version__, asked.format, asked.sun, path, changed)
+    parts = (record.id, sunarc.__version__, asked.format, asked.sun, asked.site, path, changed)
     return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
 
 
-def _sun_mask(served: Served, moment: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
-    sun = sun_directions(moment.timestamp(), served.site).astype(np.float32)
+def _sun_mask(site: Site, moment: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
+    sun = sun_directions(moment.timestamp(), site).astype(np.float32)
     near = found.directions @ sun > math.cos(math.radians(radius_deg))
     attributes = {
         "long_name": "1 within a disc round the sun",

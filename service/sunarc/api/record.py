@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
+from datetime import timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.calibrations import matches
+from sunarc.api.day_air import air_out
 from sunarc.api.fields import MOST_ROWS, SolarDate, Time
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
@@ -44,7 +47,7 @@ def record_routes(served: Served) -> APIRouter:
         chosen, page = served.of(request), page_at(cursor, limit)
         found = chosen.archive.days(chosen.camera, since=since, until=page.until_date(until), limit=page.rows)
         told, following = page.cut(found, request, time=lambda day: day.date)
-        return Days(days=[day_out(day) for day in told], next=following)
+        return Days(days=days_out(chosen, told), next=following)
 
     @routes.get("/events", responses=answers(422))
     def events(
@@ -72,11 +75,20 @@ def record_routes(served: Served) -> APIRouter:
     return routes
 
 
-def day_out(day: Day) -> DayOut:
-    """Return a day as it is told."""
+def days_out(served: Served, days: Sequence[Day]) -> list[DayOut]:
+    """Return days, with their measured air where there is one, as an answer."""
+    if not days:
+        return []
+    dates = [day.date for day in days]
+    known = served.archive.day_air(served.camera, since=min(dates), until=max(dates) + timedelta(days=1))
+    air = {one.date: air_out(one) for one in known}
+    return [DayOut(**_row(day), air=air.get(day.date)) for day in days]
+
+
+def _row(day: Day) -> dict[str, Any]:
     row = asdict(day)
     row.pop("camera")
-    return DayOut(**row)
+    return row
 
 
 def _image(served: Served, if_none_match: str | None) -> Response:

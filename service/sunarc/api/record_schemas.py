@@ -2,10 +2,35 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import BaseModel, Field
 
-from sunarc.api.fields import Asked, Next, SolarDate, Time
+from sunarc.api.fields import Asked, Next, Number, SolarDate, Time
 from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
+from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
+
+_PA_PER_HPA = 100.0
+_TEMPERATURE = "Of the air, mean over the hours of sun, degrees Celsius."
+_PRESSURE = "Of the air at the camera, not reduced to sea level, hPa (a unit of 100 Pa)."
+
+AirTemperature = Annotated[Number, Field(ge=TEMPERATURE_BOUNDS_C[0], le=TEMPERATURE_BOUNDS_C[1])]
+AirPressure = Annotated[Number, Field(ge=PRESSURE_BOUNDS_PA[0] / _PA_PER_HPA, le=PRESSURE_BOUNDS_PA[1] / _PA_PER_HPA)]
+
+
+class DayAirIn(Asked):
+    """The air that was measured on a day; null, or left out, where it was not: the site's annual mean is assumed."""
+
+    temperature_c: AirTemperature | None = Field(default=None, description=_TEMPERATURE, examples=[31.5])
+    pressure_hpa: AirPressure | None = Field(default=None, description=_PRESSURE, examples=[974.5])
+
+
+class DayAirOut(BaseModel):
+    """The air that was measured on a day; null where it was not."""
+
+    temperature_c: float | None = Field(description=_TEMPERATURE, examples=[31.5])
+    pressure_hpa: float | None = Field(description=_PRESSURE, examples=[974.5])
+    set_at: Time | None = Field(description="When it was given, by the frames' time.")
 
 
 class DayOut(BaseModel):
@@ -27,6 +52,9 @@ class DayOut(BaseModel):
         description="How the camera stood turned against its calibration: about east, north and up, degrees."
     )
     pose_offset_sigma_deg: list[float] | None = Field(description="1-sigma of each, degrees.")
+    air: DayAirOut | None = Field(
+        default=None, description="The measured air; null: the site's annual mean is assumed."
+    )
     decided_at: Time
 
 

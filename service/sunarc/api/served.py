@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -17,7 +17,7 @@ from sunarc.archive import Archive, CalibrationRecord, Refit
 from sunarc.board import StatusSnapshot
 from sunarc.calibration import Calibration, Lookup, from_document, lookup
 from sunarc.errors import InputError, NotFoundError
-from sunarc.sky import Site
+from sunarc.sky import Site, solar_date
 
 _MOST_KEPT = 8
 
@@ -82,6 +82,27 @@ class CurrentRecords:
         return kept[1]
 
 
+class DaySites:
+    """Cameras' sites in the measured air of a day, as last read; read again after anything was written to the archive.
+
+    Parameters
+    ----------
+    archive : where the measured air is.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._known: dict[str, tuple[int, date, Site]] = {}
+
+    def get(self, camera: str, site: Site, day: date) -> Site:
+        """Return a camera's site in the measured air of a solar day."""
+        revision = self._archive.revision()
+        kept = self._known.get(camera)
+        if kept is None or kept[:2] != (revision, day):
+            kept = self._known[camera] = (revision, day, self._archive.site_on(camera, site, day))
+        return kept[2]
+
+
 def _parse(record: CalibrationRecord) -> Calibration:
     return from_document(record.document)
 
@@ -104,6 +125,7 @@ class Served:
     options: ApiOptions
     token: bytes | None = field(repr=False)
     current: CurrentRecords
+    sites: DaySites
     parsed: Kept[CalibrationRecord, Calibration] = field(default_factory=lambda: Kept(_parse, key=_id))
     ready: Kept[CalibrationRecord, Lookup] = field(default_factory=lambda: Kept(_make_ready, key=_id))
 
@@ -119,6 +141,14 @@ class Served:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
         site = Site(latitude=known.latitude, longitude=known.longitude, altitude=known.altitude)
         return replace(self, camera=name, site=site, latest_image=lambda: None, request_refit=_refuse_refit)
+
+    def site_at(self, moment: datetime) -> Site:
+        """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""
+        return self.site_on(solar_date(moment.timestamp(), longitude=self.site.longitude))
+
+    def site_on(self, day: date) -> Site:
+        """Return the site in the measured air of a solar day, in its own where nothing was measured."""
+        return self.sites.get(self.camera, self.site, day)
 
     def record(self, at: datetime | None) -> CalibrationRecord:
         """Return the calibration that answers now, or for the moment `at`; NotFoundError without one."""

@@ -20,7 +20,7 @@ from sunarc.api.served import Served
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px
 from sunarc.optics import project, unproject
-from sunarc.sky import Site, angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
+from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def sun_routes(served: Served) -> APIRouter:
 
 
 def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
-    angles = sun_angles(moment.timestamp(), served.site)
+    angles = sun_angles(moment.timestamp(), served.site_at(moment))
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
     answering = served.calibration_or_none(past)
     pixel, sigma, inside = None, None, False
@@ -102,7 +102,7 @@ def track_of(served: Served, day: date, *, step_s: int, past: datetime | None = 
     """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
     start, end = day_bounds_unix_s(day, longitude=served.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
-    angles = sun_angles(unix_s, served.site)
+    angles = sun_angles(unix_s, served.site_on(day))
     up = angles.apparent_zenith <= _HORIZON_DEG
     zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
     answering = served.calibration_or_none(past)
@@ -124,7 +124,7 @@ def _sun_points(served: Served, found: Sequence[SunPoint], *, residuals: bool, f
     answering = served.calibration_or_none(None) if residuals else None
     told: list[Residual | None] = [None] * len(found)
     if answering is not None:
-        told = _residuals(answering[1], served.site, found)
+        told = _residuals(answering[1], served, found)
     return SunPoints(
         sun_points=[
             SunPointOut(**asdict(point), residual=residual) for point, residual in zip(found, told, strict=True)
@@ -134,11 +134,12 @@ def _sun_points(served: Served, found: Sequence[SunPoint], *, residuals: bool, f
     )
 
 
-def _residuals(calibration: Calibration, site: Site, points: Sequence[SunPoint]) -> list[Residual | None]:
+def _residuals(calibration: Calibration, served: Served, points: Sequence[SunPoint]) -> list[Residual | None]:
     """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     seen = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
-    angles = sun_angles(unix_s, site)
+    temperature, pressure = served.archive.air_of(served.camera, points)
+    angles = sun_angles(unix_s, served.site, temperature=temperature, pressure=pressure)
     directions = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
     off_px = seen - project(calibration.camera, directions)
     off_deg = np.degrees(angular_distance(unproject(calibration.camera, seen), directions))

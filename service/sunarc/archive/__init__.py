@@ -4,9 +4,9 @@ values.py: what goes in and comes out · tables.py (with types.py): the head rev
 transactions · file.py: the file while it is in use · schema.py: revisions, checks · migrating.py: alembic's part ·
 copies.py: backups and their restoration · recovery.py: a lost database · lock.py: one service per state folder ·
 ownership.py: owner and mode of files · sites.py: whether camera and settings are at one site · sightings.py (with
-columns.py), calibrations.py (with documents.py, validity.py), history.py, epoch_closing.py, used.py, journal.py: the
-parts of `Archive` · archive.py: the whole · images.py: composites on disk · reserve.py: the database's room beside
-them · csv_files.py: the files people hand us.
+columns.py), calibrations.py (with documents.py, validity.py), history.py, epoch_closing.py, used.py, air.py,
+journal.py: the parts of `Archive` · archive.py: the whole · images.py: composites on disk · reserve.py: the
+database's room beside them · csv_files.py: the files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -33,6 +33,7 @@ from sunarc.archive.values import (
     CalibrationState,
     CameraRecord,
     Day,
+    DayAir,
     DayVerdict,
     Event,
     EventSeverity,
@@ -55,6 +56,7 @@ __all__ = [
     "CameraRecord",
     "Check",
     "Day",
+    "DayAir",
     "DayVerdict",
     "DiskOptions",
     "DiskUsage",

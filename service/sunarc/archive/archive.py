@@ -9,6 +9,7 @@ from typing import cast
 
 from sqlalchemy import Engine, QueuePool
 
+from sunarc.archive.air import MeasuredAir
 from sunarc.archive.doubts import Doubts
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.epoch_closing import EpochClosing
@@ -21,7 +22,7 @@ from sunarc.archive.used import UsedSightings
 from sunarc.errors import OutsideError
 
 
-class Archive(Sightings, Doubts, EpochClosing, UsedSightings, Journal):
+class Archive(Sightings, Doubts, EpochClosing, UsedSightings, Journal, MeasuredAir):
     """What we remember: values in, values out; one object serves all threads."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:

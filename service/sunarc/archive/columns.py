@@ -10,16 +10,25 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select, type_coerce
 
 from sunarc.archive import tables
+from sunarc.archive.air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPointColumns
+from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 FloatArray = NDArray[np.float64]
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
 _EXTRAPOLATED_AT_MOST = 100.0
 _COLUMNS = np.dtype(
-    [("time", "i8"), ("x", "f8"), ("y", "f8"), ("sigma", "f8"), ("clock", "f8"), ("epoch", "i8"), ("id", "i8")]
+    [
+        ("time", "i8"),
+        *((name, "f8") for name in ("x", "y", "sigma", "clock", "temperature", "pressure")),
+        ("epoch", "i8"),
+        ("id", "i8"),
+    ]
 )
+_UNMEASURED = -1e9
+"""Stands for NULL while rows are read; no temperature and no pressure."""
 _EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
 
 
@@ -35,6 +44,7 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
     numbers, member = np.unique(rows["epoch"], return_inverse=True)
     places = np.array([place[int(number)] for number in numbers], dtype=np.int64)
     present, epoch = np.unique(places[member], return_inverse=True)
+    temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
         unix_s=rows["time"] / 1e6,
         pixels=np.stack([rows["x"], rows["y"]], axis=-1),
@@ -43,12 +53,28 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
         epoch=epoch.astype(np.int64),
         epoch_ids=tuple(ids[place] for place in present.tolist()),
         ids=rows["id"].copy(),
+        temperature=temperature,
+        pressure=pressure,
+    )
+
+
+def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return temperature (°C) and pressure (Pa), (n,) each: measured with a sighting, else on its day; else NaN."""
+    temperature = within_or_nan(rows["temperature"], TEMPERATURE_BOUNDS_C)
+    pressure = within_or_nan(100.0 * rows["pressure"], PRESSURE_BOUNDS_PA)
+    of_day = air_of_days(connection, camera, rows["time"] / 1e6)
+    return (
+        np.where(np.isnan(temperature), of_day[0], temperature),
+        np.where(np.isnan(pressure), of_day[1], pressure),
     )
 
 
 def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
     c, epochs = sun_point.c, tables.pose_epoch
-    numbers = (c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0))
+    numbers = (
+        *(c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
+        *(_number_or(c.temperature_c, _UNMEASURED), _number_or(c.pressure_hpa, _UNMEASURED)),
+    )
     sound = [func.typeof(c.time) == "integer", *(func.typeof(column) == "real" for column in (c.x_px, c.y_px))]
     joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
     statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*wanted, *sound).order_by(c.time, c.id)

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.errors import InputError
+from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 FloatArray = NDArray[np.float64]
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
-_TEMPERATURES_C = (-90.0, 60.0)
-_PRESSURES_HPA = (300.0, 1100.0)
-"""As `Site` takes them."""
+_AIR_COLUMNS = ("temperature_c", "pressure_hpa")
+_PRESSURE_BOUNDS_HPA = (PRESSURE_BOUNDS_PA[0] / 100.0, PRESSURE_BOUNDS_PA[1] / 100.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,8 +67,8 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
                 _number(row["x_px"], where=f"{where}, x_px"),
                 _number(row["y_px"], where=f"{where}, y_px"),
                 _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
-                _between(row.get("temperature_c"), *_TEMPERATURES_C, where=f"{where}, temperature_c"),
-                100.0 * _between(row.get("pressure_hpa"), *_PRESSURES_HPA, where=f"{where}, pressure_hpa"),
+                _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
+                100.0 * _between(row.get("pressure_hpa"), *_PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
             )
         )
     columns = np.array(rows, dtype=np.float64).reshape(-1, 6)
@@ -81,14 +81,31 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
     )
 
 
-def write_sightings(target: TextIO, rows: Iterable[tuple[datetime, float, float, float | None, str]]) -> int:
-    """Write sightings (time, x, y, sigma, body) as `read_sightings` reads them, and return how many."""
+def write_sightings(
+    target: TextIO,
+    rows: Iterable[tuple[datetime, float, float, float | None, str]],
+    *,
+    air: tuple[FloatArray, FloatArray] | None = None,
+) -> int:
+    """Write sightings as `read_sightings` reads them, and return how many.
+
+    Parameters
+    ----------
+    target : where to.
+    rows : time, x (px), y (px), 1-sigma (px) and body of each.
+    air : temperature (°C) and pressure (Pa) of each, (n,), NaN where not measured; without it, or where it has only
+        NaN, the two columns are left out.
+    """
     writer = csv.writer(target, lineterminator="\n")
-    writer.writerow(SIGHTING_COLUMNS)
+    measured = air is not None and not np.all(np.isnan(air))
+    writer.writerow((*SIGHTING_COLUMNS, *_AIR_COLUMNS) if measured else SIGHTING_COLUMNS)
     count = 0
     for time, x, y, sigma, body in rows:
         stamp = time.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
-        writer.writerow([stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body])
+        cells = [stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body]
+        if air is not None and measured:
+            cells += [_cell(air[0][count], places=3), _cell(air[1][count] / 100.0, places=3)]
+        writer.writerow(cells)
         count += 1
     return count
 
@@ -117,10 +134,11 @@ def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dic
     writer = csv.writer(target, lineterminator="\n")
     writer.writerow(columns)
     for row in zip(*columns.values(), strict=True):
-        writer.writerow(
-            "" if math.isnan(value) else f"{value:.{places[column]}f}"
-            for column, value in zip(columns, row, strict=True)
-        )
+        writer.writerow(_cell(value, places=places[column]) for column, value in zip(columns, row, strict=True))
+
+
+def _cell(value: float, *, places: int) -> str:
+    return "" if math.isnan(value) else f"{value:.{places}f}"
 
 
 def parse_time(text: str, *, where: str) -> datetime:

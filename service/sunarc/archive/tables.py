@@ -92,6 +92,8 @@ sun_point = Table(
     ),
     Column("saturated_px", Integer),
     Column("clock_error_s", Float),
+    Column("temperature_c", Float),
+    Column("pressure_hpa", Float),
     UniqueConstraint("camera", "time", "body", "exposure_us", "method"),
 )
 
@@ -114,6 +116,16 @@ day = Table(
     Column("doubtful_clock", Float),
     Column("pose_offset_deg", NumberTuple(3)),
     Column("pose_offset_sigma_deg", NumberTuple(3)),
+)
+
+day_air = Table(
+    "day_air",
+    metadata,
+    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
+    Column("date", CalendarDate, primary_key=True),
+    Column("temperature_c", Float),
+    Column("pressure_hpa", Float),
+    Column("set_at", UtcTime, nullable=False),
 )
 
 calibration = Table(
@@ -144,6 +156,7 @@ used_sightings = Table(
     Column("ids", LargeBinary, nullable=False),
     Column("epochs", JSON, nullable=False),
     Column("digest", Text, nullable=False),
+    Column("air", LargeBinary),
 )
 
 refit = Table(

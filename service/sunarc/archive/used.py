@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from sunarc.archive.values import SunPointColumns
 from sunarc.errors import InputError, NotFoundError
 
 IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
 
 
 class UsedSightings(Store):
@@ -43,12 +45,13 @@ class UsedSightings(Store):
                 )
             try:
                 ids, epochs = _unpacked(kept.ids), [(str(name), int(start)) for name, start in kept.epochs]
+                air = _unpacked_air(kept.air, ids.size)
             except (TypeError, ValueError, zlib.error):
                 raise _changed(calibration_id, "the list of its sightings is damaged") from None
             found = read_columns(connection, kept.camera, [sun_point.c.id.in_(_listed(ids))])
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
-        columns = _as_then(found, epochs)
+        columns = _as_then(found, epochs, air)
         if _digest(columns) != kept.digest:
             raise _changed(calibration_id, "its sightings were changed since")
         return columns
@@ -63,6 +66,7 @@ def keep_used(connection: Connection, calibration_id: str, columns: SunPointColu
             ids=_packed(columns.ids),
             digest=_digest(columns),
             epochs=[[name, int(start)] for name, start in zip(columns.epoch_ids, starts, strict=True)],
+            air=_packed_air(columns),
         )
     )
 
@@ -74,17 +78,15 @@ def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
         connection.execute(insert(used_sightings).values({**row._mapping, "calibration": to}))  # noqa: SLF001 - public
 
 
-def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]]) -> SunPointColumns:
-    """Return sightings in the pose epochs that they were in when the calibration was made."""
+def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]], air: FloatArray) -> SunPointColumns:
+    """Return sightings in the pose epochs and in the air (2, n) that they had when the calibration was made."""
     starts = np.array([start for _, start in epochs])
-    return SunPointColumns(
-        unix_s=found.unix_s,
-        pixels=found.pixels,
-        sigma_px=found.sigma_px,
-        clock_error_s=found.clock_error_s,
+    return replace(
+        found,
         epoch=np.searchsorted(starts, np.arange(found.ids.size), side="right").astype(np.int64) - 1,
         epoch_ids=tuple(name for name, _ in epochs),
-        ids=found.ids,
+        temperature=air[0],
+        pressure=air[1],
     )
 
 
@@ -99,6 +101,19 @@ def _packed(ids: IntArray) -> bytes:
 
 def _unpacked(packed: bytes) -> IntArray:
     return np.cumsum(np.frombuffer(zlib.decompress(packed), dtype="<i8")).astype(np.int64)
+
+
+def _packed_air(columns: SunPointColumns) -> bytes | None:
+    """Return temperature and pressure, compressed; None where nothing was measured. A day's is given later, or anew."""
+    air = np.stack([columns.temperature, columns.pressure])
+    return None if np.all(np.isnan(air)) else zlib.compress(air.astype("<f8").tobytes(), 9)
+
+
+def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
+    """Return temperature and pressure, (2, n); NaN where nothing was kept."""
+    if packed is None:
+        return np.full((2, count), np.nan)
+    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(2, count)
 
 
 def _digest(columns: SunPointColumns) -> str:

@@ -62,6 +62,7 @@ class SunPoint:
     peak_fraction, background_fraction : share of full scale.
     radius_px, ellipticity, residual_chi2, snr, saturated_px : the shape that was fitted.
     clock_error_s : bound of the clock's error at that moment.
+    temperature_c, pressure_hpa : of the air, where measured with the sighting; None takes the day's (`DayAir`).
     """
 
     camera: str
@@ -84,6 +85,8 @@ class SunPoint:
     snr: float | None = None
     saturated_px: int | None = None
     clock_error_s: float | None = None
+    temperature_c: float | None = None
+    pressure_hpa: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse an accepted sighting that is nowhere."""
@@ -106,6 +109,7 @@ class SunPointColumns:
     epoch : (n,) index into `epoch_ids`.
     epoch_ids : the pose epochs that occur.
     ids : (n,) the rows' keys.
+    temperature, pressure : (n,) of the air, °C and Pa: the sighting's own, else its day's; NaN where not measured.
     """
 
     unix_s: NDArray[np.float64]
@@ -115,6 +119,8 @@ class SunPointColumns:
     epoch: NDArray[np.int64]
     epoch_ids: tuple[str, ...]
     ids: NDArray[np.int64]
+    temperature: NDArray[np.float64]
+    pressure: NDArray[np.float64]
 
     def select(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> SunPointColumns:
         """Return the sightings that an index or a mask picks, with the epochs that occur among them."""
@@ -127,7 +133,26 @@ class SunPointColumns:
             epoch=epoch.astype(np.int64),
             epoch_ids=tuple(self.epoch_ids[number] for number in present.tolist()),
             ids=self.ids[which],
+            temperature=self.temperature[which],
+            pressure=self.pressure[which],
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayAir:
+    """The measured air of a camera's solar day; a refraction is computed with it instead of the site's annual mean.
+
+    Attributes
+    ----------
+    temperature_c, pressure_hpa : means over the hours of sun, °C and hPa; None where not measured.
+    set_at : when they were given.
+    """
+
+    camera: str
+    date: date
+    temperature_c: float | None
+    pressure_hpa: float | None
+    set_at: datetime
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -160,7 +160,8 @@ def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints 
 
 def _chi_square(calibration: Calibration, points: SunPoints, noise_px: float) -> float:
     """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
-    apart = points.pixels - project(calibration.camera, sun_directions(points.unix_s, calibration.site))
+    sun = sun_directions(points.unix_s, calibration.site, temperature=points.temperature, pressure=points.pressure)
+    apart = points.pixels - project(calibration.camera, sun)
     square = np.sum(apart**2, axis=-1) / noise_px**2
     return float(np.sum(np.minimum(np.nan_to_num(square, nan=np.inf), _OUTLIER)))
 

@@ -13,11 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive import Archive, CameraRecord, Day, Event, PoseEpoch, Refit, SunPoint, open_archive
+from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
 from sunarc.errors import InputError, OutsideError
 from sunarc.offline.storing import database_of
 
-_UNITS = {"x_px": "px", "y_px": "px", "sigma_px": "px", "exposure_us": "us", "clock_error_s": "s"}
+_UNITS = {
+    "x_px": "px",
+    "y_px": "px",
+    "sigma_px": "px",
+    "exposure_us": "us",
+    "clock_error_s": "s",
+    "temperature_c": "degC",
+    "pressure_hpa": "hPa",
+}
 
 
 def export_everything(state: Path, folder: Path) -> dict[str, int]:
@@ -57,6 +65,9 @@ def _write(archive: Archive, folder: Path) -> dict[str, int]:
         "sun_points.csv": _write_csv(folder / "sun_points.csv", SunPoint, points),
         "sun_points.nc": _write_netcdf(folder / "sun_points.nc", points),
         "days.csv": _write_csv(folder / "days.csv", Day, [day for name in names for day in archive.days(name)]),
+        "day_air.csv": _write_csv(
+            folder / "day_air.csv", DayAir, [air for name in names for air in archive.day_air(name)]
+        ),
         "refits.csv": _write_csv(folder / "refits.csv", Refit, [fit for name in names for fit in archive.refits(name)]),
         "events.csv": _write_csv(folder / "events.csv", Event, archive.events()),
         "calibrations/": len(calibrations),

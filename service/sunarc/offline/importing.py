@@ -79,7 +79,15 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             reason=reason,
             x_px=float(x),
             y_px=float(y),
-            sigma_px=None if np.isnan(sigma) else float(sigma),
+            sigma_px=_known(sigma),
+            temperature_c=_known(temperature),
+            pressure_hpa=_known(pressure / 100.0),
         )
-        for time, (x, y), sigma in zip(times, table.pixels, table.sigma_px, strict=True)
+        for time, (x, y), sigma, temperature, pressure in zip(
+            times, table.pixels, table.sigma_px, table.temperature, table.pressure, strict=True
+        )
     ]
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)

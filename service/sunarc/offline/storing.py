@@ -28,17 +28,16 @@ from sunarc.settings import Settings
 
 
 def export_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
-    """Write the accepted sightings as CSV and return how many."""
+    """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
     archive = open_archive(settings.database)
     points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
-    return write_sightings(
-        target,
-        (
-            (point.time, point.x_px, point.y_px, point.sigma_px, point.body)
-            for point in points
-            if point.x_px is not None and point.y_px is not None
-        ),
-    )
+    rows = [
+        (point.time, point.x_px, point.y_px, point.sigma_px, point.body)
+        for point in points
+        if point.x_px is not None and point.y_px is not None
+    ]
+    located = [point for point in points if point.x_px is not None and point.y_px is not None]
+    return write_sightings(target, rows, air=archive.air_of(settings.name, located))
 
 
 def upgrade_database(state: Path) -> str:

@@ -11,14 +11,16 @@ from sunarc.sky.refraction import (
     refraction_rad,
     upward,
 )
-from sunarc.sky.site import Site
+from sunarc.sky.site import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
 from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_directions
 
 __all__ = [
     "ASSUMED_AIR_SD",
     "DAILY_AIR_SD",
     "MEASURED_AIR_SD",
+    "PRESSURE_BOUNDS_PA",
     "SOLAR_RADIUS",
+    "TEMPERATURE_BOUNDS_C",
     "Site",
     "SunAngles",
     "angles_from_direction",

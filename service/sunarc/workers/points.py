@@ -26,4 +26,6 @@ def points_of(columns: SunPointColumns, *, latest: str | None = None) -> SunPoin
         sigma_px=columns.sigma_px,
         epoch=epoch,
         clock_error_s=columns.clock_error_s,
+        temperature=columns.temperature,
+        pressure=columns.pressure,
     )

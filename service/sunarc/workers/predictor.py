@@ -78,11 +78,15 @@ class SunPredictor:
         return None if record is None else record.id
 
     def expectation(self, moment: datetime) -> Expectation | None:
-        """Return where the sun should be; None before there is a calibration, or outside its field."""
+        """Return where the sun should be, in the day's air where it was measured.
+
+        None before there is a calibration, or outside its field.
+        """
         calibration = self._current()
         if calibration is None:
             return None
-        direction = sun_directions(moment.timestamp(), self._site)
+        site = self._archive.site_at(self._camera, self._site, moment)
+        direction = sun_directions(moment.timestamp(), site)
         pixel, covariance = project_with_covariance(calibration, direction)
         if not np.all(np.isfinite(pixel)):
             return None
@@ -93,7 +97,7 @@ class SunPredictor:
             y_px=float(pixel[1]),
             uncertainty_px=max(uncertainty, _LEAST_UNCERTAINTY_PX),
             stretch_px_per_rad=((a, b), (c, d)),
-            apparent_zenith=math.radians(self.apparent_zenith(moment)),
+            apparent_zenith=math.radians(float(sun_angles(moment.timestamp(), site).apparent_zenith)),
         )
 
     def _current(self) -> Calibration | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -159,11 +159,14 @@ class WatchWorker:
             return
         if seen.unix_s > self._latest().timestamp():
             return
+        site = self._archive.site_at(self._camera, self._site, _moment(seen.unix_s))
+        if site != self._site:  # not in `notice`, which must not wait for the database
+            seen = replace(seen, direction=_sun(seen.unix_s, site))
         self._watch, change = observe(
             self._watch,
             seen,
             calibration=current,
-            site=self._site,
+            site=site,
             options=self._options,
             clock_stepped=self._clock_stepped(),
             posed_from_few=is_provisional(current),
@@ -281,11 +284,10 @@ class WatchWorker:
             self._board.clear_reason(_FUTURE_EPOCH)
 
     def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Watched:
-        east, north, up = sun_directions(moment.timestamp(), self._site).tolist()
         return Watched(
             unix_s=moment.timestamp(),
             pixel=(x_px, y_px),
-            direction=(east, north, up),
+            direction=_sun(moment.timestamp(), self._site),
             sigma_px=np.nan if sigma_px is None else sigma_px,
         )
 
@@ -294,6 +296,12 @@ def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float 
     if point.x_px is None or point.y_px is None:
         raise InputError(field="sighting", problem="without a pixel", remedy="look at accepted ones")
     return watched(point.time, point.x_px, point.y_px, point.sigma_px)
+
+
+def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
+    """Return the sun's apparent direction, east-north-up."""
+    east, north, up = sun_directions(unix_s, site).tolist()
+    return east, north, up
 
 
 def _moment(unix_s: float) -> datetime:

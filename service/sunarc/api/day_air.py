@@ -1,0 +1,57 @@
+"""Routes: the measured air of a solar day, which the refraction of that day's sun is computed with."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Request
+
+from sunarc.api.fields import SolarDate
+from sunarc.api.problems import answers
+from sunarc.api.record_schemas import DayAirIn, DayAirOut
+from sunarc.api.served import Served
+from sunarc.api.tokens import changing_needs
+from sunarc.archive import DayAir
+
+Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
+
+
+def day_air_routes(served: Served) -> APIRouter:
+    """Return the routes that take and answer the measured air of days."""
+    routes = APIRouter(prefix="/days/{date}/air", tags=["record"])
+
+    @routes.get("", responses=answers(422))
+    def day_air(request: Request, date: Day) -> DayAirOut:
+        """Answer the measured air of a solar day; nulls where nothing was measured."""
+        chosen = served.of(request)
+        known = chosen.archive.day_air(chosen.camera, since=date, until=date + timedelta(days=1))
+        return air_out(known[0]) if known else DayAirOut(temperature_c=None, pressure_hpa=None, set_at=None)
+
+    @routes.put(
+        "",
+        dependencies=[Depends(changing_needs(served.token))],
+        responses=answers(400, 403, 404, 408, 413, 415, 422),
+    )
+    def set_day_air(request: Request, date: Day, air: DayAirIn) -> DayAirOut:
+        """Set the measured air of a solar day, in place of what was set before; both null remove it.
+
+        The sun's position on that day is computed with it from now on, and the next refit uses it for the day's
+        sightings, except for those that were imported with an air of their own.
+        """
+        chosen = served.of(request)
+        given = DayAir(
+            camera=chosen.camera,
+            date=date,
+            temperature_c=air.temperature_c,
+            pressure_hpa=air.pressure_hpa,
+            set_at=chosen.frame_clock(),
+        )
+        return air_out(chosen.archive.set_day_air(given))
+
+    return routes
+
+
+def air_out(air: DayAir) -> DayAirOut:
+    """Return a day's air as an answer."""
+    return DayAirOut(temperature_c=air.temperature_c, pressure_hpa=air.pressure_hpa, set_at=air.set_at)

@@ -1,0 +1,134 @@
+"""The measured air of a day reaches every fit, and the sun's position that the detector expects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pvlib
+import pytest
+from tests.api.conftest import LENS, SITE, document
+
+from sunarc.archive import Archive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
+from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions, SunPoints, measure_day
+from sunarc.optics import project
+from sunarc.sky import sun_angles, sun_directions
+from sunarc.workers import SunPredictor, days
+from sunarc.workers.days import DayJudge
+from sunarc.workers.epoch_search import EpochSearch
+from sunarc.workers.problem import Task, next_task
+
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+LOW_SUN = datetime(2013, 5, 13, 12, 0, tzinfo=UTC)
+WARM = DayAir(camera="roof", date=NOON.date(), temperature_c=35.0, pressure_hpa=960.0, set_at=NOON)
+
+
+def add_sightings(archive: Archive, *, day: int, method: str = "disc") -> None:
+    times = (NOON + timedelta(days=day)).timestamp() + 600.0 * np.arange(-30.0, 31.0)
+    times = times[sun_angles(times, SITE).apparent_zenith < 88.0]
+    pixels = project(LENS, sun_directions(times, SITE))
+    archive.add_sun_points(
+        SunPoint(camera="roof", pose_epoch="roof-1", time=datetime.fromtimestamp(time, UTC), method=method,
+                 accepted=True, verdict="clear", x_px=x, y_px=y)
+        for time, (x, y) in zip(times.tolist(), pixels.tolist(), strict=True)
+    )  # fmt: skip
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Iterator[Archive]:
+    """Return an archive with a day of sightings in air of 35 degrees, and one of which nothing was measured."""
+    upgrade(tmp_path / "sunarc.sqlite")
+    opened = open_archive(tmp_path / "sunarc.sqlite")
+    opened.save_camera(
+        CameraRecord(name="roof", latitude=SITE.latitude, longitude=SITE.longitude, altitude=SITE.altitude,
+                     width=LENS.width, height=LENS.height)
+    )  # fmt: skip
+    opened.epoch_at("roof", NOON - timedelta(days=9), reason="first")
+    add_sightings(opened, day=0)
+    add_sightings(opened, day=1)
+    opened.set_day_air(WARM)
+    yield opened
+    opened.close()
+
+
+def check_air(points: SunPoints) -> None:
+    """Check that the sightings of the measured day, and only those, carry its air."""
+    measured = points.unix_s < (NOON + timedelta(hours=12)).timestamp()
+    assert 0 < np.count_nonzero(measured) < len(points)
+    assert set(points.temperature[measured].tolist()) == {35.0}
+    assert set(points.pressure[measured].tolist()) == {96_000.0}
+    assert np.all(np.isnan(points.temperature[~measured]))
+
+
+def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
+    task = next_task(
+        archive, camera="roof", site=SITE, cadence_s=30.0, limits=SelectionOptions(), options=CalibrationOptions(),
+        circle=None, now=NOON + timedelta(days=2),
+    )  # fmt: skip
+    assert isinstance(task, Task)
+    check_air(task.problem.points)
+    check_air(task.of_epoch("roof-1").points)
+
+
+def test_the_search_for_pose_epochs_is_given_the_measured_air(archive: Archive) -> None:
+    search = EpochSearch(
+        archive=archive, camera="roof", site=SITE, options=CalibrationOptions(), circle=None,
+        largest_clock_error_s=1.0, now=lambda: NOON + timedelta(days=2),
+    )  # fmt: skip
+    problem = search.due()
+    assert problem is not None
+    check_air(problem.points)
+
+
+def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[SunPoints] = []
+
+    def noting(points: SunPoints, **how: object) -> object:
+        given.append(points)
+        return measure_day(points, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(days, "measure_day", noting)
+    judge = DayJudge(
+        archive=archive, camera="roof", site=SITE, cadence_s=600.0, sun_zenith_deg=88.0, options=DayOptions(),
+        now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
+    )  # fmt: skip
+    assert len(judge.judge_ended_days()) == 2
+    by_time = sorted(given, key=lambda points: float(points.unix_s[0]))
+    assert set(by_time[0].temperature.tolist()) == {35.0}
+    assert np.all(np.isnan(by_time[1].temperature))
+
+
+def test_the_expected_sun_moves_by_what_pvlib_says(archive: Archive) -> None:
+    archive.add_calibration(document("a"))
+    archive.activate("a")
+    predictor = SunPredictor(archive, camera="roof", site=SITE)
+    warm = predictor.expectation(LOW_SUN)
+    archive.set_day_air(replace(WARM, temperature_c=None, pressure_hpa=None))
+    assumed = predictor.expectation(LOW_SUN)
+    assert warm is not None
+    assert assumed is not None
+
+    def by_pvlib(temperature: float, pressure_pa: float) -> float:
+        found = pvlib.solarposition.get_solarposition(
+            pd.DatetimeIndex([LOW_SUN]), SITE.latitude, SITE.longitude, altitude=SITE.altitude,
+            pressure=pressure_pa, temperature=temperature, delta_t=None,
+        )  # fmt: skip
+        return float(found["apparent_zenith"].iloc[0])
+
+    shift_deg = by_pvlib(35.0, 96_000.0) - by_pvlib(SITE.temperature, SITE.pressure_pa)
+    assert shift_deg > 0.005
+    assert warm.apparent_zenith is not None
+    assert assumed.apparent_zenith is not None
+    assert np.degrees(warm.apparent_zenith - assumed.apparent_zenith) == pytest.approx(shift_deg, abs=1e-5)
+    there = sun_angles(LOW_SUN.timestamp(), SITE)
+    step = project(LENS, sun_directions(LOW_SUN.timestamp(), replace(SITE, temperature=35.0, pressure=96_000.0)))
+    step -= project(LENS, sun_directions(LOW_SUN.timestamp(), SITE))
+    assert there.apparent_zenith > 80.0
+    found = np.array([warm.x_px, warm.y_px], dtype=np.float64) - np.array(
+        [assumed.x_px, assumed.y_px], dtype=np.float64
+    )
+    np.testing.assert_allclose(found, step, atol=0.01)
