@@ -86,7 +86,12 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
                 feed=notifier.watchdog,
                 on_failed=lambda: _stop_serving(server),
                 monitored=_monitored(service, server=server, schedule=schedule),
-                on_check=(schedule.follow_clock, partial(clear_first_frame, service.board), status.update),
+                on_check=(
+                    schedule.follow_clock,
+                    partial(clear_first_frame, service.board),
+                    service.check_sightings,
+                    status.update,
+                ),
             )
         )
         stack.enter_context(_running(schedule))
