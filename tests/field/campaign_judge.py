@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import time
 import urllib.error
 import urllib.request
 from dataclasses import dataclass, field
@@ -27,8 +28,8 @@ _SKY_FACTOR = 3.0
 _SKY_FLOOR_DEG = 0.002
 _SILENT_SLOTS = 10
 """Slots of clear sun without a sighting, in which /readyz must give a reason."""
-_GRACE_SLOTS = 5
-"""At 200 times real time 5 slots are 3 s: the service looks every second, and this file every half."""
+_GRACE_S = 3.0
+"""Real seconds for which /readyz may still say "ready" then: the service looks every second, on a busy host later."""
 _CLEAR_ZENITH_DEG = 78.0
 _LONGEST_LOOK_SLOTS = 30
 """Time that goes on by more between two looks has jumped over a night, or another imager has begun."""
@@ -97,6 +98,7 @@ class Judge:
         self._served: dict[str, dict[str, Any]] = {}
         self._sunny_since: float | None = None
         self._last_look: float | None = None
+        self._ready_since_s: float | None = None
         self.found = Findings()
 
     def look(self, simulated_unix_s: float | None, *, clear: bool) -> None:
@@ -120,15 +122,18 @@ class Judge:
         last, self._last_look = self._last_look, moment
         jumped = moment is None or last is None or not 0.0 <= moment - last <= _LONGEST_LOOK_SLOTS * self._cadence_s
         if moment is None or jumped or not clear or self._zenith_deg(moment) > _CLEAR_ZENITH_DEG:
-            self._sunny_since = None
+            self._sunny_since = self._ready_since_s = None
             return
         self._sunny_since = moment if self._sunny_since is None else self._sunny_since
         newest = max((time for time, _ in self._stored), default=0) / 1e6
         late_s = moment - max(newest, self._sunny_since)
-        if late_s <= (_SILENT_SLOTS + _GRACE_SLOTS) * self._cadence_s:
+        answer = self._get("/readyz") if late_s > _SILENT_SLOTS * self._cadence_s else None
+        if answer is None or answer["status"] != "ready":
+            self._ready_since_s = None
             return
-        answer = self._get("/readyz")
-        if answer is not None and answer["status"] == "ready":
+        real_s = time.monotonic()  # noqa: TID251 - the service is a real process
+        self._ready_since_s = real_s if self._ready_since_s is None else self._ready_since_s
+        if real_s - self._ready_since_s > _GRACE_S:
             self.found.silent.append(f"{moment:.0f}: nothing stored for {late_s:.0f} s")
 
     def _zenith_deg(self, moment: float) -> float:
@@ -148,8 +153,8 @@ class Judge:
         accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 7)
         found.n_accepted = len(accepted)
         copied = self._copied(rows)
-        for time, text in self._wrong(accepted):
-            (found.copies if time in copied else found.wrong_sightings).append(text)
+        for moment, text in self._wrong(accepted):
+            (found.copies if moment in copied else found.wrong_sightings).append(text)
         found.n_served = len(self._served)
         for document in self._served.values():
             error_deg, stated_deg = self._error_and_stated(document)
