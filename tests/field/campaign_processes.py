@@ -14,13 +14,14 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
 from sunarc.simulation import SGP
 from sunarc.simulation.timeline import next_dawn
-from sunarc.sky import sun_angles
+from sunarc.sky import Site, sun_angles
 
 from .campaign_judge import Judge
 
@@ -30,6 +31,7 @@ START = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
 SPEED = 200.0
 CADENCE_S = 120.0
 SLOT_S = CADENCE_S / SPEED
+"""Real seconds from slot to slot of a campaign."""
 IMAGER = HERE.parent / "simulation" / "imager_process.py"
 SHIM = HERE / "clock_shim.py"
 START_WITHIN_S = 90.0
@@ -80,6 +82,24 @@ def pause(seconds: float) -> None:
     time.sleep(max(seconds, 0.0))  # noqa: TID251 - same
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """Where the imager stands, and how its time passes.
+
+    Attributes
+    ----------
+    site : of the imager.
+    start : its first time, aware.
+    speed : seconds of its time in a real second.
+    cadence_s : seconds of its time from slot to slot.
+    """
+
+    site: Site = SGP
+    start: datetime = START
+    speed: float = SPEED
+    cadence_s: float = CADENCE_S
+
+
 class Processes:
     """An imager and a service, started, stopped and asked; both end with this process.
 
@@ -87,9 +107,11 @@ class Processes:
     ----------
     folder : empty; keeps settings, state and logs. Where mounting is allowed, the state is on a disk of its own.
     port : of the service.
+    setting : of the imager.
     """
 
-    def __init__(self, folder: Path, *, port: int) -> None:
+    def __init__(self, folder: Path, *, port: int, setting: Setting | None = None) -> None:
+        self.setting = setting or Setting()
         self.folder = folder
         self.port = port
         self.state = folder / "state"
@@ -101,7 +123,7 @@ class Processes:
         self.has_own_disk = _mount_disk(self.state)
         self.imager: subprocess.Popen[str] | None = None
         self.service: subprocess.Popen[bytes] | None = None
-        self._known = (START.timestamp(), now())
+        self._known = (self.setting.start.timestamp(), now())
         self._asked_at = 0.0
 
     def __enter__(self) -> Self:
@@ -109,7 +131,9 @@ class Processes:
         self.start_imager()
         self.start_service()
         truth = json.loads((self.folder / "truth.json").read_text())
-        self.judge = Judge(self.database, self.port, truth=truth, site=SGP, cadence_s=CADENCE_S)
+        self.judge = Judge(
+            self.database, self.port, truth=truth, site=self.setting.site, cadence_s=self.setting.cadence_s
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -123,13 +147,14 @@ class Processes:
         token = self.folder / "token"
         token.write_text(TOKEN)
         token.chmod(0o600)
+        site = self.setting.site
         text = SETTINGS.format(
             state=self.state,
-            latitude=SGP.latitude,
-            longitude=SGP.longitude,
-            altitude=SGP.altitude,
-            cadence=CADENCE_S,
-            speed=SPEED,
+            latitude=site.latitude,
+            longitude=site.longitude,
+            altitude=site.altitude,
+            cadence=self.setting.cadence_s,
+            speed=self.setting.speed,
             port=port,
             token=token,
         )
@@ -142,7 +167,8 @@ class Processes:
         if status is None or not (status.get("camera") or {}).get("connected") or status["last_frame_at"] is None:
             return None
         frame_time = datetime.fromisoformat(status["frame_time"]).timestamp()
-        if not START.timestamp() <= frame_time < START.timestamp() + LONGEST_CAMPAIGN_S:
+        first = self.setting.start.timestamp()
+        if not first <= frame_time < first + LONGEST_CAMPAIGN_S:
             return None  # the host's, before the first frame
         self._known = (max(frame_time, self._known[0]), now())
         return frame_time
@@ -151,17 +177,24 @@ class Processes:
         """Start the imager a slot after the latest time that it can have shown, by day."""
         truth = self.folder / "truth.json"
         truth.unlink(missing_ok=True)
-        known, at = self._known
-        began = known + (0.0 if known == START.timestamp() else CADENCE_S + (now() - at) * SPEED)
-        if float(sun_angles(began, SGP).apparent_zenith) > NIGHT_ZENITH_DEG:
-            began = next_dawn(began, SGP)
+        began = self._next_start()
         self._known = (began, now())
-        settings = {"address": ADDRESS, "clouds": "clear", "speed": SPEED, "skip_nights": True}
+        site = {name: getattr(self.setting.site, name) for name in ("latitude", "longitude", "altitude")}
+        settings = {"address": ADDRESS, "clouds": "clear", "speed": self.setting.speed, "site": site}
         start = datetime.fromtimestamp(began, UTC).isoformat()
         command = [sys.executable, str(IMAGER), json.dumps(settings), start, str(truth), "orders"]
         with (self.folder / "imager.log").open("ab") as log:
             self.imager = subprocess.Popen(command, stdin=subprocess.PIPE, text=True, stdout=log, stderr=log)
         self.wait_for(truth.exists, what="the imager")
+
+    def _next_start(self) -> float:
+        known, at = self._known
+        if known == self.setting.start.timestamp():
+            return known
+        began = known + self.setting.cadence_s + (now() - at) * self.setting.speed
+        if float(sun_angles(began, self.setting.site).apparent_zenith) > NIGHT_ZENITH_DEG:
+            began = next_dawn(began, self.setting.site)
+        return began
 
     def kill_imager(self) -> None:
         """End the imager at once."""
