@@ -38,7 +38,7 @@ FAULTS = (
     "second_service",
 )
 """Not among them: a wrong camera clock (the service compares it with the host's, which at 200 times real time says
-nothing) and upgrades (they need an installed package); the tests of the clock and of the booted package do those."""
+nothing; `test_camera_clock.py` does it in real time) and upgrades (they need an installed package: the booted tests)."""
 NEEDS_OWN_DISK = frozenset({"disk_full"})
 
 
