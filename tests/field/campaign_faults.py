@@ -38,7 +38,7 @@ FAULTS = (
     "second_service",
 )
 """Not among them: a wrong camera clock (the service compares it with the host's, which at 200 times real time says
-nothing; `test_camera_clock.py` does it in real time) and upgrades (they need an installed package: the booted tests)."""
+nothing; `test_camera_clock.py` does it in real time) and upgrades (the booted tests, on an installed package)."""
 NEEDS_OWN_DISK = frozenset({"disk_full"})
 
 
