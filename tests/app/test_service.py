@@ -100,3 +100,20 @@ def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(
     done = service.archive.refit(refit.id)
     assert done.finished_at is not None
     assert done.finished_at < NOON - timedelta(days=999)  # dated by the camera
+
+
+@pytest.mark.parametrize(("stores", "expected"), [(False, ["no_sightings"]), (True, [])])
+def test_ten_slots_of_sun_without_a_stored_sighting_are_shown(
+    service: Service, clock: VirtualClock, *, stores: bool, expected: list[str]
+) -> None:
+    for _ in range(11):  # near noon
+        service.check_sightings()
+        if stores:
+            service.keeper.keep(
+                SunPoint(
+                    camera="imager", pose_epoch="", time=clock.now(), method="disc", accepted=False, verdict="hidden"
+                )
+            )
+        clock.advance(service.settings.capture.cadence_s)
+    service.check_sightings()
+    assert [reason.code for reason in service.board.snapshot().reasons] == expected

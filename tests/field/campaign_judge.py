@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import time
 import urllib.error
 import urllib.request
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.calibration import from_document, hemisphere, project_with_covariance
-from sunarc.optics import Camera, project
+from sunarc.optics import project
 from sunarc.sky import Site, sun_angles, sun_directions
 
 _EARTH_RATE_DEG_S = 15.041 / 3600.0
@@ -27,7 +28,13 @@ _SKY_FACTOR = 3.0
 _SKY_FLOOR_DEG = 0.002
 _SILENT_SLOTS = 10
 """Slots of clear sun without a sighting, in which /readyz must give a reason."""
-_CLEAR_ZENITH_DEG = 80.0
+_GRACE_S = 3.0
+"""Real seconds for which /readyz may still say "ready" then: the service looks every second, on a busy host later."""
+_CLEAR_ZENITH_DEG = 78.0
+_LONGEST_LOOK_SLOTS = 30
+"""Time that goes on by more between two looks has jumped over a night, or another imager has begun."""
+_CALIBRATED_AFTER_FAULTS = 100
+"""A campaign of so many lasts for two simulated days or more, after which a calibration is due."""
 
 
 @dataclass(kw_only=True)
@@ -40,7 +47,12 @@ class Findings:
     wrong_sightings : accepted ones farther from the truth than they state.
     worse_than_stated : served calibrations with a larger error over the sky than stated.
     silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
+    copies : accepted sightings in a repeated image whose first delivery was never evaluated; nothing shows that it is
+        a copy, so these are counted and are no fault.
     own_exits : exit codes of the service that nobody asked for.
+    served : every calibration that was served, its true and its stated error.
+    not_calibrated : why a calibration was due and none was served; empty where that is not so.
+    left_out : faults that cannot be done here.
     """
 
     n_sightings: int = 0
@@ -52,13 +64,17 @@ class Findings:
     worse_than_stated: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
     own_exits: list[str] = field(default_factory=list)
+    copies: list[str] = field(default_factory=list)
+    served: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    not_calibrated: str = ""
     integrity: str = ""
 
     @property
     def good(self) -> bool:
         """Whether nothing was found wrong."""
         lists = (self.lost, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent, self.own_exits)
-        return not any(lists) and self.integrity == "ok"
+        return not any(lists) and not self.not_calibrated and self.integrity == "ok"
 
 
 class Judge:
@@ -67,27 +83,30 @@ class Judge:
     Parameters
     ----------
     database, port : of the service.
-    truth, site : the true camera and where it stands.
+    truth : the document of the true camera.
+    site : where it stands.
     cadence_s : of the slots, simulated seconds.
     """
 
-    def __init__(self, database: Path, port: int, *, truth: Camera, site: Site, cadence_s: float) -> None:
+    def __init__(self, database: Path, port: int, *, truth: dict[str, Any], site: Site, cadence_s: float) -> None:
         self._database = database
         self._url = f"http://127.0.0.1:{port}"
-        self._truth = truth
+        self._truth = from_document(truth).camera
         self._site = site
         self._cadence_s = cadence_s
         self._stored: set[tuple[int, float]] = set()
         self._served: dict[str, dict[str, Any]] = {}
-        self._silent_since: float | None = None
+        self._sunny_since: float | None = None
+        self._last_look: float | None = None
+        self._ready_since_s: float | None = None
         self.found = Findings()
 
-    def look(self, simulated_unix_s: float, *, clear: bool) -> None:
+    def look(self, simulated_unix_s: float | None, *, clear: bool) -> None:
         """Note what is stored and served now.
 
         Parameters
         ----------
-        simulated_unix_s : the imager's time.
+        simulated_unix_s : the imager's time; None while it is not known.
         clear : whether the imager shows a clear sun, and has for 10 slots.
         """
         stored = self._sightings()
@@ -97,16 +116,30 @@ class Judge:
         served = self._get("/v1/calibration")
         if served is not None:
             self._served[served["id"]] = served
-        ready = self._get("/readyz")
-        zenith = float(sun_angles(simulated_unix_s, self._site).apparent_zenith)
-        newest = max((time for time, _ in self._stored), default=0) / 1e6
-        late_s = simulated_unix_s - newest
-        if ready is None or ready["status"] != "ready" or not clear or zenith > _CLEAR_ZENITH_DEG:
-            return
-        if late_s > (_SILENT_SLOTS + 1) * self._cadence_s:
-            self.found.silent.append(f"{simulated_unix_s:.0f}: nothing stored for {late_s:.0f} s")
+        self._look_for_silence(simulated_unix_s, clear=clear)
 
-    def end(self) -> Findings:
+    def _look_for_silence(self, moment: float | None, *, clear: bool) -> None:
+        last, self._last_look = self._last_look, moment
+        jumped = moment is None or last is None or not 0.0 <= moment - last <= _LONGEST_LOOK_SLOTS * self._cadence_s
+        if moment is None or jumped or not clear or self._zenith_deg(moment) > _CLEAR_ZENITH_DEG:
+            self._sunny_since = self._ready_since_s = None
+            return
+        self._sunny_since = moment if self._sunny_since is None else self._sunny_since
+        newest = max((time for time, _ in self._stored), default=0) / 1e6
+        late_s = moment - max(newest, self._sunny_since)
+        answer = self._get("/readyz") if late_s > _SILENT_SLOTS * self._cadence_s else None
+        if answer is None or answer["status"] != "ready":
+            self._ready_since_s = None
+            return
+        real_s = time.monotonic()  # noqa: TID251 - the service is a real process
+        self._ready_since_s = real_s if self._ready_since_s is None else self._ready_since_s
+        if real_s - self._ready_since_s > _GRACE_S:
+            self.found.silent.append(f"{moment:.0f}: nothing stored for {late_s:.0f} s")
+
+    def _zenith_deg(self, moment: float) -> float:
+        return float(sun_angles(moment, self._site).apparent_zenith)
+
+    def end(self, *, n_faults: int) -> Findings:
         """Judge all that is stored and all that was served."""
         found = self.found
         with sqlite3.connect(f"file:{self._database}?mode=ro", uri=True) as connection:
@@ -119,34 +152,48 @@ class Judge:
         found.n_sightings = len(rows)
         accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 7)
         found.n_accepted = len(accepted)
-        found.wrong_sightings = self._wrong(accepted)
+        copied = self._copied(rows)
+        for moment, text in self._wrong(accepted):
+            (found.copies if moment in copied else found.wrong_sightings).append(text)
         found.n_served = len(self._served)
-        found.worse_than_stated = [said for document in self._served.values() if (said := self._worse(document))]
+        for document in self._served.values():
+            error_deg, stated_deg = self._error_and_stated(document)
+            text = f"{document['id']}: {error_deg:.4f} degrees over the sky, {stated_deg:.4f} stated"
+            found.served.append(text)
+            if error_deg > _SKY_FACTOR * max(stated_deg, _SKY_FLOOR_DEG):
+                found.worse_than_stated.append(text)
+        if not found.served and n_faults >= _CALIBRATED_AFTER_FAULTS:
+            found.not_calibrated = f"no calibration was served in {n_faults} faults"
         return found
 
-    def _wrong(self, rows: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
-        """Return the accepted sightings that are farther from the truth than they state."""
+    @staticmethod
+    def _copied(rows: list[tuple[Any, ...]]) -> set[float]:
+        """Return the times of sightings that a later, rejected one repeats to the last digit."""
+        rejected = {(row[3], row[4]) for row in rows if not row[2] and row[3] is not None}
+        return {row[0] / 1e6 for row in rows if row[2] and (row[3], row[4]) in rejected}
+
+    def _wrong(self, rows: np.ndarray[Any, np.dtype[np.float64]]) -> list[tuple[float, str]]:
+        """Return the accepted sightings that are farther from the truth than they state: times and texts."""
         times, pixels, sigma = rows[:, 0] / 1e6, rows[:, 3:5], rows[:, 5]
         clock = np.nan_to_num(rows[:, 6])
         off = np.linalg.norm(pixels - project(self._truth, sun_directions(times, self._site)), axis=-1)
         px_per_s = np.radians(_EARTH_RATE_DEG_S) * max(self._truth.focal_length_px)
         allowed = _SIGMAS * sigma * np.sqrt(2.0) + clock * px_per_s + _SLACK_PX
         return [
-            f"{t:.3f}: {o:.3f} px off, {a:.3f} allowed" for t, o, a in zip(times, off, allowed, strict=True) if o > a
+            (float(t), f"{t:.3f}: {o:.3f} px off, {a:.3f} allowed")
+            for t, o, a in zip(times, off, allowed, strict=True)
+            if o > a
         ]
 
-    def _worse(self, document: dict[str, Any]) -> str:
-        """Return in what a served calibration is worse than it states; "" where it is not."""
+    def _error_and_stated(self, document: dict[str, Any]) -> tuple[float, float]:
+        """Return the RMS error over the sky of a served calibration, and the RMS that it states, degrees."""
         calibration = from_document(document)
         directions = hemisphere(600)
         pixels, _ = project_with_covariance(calibration, directions)
         off = pixels - project(self._truth, directions)
         off = off[np.all(np.isfinite(off), axis=-1)]
         error_deg = float(np.degrees(np.sqrt(np.mean(np.sum(off**2, axis=-1))) / max(self._truth.focal_length_px)))
-        stated_deg = float(document["uncertainty"]["sky_rms_deg"]) * np.sqrt(2.0)
-        if error_deg <= _SKY_FACTOR * max(stated_deg, _SKY_FLOOR_DEG):
-            return ""
-        return f"{document['id']}: {error_deg:.4f} degrees over the sky, {stated_deg:.4f} stated"
+        return error_deg, float(document["uncertainty"]["sky_rms_deg"]) * np.sqrt(2.0)
 
     def _sightings(self) -> set[tuple[int, float]] | None:
         if not self._database.exists():

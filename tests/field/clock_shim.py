@@ -13,25 +13,28 @@ from pathlib import Path
 from sunarc import clock
 from sunarc.__main__ import main
 
-_file = Path(sys.argv.pop(1))
 
-
-def _setting() -> tuple[float, bool]:
+def _setting(file: Path) -> tuple[float, bool]:
     try:
-        seconds, _, state = _file.read_text().partition(" ")
+        seconds, _, state = file.read_text().partition(" ")
     except OSError:
         return 0.0, True
     return float(seconds or 0.0), state.strip() != "unsynchronised"
 
 
-def _now(self: clock.SystemClock) -> datetime:  # noqa: ARG001 - a method
-    return datetime.now(UTC) + timedelta(seconds=_setting()[0])  # noqa: TID251 - stands in for the machine's clock
+def _install(file: Path) -> None:
+    """Let the system's clock tell what the file says."""
+
+    def now(self: clock.SystemClock) -> datetime:  # noqa: ARG001 - a method
+        return datetime.now(UTC) + timedelta(seconds=_setting(file)[0])  # noqa: TID251 - stands in for the machine's
+
+    def state(self: clock.SystemClock) -> clock.ClockState:  # noqa: ARG001 - same
+        return clock.ClockState(synchronised=_setting(file)[1], error_bound_s=0.01)
+
+    clock.SystemClock.now = now  # type: ignore[method-assign]
+    clock.SystemClock.state = state  # type: ignore[method-assign]
 
 
-def _state(self: clock.SystemClock) -> clock.ClockState:  # noqa: ARG001 - same
-    return clock.ClockState(synchronised=_setting()[1], error_bound_s=0.01)
-
-
-clock.SystemClock.now = _now  # type: ignore[method-assign]
-clock.SystemClock.state = _state  # type: ignore[method-assign]
-main()
+if __name__ == "__main__":  # a solving process imports this file again
+    _install(Path(sys.argv.pop(1)))
+    main()

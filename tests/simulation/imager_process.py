@@ -14,6 +14,7 @@ from pathlib import Path
 
 from sunarc.simulation import ImagerOptions, genicam, run_imager
 from sunarc.simulation.fake_camera import FakeCamera
+from sunarc.sky import Site
 
 
 def obey(camera: FakeCamera) -> None:
@@ -30,5 +31,8 @@ def running(camera: FakeCamera) -> None:
 stop = threading.Event()
 signal.signal(signal.SIGTERM, lambda *_: stop.set())
 keywords, start, truth, *orders = sys.argv[1:]
-options = ImagerOptions(**json.loads(keywords), start=datetime.fromisoformat(start), truth=Path(truth))
+chosen = json.loads(keywords)
+if "site" in chosen:
+    chosen["site"] = Site(**chosen["site"])
+options = ImagerOptions(**chosen, start=datetime.fromisoformat(start), truth=Path(truth))
 run_imager(options, stop, running=running)

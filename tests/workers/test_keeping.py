@@ -72,6 +72,7 @@ def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
     archive.full = True
     for number in range(45):
         keeper.keep(sighting(number))
+    assert keeper.stored == 0
     assert "45 sightings wait" in reasons(board)["sightings_not_stored"]
     assert archive.sun_points("roof") == ()
     archive.full = False
@@ -79,6 +80,7 @@ def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
     assert [point.x_px for point in archive.sun_points("roof")] == [float(number) for number in range(46)]
     assert reasons(board) == {}
     assert keeper.waiting == 0
+    assert keeper.stored == 46
 
 
 def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing, board: StatusBoard) -> None:

@@ -31,6 +31,7 @@ from sunarc.workers import (
     FrameTime,
     FrozenFrames,
     Handover,
+    OverdueSightings,
     RefitWorker,
     ReplayWorker,
     Reposer,
@@ -95,9 +96,17 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self._restore_last_known()
         self.keeper = SightingKeeper(archive, board=self.board)
+        self.overdue = OverdueSightings(
+            stored=lambda: self.keeper.stored,
+            apparent_zenith=self._apparent_zenith,
+            clock=clock,
+            frame_time=self.frame_time,
+            cadence_s=settings.capture.cadence_s,
+            board=self.board,
+        )
         self.exposures = SunExposures(
             settings.sun_exposure,
-            apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
+            apparent_zenith=self._apparent_zenith,
             clear_level_per_us=self._clear_level_per_us,
             board=self.board,
         )
@@ -153,6 +162,14 @@ class Service:
 
     def _supervised(self, name: str, make_worker: Callable[[], Worker]) -> Supervised:
         return Supervised(name=name, make_worker=make_worker, options=self.settings.supervisor)
+
+    def _apparent_zenith(self) -> float:
+        return self.predictor.apparent_zenith(self.frame_time.now())
+
+    def check_sightings(self) -> None:
+        """Show where none is stored though the sun is up; a replay has no slots that are due."""
+        if self.settings.source != "replay":
+            self.overdue.check()
 
     def _clear_level_per_us(self) -> float:
         """Return how bright the clear sun is; a database that cannot be read does not hold up an exposure."""
@@ -217,7 +234,7 @@ class Service:
             frame_time=self.frame_time,
             options=self.settings.capture,
             name=self.settings.name,
-            apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
+            apparent_zenith=self._apparent_zenith,
             sun_exposures=self.exposures,
             cycles=self.cycles,
             sun_frames=self.sun_frames,

@@ -85,7 +85,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
                 feed=notifier.watchdog,
                 on_failed=lambda: _stop_serving(server),
                 monitored=_monitored(service, server=server, schedule=schedule),
-                on_check=(schedule.follow_clock, first_frame.check, status.update),
+                on_check=(schedule.follow_clock, first_frame.check, service.check_sightings, status.update),
             )
         )
         stack.enter_context(_running(schedule))

@@ -10,13 +10,14 @@ from __future__ import annotations
 import logging
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from typing import Any
 
 from sunarc.cameras.abilities import abilities_of
 from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
+from sunarc.cameras.control_lost import setter, wait_for_last_reference
 from sunarc.cameras.exposure import ExposureControl, exposure_control
 from sunarc.cameras.features import (
     SIMULATED_SPEED,
@@ -103,7 +104,7 @@ class AravisCamera:
                 self._aravis.disable_interface(unused)  # a GigE camera that is not found is not looked for elsewhere
             self._camera = self._aravis.Camera.new(address)
             self._device = self._camera.get_device()
-            self._handler = self._device.connect("control-lost", _setter(self._lost))
+            self._handler = self._device.connect("control-lost", setter(self._lost))
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
             self._pins = pin_settings(self._camera, self._options)
@@ -166,8 +167,10 @@ class AravisCamera:
         self._handler = 0
         self._stream = None
         self._noted = None
-        self._device = None
         self._camera = None
+        if self._device is not None:
+            wait_for_last_reference(self._device, self._clock)
+        self._device = None
         self._info = None
 
     @property
@@ -316,15 +319,6 @@ class AravisCamera:
             if self._lost.is_set() or any(error.matches(quark, code) for code in codes):
                 raise CameraLostError(f"{doing}: no answer ({error.message}); check power and network") from error
             raise CameraError(f"{doing}: {error.message}") from error
-
-
-def _setter(event: threading.Event) -> Callable[..., None]:
-    """Return a signal handler that holds nothing but the event: holding the camera would keep it open for ever."""
-
-    def set_event(*_: object) -> None:
-        event.set()
-
-    return set_event
 
 
 def _library() -> tuple[Any, Any]:

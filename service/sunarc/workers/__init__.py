@@ -12,6 +12,7 @@ from sunarc.workers.frozen_frames import FrozenFrames
 from sunarc.workers.handover import Handover
 from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
+from sunarc.workers.overdue_sightings import OverdueSightings
 from sunarc.workers.points import points_of
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
@@ -35,6 +36,7 @@ __all__ = [
     "FrameTime",
     "FrozenFrames",
     "Handover",
+    "OverdueSightings",
     "RefitOptions",
     "RefitWorker",
     "ReplayWorker",

@@ -32,12 +32,18 @@ class SightingKeeper:
         self._waiting: deque[SunPoint] = deque()
         self._capacity = capacity
         self._lost = 0
+        self._stored = 0
         self._refused = False
 
     @property
     def waiting(self) -> int:
         """How many sightings wait."""
         return len(self._waiting)
+
+    @property
+    def stored(self) -> int:
+        """How many sightings were stored so far."""
+        return self._stored
 
     def keep(self, point: SunPoint) -> None:
         """Store a sighting, now or later; its pose epoch is found when it is stored."""
@@ -55,6 +61,7 @@ class SightingKeeper:
                 self._archive.add_sun_points([self._placed(point) for point in some])
                 for _ in some:
                     self._waiting.popleft()
+                self._stored += len(some)
         except OutsideError as error:
             self._show_refused(error)
         else:

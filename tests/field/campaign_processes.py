@@ -1,0 +1,290 @@
+"""The two processes of a campaign: a simulated GigE Vision imager and the service, faster than real time."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Self
+
+from sunarc.simulation import SGP
+from sunarc.simulation.timeline import next_dawn
+from sunarc.sky import Site, sun_angles
+
+from .campaign_judge import Judge
+
+HERE = Path(__file__).resolve().parent
+ADDRESS = "127.0.0.1"
+START = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
+SPEED = 200.0
+CADENCE_S = 120.0
+SLOT_S = CADENCE_S / SPEED
+"""Real seconds from slot to slot of a campaign."""
+IMAGER = HERE.parent / "simulation" / "imager_process.py"
+SHIM = HERE / "clock_shim.py"
+START_WITHIN_S = 90.0
+NIGHT_ZENITH_DEG = 92.0
+LONGEST_CAMPAIGN_S = 120.0 * 86_400.0
+"""Simulated: a time later than this is not the imager's, but the host's."""
+DISK_MB = 500
+TOKEN = "a-token-of-the-campaign-0123456789"  # noqa: S105 - of a service on loopback that ends with the campaign
+_CLONE_NEWNS, _MS_REC, _MS_PRIVATE = 0x20000, 0x4000, 1 << 18
+SETTINGS = """\
+name = "roof"
+state = "{state}"
+[site]
+latitude = {latitude}
+longitude = {longitude}
+altitude = {altitude}
+[camera]
+address = "127.0.0.1"
+pixel_format = "Mono12"
+packet_size = 60000
+packet_socket = false
+timestamps = "camera"
+[capture]
+cadence_s = {cadence}
+night_cadence_s = {cadence}
+speed = {speed}
+[sensor]
+black_level_fraction = 0.0078
+[refit]
+check_every_s = 1.0
+[disk]
+keep_days = 1.0
+keep_free_mb = 100.0
+check_every_s = 1.0
+[api]
+port = {port}
+token_file = "{token}"
+"""
+
+
+def now() -> float:
+    """Return real monotonic seconds."""
+    return time.monotonic()  # noqa: TID251 - real processes are waited for
+
+
+def pause(seconds: float) -> None:
+    """Wait for real."""
+    time.sleep(max(seconds, 0.0))  # noqa: TID251 - same
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """Where the imager stands, and how its time passes.
+
+    Attributes
+    ----------
+    site : of the imager.
+    start : its first time, aware.
+    speed : seconds of its time in a real second.
+    cadence_s : seconds of its time from slot to slot.
+    """
+
+    site: Site = SGP
+    start: datetime = START
+    speed: float = SPEED
+    cadence_s: float = CADENCE_S
+
+
+class Processes:
+    """An imager and a service, started, stopped and asked; both end with this process.
+
+    Parameters
+    ----------
+    folder : empty; keeps settings, state and logs. Where mounting is allowed, the state is on a disk of its own.
+    port : of the service.
+    setting : of the imager.
+    """
+
+    def __init__(self, folder: Path, *, port: int, setting: Setting | None = None) -> None:
+        self.setting = setting or Setting()
+        self.folder = folder
+        self.port = port
+        self.state = folder / "state"
+        self.database = self.state / "sunarc.sqlite"
+        self.clock_file = folder / "clock"
+        self.exits: list[str] = []
+        self.judge: Judge | None = None
+        self.clear_from = 0.0
+        self.has_own_disk = _mount_disk(self.state)
+        self.imager: subprocess.Popen[str] | None = None
+        self.service: subprocess.Popen[bytes] | None = None
+        self._known = (self.setting.start.timestamp(), now())
+        self._asked_at = 0.0
+
+    def __enter__(self) -> Self:
+        self.write_settings("sunarc.toml", port=self.port)
+        self.start_imager()
+        self.start_service()
+        truth = json.loads((self.folder / "truth.json").read_text())
+        self.judge = Judge(
+            self.database, self.port, truth=truth, site=self.setting.site, cadence_s=self.setting.cadence_s
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop_service(signal.SIGTERM)
+        self.kill_imager()
+        if self.has_own_disk:  # it is gone with this process
+            shutil.copy(self.database, self.folder / "sunarc.sqlite")
+
+    def write_settings(self, name: str, *, port: int) -> Path:
+        """Write a settings file of the service with a port of its own, and return its path."""
+        token = self.folder / "token"
+        token.write_text(TOKEN)
+        token.chmod(0o600)
+        site = self.setting.site
+        text = SETTINGS.format(
+            state=self.state,
+            latitude=site.latitude,
+            longitude=site.longitude,
+            altitude=site.altitude,
+            cadence=self.setting.cadence_s,
+            speed=self.setting.speed,
+            port=port,
+            token=token,
+        )
+        (self.folder / name).write_text(text)
+        return self.folder / name
+
+    def frame_time(self) -> float | None:
+        """Return the imager's time as the service has it, unix seconds; None while it has none."""
+        status = self.get("/v1/status")
+        if status is None or not (status.get("camera") or {}).get("connected") or status["last_frame_at"] is None:
+            return None
+        frame_time = datetime.fromisoformat(status["frame_time"]).timestamp()
+        first = self.setting.start.timestamp()
+        if not first <= frame_time < first + LONGEST_CAMPAIGN_S:
+            return None  # the host's, before the first frame
+        self._known = (max(frame_time, self._known[0]), now())
+        return frame_time
+
+    def start_imager(self) -> None:
+        """Start the imager a slot after the latest time that it can have shown, by day."""
+        truth = self.folder / "truth.json"
+        truth.unlink(missing_ok=True)
+        began = self._next_start()
+        self._known = (began, now())
+        site = {name: getattr(self.setting.site, name) for name in ("latitude", "longitude", "altitude")}
+        settings = {"address": ADDRESS, "clouds": "clear", "speed": self.setting.speed, "site": site}
+        start = datetime.fromtimestamp(began, UTC).isoformat()
+        command = [sys.executable, str(IMAGER), json.dumps(settings), start, str(truth), "orders"]
+        with (self.folder / "imager.log").open("ab") as log:
+            self.imager = subprocess.Popen(command, stdin=subprocess.PIPE, text=True, stdout=log, stderr=log)
+        self.wait_for(truth.exists, what="the imager")
+
+    def _next_start(self) -> float:
+        known, at = self._known
+        if known == self.setting.start.timestamp():
+            return known
+        began = known + self.setting.cadence_s + (now() - at) * self.setting.speed
+        if float(sun_angles(began, self.setting.site).apparent_zenith) > NIGHT_ZENITH_DEG:
+            began = next_dawn(began, self.setting.site)
+        return began
+
+    def kill_imager(self) -> None:
+        """End the imager at once."""
+        if self.imager is not None:
+            self.frame_time()
+            self.imager.kill()
+            self.imager.wait(timeout=10.0)
+            if self.imager.stdin is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    self.imager.stdin.close()
+            self.imager = None
+
+    def order(self, register: str, value: int) -> None:
+        """Write a register of the imager."""
+        if self.imager is not None and self.imager.stdin is not None:
+            self.imager.stdin.write(f"{register} {value}\n")
+            self.imager.stdin.flush()
+
+    def start_service(self) -> None:
+        """Start the service and wait until it answers."""
+        command = [sys.executable, str(SHIM), str(self.clock_file), "serve", "--config"]
+        with (self.folder / "service.log").open("ab") as log:
+            self.service = subprocess.Popen(
+                [*command, str(self.folder / "sunarc.toml")],
+                stdout=log,
+                stderr=log,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+        self.wait_for(lambda: self.get("/healthz") is not None, what="the service")
+
+    def stop_service(self, number: signal.Signals) -> None:
+        """Send a signal and wait for the end."""
+        if self.service is not None:
+            self.service.send_signal(number)
+            try:
+                self.service.wait(timeout=20.0)
+            except subprocess.TimeoutExpired:
+                self.exits.append(f"did not end within 20 s of {number.name}")
+                self.service.kill()
+                self.service.wait()
+            self.service = None
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, looking at everything every half second."""
+        end = now() + seconds
+        while now() < end:
+            pause(min(0.5, end - now()))
+            if self.service is not None and self.service.poll() is not None:
+                self.exits.append(f"code {self.service.returncode} at {self._known[0]:.0f}")
+                self.start_service()
+            if self.judge is not None:
+                self.judge.look(self.frame_time(), clear=now() > self.clear_from)
+
+    def wait_for(self, reached: Callable[[], bool], *, what: str, within_s: float = START_WITHIN_S) -> None:
+        """Wait until something is reached; raise where it is not in time."""
+        end = now() + within_s
+        while not reached():
+            if now() > end:
+                raise RuntimeError(f"{what} did not start within {within_s:g} s; see {self.folder}")
+            pause(0.05)
+
+    def get(self, route: str, *, method: str = "GET") -> dict[str, Any] | None:
+        """Return what the service answers; None where it does not, or refuses."""
+        headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"}
+        data = b"{}" if method == "POST" else None
+        request = urllib.request.Request(
+            f"http://{ADDRESS}:{self.port}{route}", method=method, headers=headers, data=data
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=5.0) as response:  # noqa: S310 - same
+                answer: dict[str, Any] = json.load(response)
+                return answer
+        except (OSError, ValueError):
+            return None
+
+
+def free_port() -> int:
+    """Return a port of loopback that nobody uses."""
+    with socket.socket() as trial:
+        trial.bind((ADDRESS, 0))
+        return int(trial.getsockname()[1])
+
+
+def _mount_disk(folder: Path) -> bool:
+    """Put a folder on a small disk in memory that only this process and its children see; return whether it is."""
+    folder.mkdir(mode=0o750)
+    if os.geteuid() != 0:
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(_CLONE_NEWNS) or libc.mount(None, b"/", None, ctypes.c_ulong(_MS_REC | _MS_PRIVATE), None):
+        return False
+    options = f"size={DISK_MB}m,mode=0750".encode()
+    return not libc.mount(b"tmpfs", str(folder).encode(), b"tmpfs", ctypes.c_ulong(0), options)
