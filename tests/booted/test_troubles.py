@@ -77,7 +77,7 @@ def test_a_full_disk_is_told_and_nothing_stored_is_lost(field_computer: Field) -
     wait_for_reason(field, "disk_full", "disk_low", "images_not_written", "sightings_not_written")
     assert field.active()
     field.do("rm", "/var/lib/sunarc/filler")
-    field.wait_for_sightings(2, within_s=180.0)
+    field.wait_for_sightings(2)
     assert int(field.sql(f"SELECT count(*) FROM sun_point WHERE id <= {before}")) == before
     assert field.sql("PRAGMA integrity_check") == "ok"
 
