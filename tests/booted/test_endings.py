@@ -135,7 +135,7 @@ def test_a_refit_outlives_a_stop_and_the_death_of_its_process(field_computer: Fi
     field.do("kill", "-KILL", *solver(field).split())
     wait_for(lambda: "running" not in refit_states(field), within_s=300.0, what="the refit's end", every_s=0.5)
     assert set(refit_states(field)) <= {"requested", "accepted", "marginal", "refused"}
-    assert "solving once more" in field.journal()
+    assert "starting it once more" in field.journal()
     field.compare_with_truth()
 
 
