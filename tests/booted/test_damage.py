@@ -81,7 +81,7 @@ def test_a_lost_database_is_restored_from_its_copy_at_the_start(field_computer: 
     wait_for_reason(field, "database_restored")
     assert field.sightings() >= copied
     field.wait_for_sightings(2)
-    assert field.do("stat", "-c", "%U %a", DATABASE).strip() == "sunarc 600"
+    assert field.do("stat", "-c", "%U %a", DATABASE).strip() == "sunarc 640"
     assert field.restarts() == 0
 
 
