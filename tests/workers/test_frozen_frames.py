@@ -185,3 +185,14 @@ def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, 
 @pytest.fixture
 def clock() -> VirtualClock:
     return VirtualClock(START)
+
+
+def test_a_copy_of_a_frame_that_was_never_searched_for_the_sun_is_rejected(
+    archive: Archive, board: StatusBoard
+) -> None:
+    frozen = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    probe, first = frame_at(0.0), frame_at(30.0)
+    for frame in (probe, first):
+        frozen.remember(frame)
+    assert frozen.checked(first, seen(40.0)).accepted
+    assert frozen.checked(frame_at(60.0, shown_s=0.0), seen(39.0)).verdict == FROZEN

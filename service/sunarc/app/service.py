@@ -95,6 +95,7 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         restore_last_known(self.board, archive=archive, images=self.images, camera=settings.name)
         self.keeper = SightingKeeper(archive, board=self.board)
+        self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=lambda: self.predictor.apparent_zenith(self.frame_time.now()),
@@ -206,6 +207,7 @@ class Service:
             cycles=self.cycles,
             sun_frames=self.sun_frames,
             board=self.board,
+            on_frame=self.frozen.remember,
         )
 
     def replay_worker(self) -> ReplayWorker:
@@ -265,9 +267,7 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             report=self.report,
             cadence_s=self.settings.capture.cadence_s,
-            frozen=FrozenFrames(
-                archive=self.archive, camera=self.settings.name, site=self.settings.site, board=self.board
-            ),
+            frozen=self.frozen,
             board=self.board,
         )
 
