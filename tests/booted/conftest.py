@@ -11,15 +11,19 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from .machine import IMAGER_ADDRESS, Machine, cabled, run, wait_for
+from .truth import worse_than_stated, wrong_sightings
 
 _ASK = """
 import sys, urllib.request as u
@@ -27,8 +31,12 @@ asked = u.Request(sys.argv[1], method=sys.argv[2], headers={"Authorization": "Be
 print(u.urlopen(asked, timeout=5).read().decode())
 """
 SPEED = 10  # of the camera's clock: a cycle of 30 s takes 3 s, which a busy host can keep
+SLOT_S = 30.0 / SPEED
+START = datetime(2013, 5, 13, 14, tzinfo=UTC)
 AS_SUNARC = ("setpriv", "--reuid=sunarc", "--regid=sunarc", "--clear-groups")
 _UP_WITHIN_S = 180.0  # by a busy host
+_IMAGER = Path(__file__).parents[1] / "simulation" / "imager_process.py"
+_MOST_JUDGED = 3000  # of the newest sightings
 
 
 @pytest.fixture(scope="session")
@@ -53,7 +61,9 @@ class Field:
     machine: Machine
     imager_network: str
     log: Path
-    _imager: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    _imager: subprocess.Popen[str] | None = field(default=None, init=False)
+    _began_s: float | None = field(default=None, init=False)
+    _binning: int = field(default=1, init=False)
 
     def call(self, *command: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
         return self.machine.call(*command, timeout_s=timeout_s)
@@ -73,6 +83,7 @@ class Field:
         """Write settings for the simulated imager; small frames keep a busy host from losing them."""
         given = {"speed": SPEED, **capture}
         lines = "\n".join(f"{name} = {value}" for name, value in given.items())
+        self._binning = binning or 1
         binned = "" if binning is None else f"binning = {binning}\n"
         self.write(
             "/etc/sunarc/sunarc.toml",
@@ -82,27 +93,41 @@ class Field:
         )
 
     def image(self) -> None:
-        """Switch the imager on."""
+        """Switch the imager on; its time goes on where it would be, had it never been off."""
+        self._began_s = self._began_s or time.monotonic()
+        start = START + timedelta(seconds=SPEED * (time.monotonic() - self._began_s))
+        options = json.dumps({"address": IMAGER_ADDRESS, "speed": SPEED})
         command = [
-            "ip",
-            "netns",
-            "exec",
-            self.imager_network,
-            str(Path(sys.executable).with_name("sunarc")),
-            "simulate",
+            sys.executable,
+            str(_IMAGER),
+            options,
+            start.isoformat(),
+            str(self.log.with_suffix(".truth")),
+            "orders",
         ]
         with self.log.open("ab") as log:
             self._imager = subprocess.Popen(
-                [*command, "--address", IMAGER_ADDRESS, "--speed", str(SPEED), "--start", "2013-05-13T14:00:00Z"],
+                ["ip", "netns", "exec", self.imager_network, *command],
+                stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                text=True,
             )
+
+    def order(self, register: str, value: int) -> None:
+        """Write a register of the imager, by its name in `sunarc.simulation.genicam`."""
+        assert self._imager is not None
+        assert self._imager.stdin is not None
+        self._imager.stdin.write(f"{register} {value}\n")
+        self._imager.stdin.flush()
 
     def darken(self) -> None:
         """Switch the imager off."""
         if self._imager is not None:
             self._imager.send_signal(signal.SIGKILL)
             self._imager.wait()
+            assert self._imager.stdin is not None
+            self._imager.stdin.close()
             self._imager = None
 
     def ask(self, route: str, *, method: str = "GET") -> Any:
@@ -118,18 +143,39 @@ class Field:
         """Wait until systemd calls the service active, which it does when the service says that it is ready."""
         return wait_for(self.active, within_s=within_s, what="the service to be ready")
 
-    def wait_for_sightings(self, n: int = 1, *, within_s: float = 240.0) -> int:
-        """Wait for `n` further sightings; return how many there are."""
-        begun = self.sightings()
+    def wait_for_sightings(self, n: int = 1, *, slots: int = 80) -> int:
+        """Wait for `n` further accepted sightings and compare all with the truth; return how many sightings there are.
+
+        Parameters
+        ----------
+        n : accepted ones.
+        slots : of the imager's time within which they have to come. With a clear sun and an idle host, each slot gives
+            one; a busy host misses some.
+        """
+        begun, within_s = self.accepted(), slots * SLOT_S
         try:
-            wait_for(lambda: self.sightings() >= begun + n, within_s=within_s, what=f"{n} sightings", every_s=0.5)
+            what = f"{n} accepted sightings"
+            wait_for(lambda: self.accepted() >= begun + n, within_s=within_s, what=what, every_s=0.5)
         except AssertionError:
             print(self.ask("/v1/status"), self.journal("-n", "30"), sep="\n")  # noqa: T201 - why there was none
             raise
+        self.compare_with_truth()
         return self.sightings()
 
     def sightings(self) -> int:
         return int(self.sql("SELECT count(*) FROM sun_point") or 0)
+
+    def accepted(self) -> int:
+        return int(self.sql("SELECT count(*) FROM sun_point WHERE accepted") or 0)
+
+    def compare_with_truth(self) -> None:
+        """Fail where an accepted sighting, or the calibration that is served, is farther from the truth than stated."""
+        columns = "time, x_px, y_px, sigma_px, ifnull(clock_error_s, 0.0)"
+        select = f"SELECT {columns} FROM sun_point WHERE accepted ORDER BY id DESC LIMIT {_MOST_JUDGED}"
+        rows = [[float(value) for value in line.split("|")] for line in self.sql(select).split()]
+        assert wrong_sightings(np.reshape(rows, (-1, 5)), binning=self._binning) == []
+        served = self.ask("/v1/calibration")
+        assert served is None or worse_than_stated(served, binning=self._binning) == ""
 
     def sql(self, statement: str) -> str:
         database = "file:/var/lib/sunarc/sunarc.sqlite?mode=ro"

@@ -30,7 +30,7 @@ noise = np.random.default_rng(1)
 for day in range(days, 0, -1):
     times = TODAY - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
     times = times[sun_angles(times, settings.site).apparent_zenith < 88.0]
-    pixels = project(true_camera(), sun_directions(times, settings.site)) / binning
+    pixels = (project(true_camera(), sun_directions(times, settings.site)) - (binning - 1.0) / 2.0) / binning
     seen = pixels + noise.normal(0.0, 0.02, pixels.shape)
     begin = datetime.fromtimestamp(times[0], UTC)
     epoch = archive.epoch_at(settings.name, begin, reason="installed").id

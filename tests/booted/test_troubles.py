@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from .conditions import wait_for_reason, wait_until_gone
 from .machine import wait_for
 
 if TYPE_CHECKING:
@@ -18,22 +19,6 @@ import sqlite3, time
 held = sqlite3.connect("/var/lib/sunarc/sunarc.sqlite", isolation_level=None, timeout=60)
 held.execute("BEGIN EXCLUSIVE"); open("/run/locked", "w").close(); time.sleep({seconds}); held.execute("ROLLBACK")
 """
-
-
-def reasons(field: Field) -> set[str]:
-    status = field.ask("/v1/status")
-    return set() if status is None else {reason["code"] for reason in status["reasons"]}
-
-
-def wait_for_reason(field: Field, *codes: str) -> None:
-    wait_for(lambda: bool(reasons(field) & set(codes)), within_s=180.0, what=" or ".join(codes), every_s=1.0)
-
-
-def wait_until_gone(field: Field, *codes: str) -> None:
-    def gone() -> bool:
-        return field.ask("/v1/status") is not None and not reasons(field) & set(codes)
-
-    wait_for(gone, within_s=180.0, what=f"the end of {' and '.join(codes)}", every_s=1.0)
 
 
 def on_small_disk(field: Field, *, size: str) -> None:
@@ -77,7 +62,7 @@ def test_a_full_disk_is_told_and_nothing_stored_is_lost(field_computer: Field) -
     wait_for_reason(field, "disk_full", "disk_low", "images_not_written", "sightings_not_written")
     assert field.active()
     field.do("rm", "/var/lib/sunarc/filler")
-    field.wait_for_sightings(2, within_s=180.0)
+    field.wait_for_sightings(2)
     assert int(field.sql(f"SELECT count(*) FROM sun_point WHERE id <= {before}")) == before
     assert field.sql("PRAGMA integrity_check") == "ok"
 

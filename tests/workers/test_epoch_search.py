@@ -31,7 +31,7 @@ from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker, points_of
 from sunarc.workers.epoch_search import SEARCHED, EpochSearch
-from sunarc.workers.solve import Problem
+from sunarc.workers.solve import Problem, SolverDiedError
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)
@@ -100,8 +100,8 @@ def archive(tmp_path: Path) -> Archive:
 
 
 @pytest.fixture
-def refit(archive: Archive, board: StatusBoard, clock: VirtualClock) -> Callable[[str], Refit]:
-    worker = RefitWorker(
+def worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWorker:
+    return RefitWorker(
         archive=archive,
         camera="roof",
         site=SGP,
@@ -115,6 +115,9 @@ def refit(archive: Archive, board: StatusBoard, clock: VirtualClock) -> Callable
         search=search_here,
     )
 
+
+@pytest.fixture
+def refit(archive: Archive, worker: RefitWorker) -> Callable[[str], Refit]:
     def carried(name: str) -> Refit:
         asked = archive.add_refit(Refit(id=name * 6, camera="roof", requested_at=NOW, reason="test"))
         worker.carry_out(asked, threading.Event(), lambda: None)
@@ -233,3 +236,22 @@ def test_a_search_that_a_clock_ahead_dated_is_neither_repeated_nor_answered_for_
     })  # fmt: skip
     archive.activate("a")
     assert not search.unanswered("roof-1")
+
+
+def test_a_search_whose_process_was_killed_is_begun_once_more(
+    archive: Archive, worker: RefitWorker, refit: Callable[[str], Refit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times, pixels, _ = record(0.4, clouds=False, days=6)
+    import_record(archive, times, pixels)
+    begun: list[int] = []
+
+    def search_at_the_second_time(problem: Problem, **_: object) -> tuple[PoseStep, ...]:
+        begun.append(1)
+        if len(begun) == 1:
+            raise SolverDiedError("the solving process died (signal 9); see the log")
+        return search_here(problem)
+
+    monkeypatch.setattr(worker, "_search", search_at_the_second_time)
+    refit("a")
+    assert len(begun) == 2
+    assert len(archive.epochs("roof")) == 2

@@ -198,3 +198,14 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
     observed = archive.observation_times("roof", since=START, until=START + timedelta(hours=1))
     assert observed is not None
     assert (observed - START.timestamp()).tolist() == [0.0, 60.0]
+
+
+def test_a_copy_of_a_frame_that_was_never_searched_for_the_sun_is_rejected(
+    archive: Archive, board: StatusBoard
+) -> None:
+    frozen = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    probe, first = frame_at(0.0), frame_at(30.0)
+    for frame in (probe, first):
+        frozen.remember(frame)
+    assert frozen.checked(first, seen(40.0)).accepted
+    assert frozen.checked(frame_at(60.0, shown_s=0.0), seen(39.0)).verdict == FROZEN

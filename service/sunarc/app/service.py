@@ -104,6 +104,7 @@ class Service:
             cadence_s=settings.capture.cadence_s,
             board=self.board,
         )
+        self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=self._apparent_zenith,
@@ -239,6 +240,7 @@ class Service:
             cycles=self.cycles,
             sun_frames=self.sun_frames,
             board=self.board,
+            on_frame=self.frozen.remember,
         )
 
     def replay_worker(self) -> ReplayWorker:
@@ -298,9 +300,7 @@ class Service:
             clock_error_s=self.clock_watch.error_s,
             report=self.report,
             cadence_s=self.settings.capture.cadence_s,
-            frozen=FrozenFrames(
-                archive=self.archive, camera=self.settings.name, site=self.settings.site, board=self.board
-            ),
+            frozen=self.frozen,
             board=self.board,
         )
 

@@ -93,6 +93,7 @@ class CaptureWorker:
     sun_exposures : which sun exposures to take next.
     cycles, sun_frames : where the normal frames of a cycle and the sun frames go.
     board : where the camera's state is shown.
+    on_frame : called with every frame as soon as it is there, in the thread of capture.
     """
 
     def __init__(
@@ -108,8 +109,10 @@ class CaptureWorker:
         cycles: Handover[Sequence[Frame]],
         sun_frames: Handover[Frame],
         board: StatusBoard,
+        on_frame: Callable[[Frame], None] = lambda _: None,
     ) -> None:
         self._open_camera = open_camera
+        self._on_frame = on_frame
         self._clock = clock
         self._frame_time = frame_time
         self._options = options
@@ -275,3 +278,4 @@ class CaptureWorker:
         ended_at = frame.time + timedelta(microseconds=frame.exposure_us / 2.0)
         self._frame_time.note(ended_at, host_offset_s=frame.host_offset_s)
         self._report.frame(frame)
+        self._on_frame(frame)

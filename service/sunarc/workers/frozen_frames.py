@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import threading
 from collections import OrderedDict, deque
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -18,7 +19,8 @@ from sunarc.errors import OutsideError
 from sunarc.sky import Site, angular_distance, sun_directions
 
 _log = logging.getLogger(__name__)
-_IMAGES_KEPT = 64
+_IMAGES_KEPT = 256
+"""Digests of 16 bytes; a cycle has about eight frames."""
 _PIXELS_KEPT = 32
 _FEWEST_PIXELS = 100
 """An image that differs from a constant in fewer pixels (hot ones) may truly come again: black, without noise."""
@@ -51,9 +53,18 @@ class FrozenFrames:
         self._camera = camera
         self._site = site
         self._board = board
+        self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._places: deque[_Place] | None = None
         self._in_a_row = 0
+
+    def remember(self, frame: Frame) -> None:
+        """Take note of a frame that may never be searched for the sun; a later one with its image is a copy.
+
+        Called by capture for every frame: probes, normal exposures and discarded cycles are images that a camera can
+        deliver again too.
+        """
+        self._same_image(frame)
 
     def checked(self, frame: Frame, detection: Detection) -> Detection:
         """Return the detection, or its rejection where the frame repeats an earlier one."""
@@ -73,12 +84,12 @@ class FrozenFrames:
         if not _tells(frame.image):
             return None
         digest = hashlib.blake2b(np.ascontiguousarray(frame.image).data, digest_size=16).digest()
-        earlier = self._images.get(digest)
-        if earlier is None:
-            self._images[digest] = frame.time
+        with self._lock:
+            earlier = self._images.setdefault(digest, frame.time)
+            self._images.move_to_end(digest)
             if len(self._images) > _IMAGES_KEPT:
                 self._images.popitem(last=False)
-        return None if earlier == frame.time else earlier  # a replay may play the same file twice
+        return None if earlier == frame.time else earlier  # the frame itself; a replay may play the same file twice
 
     def _same_place(self, moment: datetime, detection: Detection) -> datetime | None:
         """Return when the sun was seen in exactly the same place though it has moved since; None where it was not."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
@@ -39,6 +39,7 @@ from sunarc.workers.soundness import Soundness
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
 _DAYS_OF_SPREAD = 60
+_Answer = TypeVar("_Answer")
 _MOST_PAST = 8
 """Earlier pose epochs that one refit solves for; each costs as long as the fit itself."""
 
@@ -157,7 +158,7 @@ class RefitWorker:
             self._finish(refit, "failed", task)
             return
         try:
-            solved = self._solved(task.problem, child)
+            solved = _in_child(self._solve, task.problem, child)
         except SolveFailedError as error:
             self._finish(refit, "failed", str(error))
             return
@@ -176,7 +177,7 @@ class RefitWorker:
         if problem is None:
             return
         try:
-            steps = self._search(problem, **child)
+            steps = _in_child(self._search, problem, child)
         except SolveFailedError as error:  # the fit says itself when it cannot do with one pose
             _log.warning("pose epochs were not searched for: %s", error)
             return
@@ -191,7 +192,7 @@ class RefitWorker:
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
         for epoch in reversed(waiting[-_MOST_PAST:]):
             try:
-                solved = self._solved(task.of_epoch(epoch), child)
+                solved = _in_child(self._solve, task.of_epoch(epoch), child)
             except SolveFailedError as error:
                 _log.warning("no calibration of pose epoch %s: %s", epoch, error)
                 continue
@@ -201,14 +202,6 @@ class RefitWorker:
             record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
                 self._archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
-
-    def _solved(self, problem: Problem, child: Mapping[str, Any]) -> Calibration | None:
-        """Solve, and once more where the process died: it may have been killed for another's need of memory."""
-        try:
-            return self._solve(problem, **child)
-        except SolverDiedError as error:
-            _log.warning("%s; solving once more", error)
-            return self._solve(problem, **child)
 
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
         current = self._archive.current_calibration(self._camera)
@@ -287,3 +280,12 @@ class RefitWorker:
                 details={"refit": refit.id, "calibration": calibration},
             )
         )
+
+
+def _in_child(run: Callable[..., _Answer], problem: Problem, child: Mapping[str, Any]) -> _Answer:
+    """Solve or search, and once more where the process died: it may have been killed for another's need of memory."""
+    try:
+        return run(problem, **child)
+    except SolverDiedError as error:
+        _log.warning("%s; starting it once more", error)
+        return run(problem, **child)
