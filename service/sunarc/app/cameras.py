@@ -12,6 +12,7 @@ from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
 from sunarc.clock import Clock
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.settings import Settings
+from sunarc.sky import Site
 
 _log = logging.getLogger(__name__)
 
@@ -109,3 +110,18 @@ def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
             archive.open_epoch(camera, at=at, reason=LENS_CHANGED)
     except InputError as error:
         _log.warning("could not begin a pose epoch for the new camera: %s", error)
+
+
+def camera_record(info: CameraInfo, *, name: str, site: Site) -> CameraRecord:
+    """Return what the archive stores of an open camera at a site."""
+    return CameraRecord(
+        name=name,
+        latitude=site.latitude,
+        longitude=site.longitude,
+        altitude=site.altitude,
+        width=info.width,
+        height=info.height,
+        model=f"{info.vendor} {info.model}".strip(),
+        serial=info.serial,
+        pixel_format=info.pixel_format,
+    )

@@ -10,9 +10,9 @@ from datetime import datetime, timedelta
 from functools import partial
 
 import sunarc
-from sunarc.app.cameras import note_other_camera, require_same_camera
+from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
-from sunarc.archive import ELSEWHERE, Archive, CameraRecord, ImageStore, Recovery, Refit, Reserve
+from sunarc.archive import ELSEWHERE, Archive, ImageStore, Recovery, Refit, Reserve
 from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.clock import Clock
@@ -198,18 +198,7 @@ class Service:
         except BaseException:
             camera.close()
             raise
-        info, site = camera.info, self.settings.site
-        record = CameraRecord(
-            name=self.settings.name,
-            latitude=site.latitude,
-            longitude=site.longitude,
-            altitude=site.altitude,
-            width=info.width,
-            height=info.height,
-            model=f"{info.vendor} {info.model}".strip(),
-            serial=info.serial,
-            pixel_format=info.pixel_format,
-        )
+        record = camera_record(camera.info, name=self.settings.name, site=self.settings.site)
         try:
             self.archive.save_camera(note_other_camera(self.archive, record, at=self._time_of_change()))
         except OutsideError as error:
