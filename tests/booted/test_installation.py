@@ -16,6 +16,8 @@ pytestmark = [pytest.mark.booted, pytest.mark.timeout(1200)]
 
 OWN = ("/var/lib/sunarc", "/var/cache/sunarc", "/tmp", "/var/tmp", "/dev/", "/proc/")
 SCRIPT = Path(__file__).parents[2] / "deploy" / "install"
+START_PROCESSOR_S = 10.0
+"""Of the first start and of one after a boot, until ready: of an idle computer with 1 core, less than half a minute."""
 COPIES = "ls /var/lib/sunarc/before-*.sqlite | wc -l"
 WRITABLE = """
 import os, stat
@@ -29,7 +31,7 @@ for folder, folders, files in os.walk("/"):
 """
 
 
-def test_a_configured_package_is_ready_within_half_a_minute_and_after_a_reboot(
+def test_a_configured_package_is_ready_for_ten_seconds_of_processor_and_after_a_reboot(
     new_field: Fields, installed: Path
 ) -> None:
     field = new_field(installed)
@@ -38,11 +40,13 @@ def test_a_configured_package_is_ready_within_half_a_minute_and_after_a_reboot(
     assert not field.active()
     assert "setting site.latitude is missing" in field.journal()
     field.configure()  # nothing is restarted by hand: the path unit sees the settings written
-    assert field.wait_until_ready(within_s=30.0) < 30.0
+    field.wait_until_ready()
+    assert field.processor_s() < START_PROCESSOR_S
     seen = field.wait_for_sightings(3)
     field.machine.stop()
     field.machine.boot()
-    field.wait_until_ready(within_s=30.0)
+    field.wait_until_ready()
+    assert field.processor_s() < START_PROCESSOR_S
     assert field.wait_for_sightings(1) > seen
     assert field.do("systemctl", "--failed", "--no-legend").strip() == ""
 
