@@ -197,6 +197,10 @@ class Field:
     def journal(self, *options: str) -> str:
         return self.do("journalctl", "-u", "sunarc", "-o", "cat", "--no-pager", *options)
 
+    def processor_s(self) -> float:
+        """Return the processor time that the service has used since it was started, seconds."""
+        return int(self.do("systemctl", "show", "-P", "CPUUsageNSec", "sunarc")) / 1e9
+
     def restarts(self) -> int:
         return int(self.do("systemctl", "show", "-P", "NRestarts", "sunarc"))
 

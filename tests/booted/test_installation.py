@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.booted, pytest.mark.timeout(1200)]
 
 OWN = ("/var/lib/sunarc", "/var/cache/sunarc", "/tmp", "/var/tmp", "/dev/", "/proc/")
+SCRIPT = Path(__file__).parents[2] / "deploy" / "install"
+START_PROCESSOR_S = 10.0
+"""Of the first start and of one after a boot, until ready: of an idle computer with 1 core, less than half a minute."""
+COPIES = "ls /var/lib/sunarc/before-*.sqlite | wc -l"
 WRITABLE = """
 import os, stat
 for folder, folders, files in os.walk("/"):
@@ -26,7 +31,7 @@ for folder, folders, files in os.walk("/"):
 """
 
 
-def test_a_configured_package_is_ready_within_half_a_minute_and_after_a_reboot(
+def test_a_configured_package_is_ready_for_ten_seconds_of_processor_and_after_a_reboot(
     new_field: Fields, installed: Path
 ) -> None:
     field = new_field(installed)
@@ -35,13 +40,53 @@ def test_a_configured_package_is_ready_within_half_a_minute_and_after_a_reboot(
     assert not field.active()
     assert "setting site.latitude is missing" in field.journal()
     field.configure()  # nothing is restarted by hand: the path unit sees the settings written
-    assert field.wait_until_ready(within_s=30.0) < 30.0
+    field.wait_until_ready()
+    assert field.processor_s() < START_PROCESSOR_S
     seen = field.wait_for_sightings(3)
     field.machine.stop()
     field.machine.boot()
-    field.wait_until_ready(within_s=30.0)
+    field.wait_until_ready()
+    assert field.processor_s() < START_PROCESSOR_S
     assert field.wait_for_sightings(1) > seen
     assert field.do("systemctl", "--failed", "--no-legend").strip() == ""
+
+
+def run_script(field: Field, package: Path, *options: str) -> str:
+    """Run deploy/install in the machine with a package; return what it prints."""
+    shutil.copy(SCRIPT, field.path("/srv/install"))
+    shutil.copy(package, field.path("/srv/sunarc.deb"))
+    return field.do("/srv/install", *options, "/srv/sunarc.deb", timeout_s=900.0)
+
+
+def test_the_script_installs_on_a_fresh_machine_and_once_more_over_itself(new_field: Fields, work: Path) -> None:
+    field = new_field(work / "tree")
+    field.configure()
+    field.path("/etc/sunarc/sunarc.toml").rename(field.path("/srv/site.toml"))
+    field.image()
+    field.machine.boot()
+    printed = run_script(field, work / "sunarc.deb", "--config", "/srv/site.toml")
+    assert "install: ready: serving at" in printed
+    stored = field.wait_for_sightings(2)
+    pid = field.main_pid()
+    printed = run_script(field, work / "sunarc.deb")
+    assert "install: copying the database to /var/lib/sunarc/before-" in printed
+    assert "install: ready: serving at" in printed
+    assert field.main_pid() != pid
+    assert field.do("sh", "-c", COPIES).strip() == "1"
+    assert field.wait_for_sightings(1) > stored
+
+
+def test_the_script_upgrades_the_previous_version(new_field: Fields, installed_before: Path, work: Path) -> None:
+    field = new_field(installed_before)
+    field.configure(binning=None)  # which the version before did not know
+    field.image()
+    field.machine.boot()
+    field.wait_until_ready()
+    stored = field.wait_for_sightings(2)
+    printed = run_script(field, work / "sunarc.deb")
+    assert "install: ready: serving at" in printed
+    assert field.do("sh", "-c", COPIES).strip() == "1"
+    assert field.wait_for_sightings(1) > stored
 
 
 def test_the_service_is_its_own_user_and_writes_nowhere_but_in_its_state(field_computer: Field) -> None:
