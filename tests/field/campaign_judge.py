@@ -47,8 +47,8 @@ class Findings:
     wrong_sightings : accepted ones farther from the truth than they state.
     worse_than_stated : served calibrations with a larger error over the sky than stated.
     silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
-    copies : accepted sightings in a repeated image whose first delivery was never evaluated; nothing shows that it is
-        a copy, so these are counted and are no fault.
+    copies : accepted sightings in a repeated image whose first delivery was never evaluated (the service was down, or
+        too busy); nothing in the image shows that it is a copy, so up to one in each of those faults is no fault.
     own_exits : exit codes of the service that nobody asked for.
     served : every calibration that was served, its true and its stated error.
     not_calibrated : why a calibration was due and none was served; empty where that is not so.
@@ -58,6 +58,7 @@ class Findings:
     n_sightings: int = 0
     n_accepted: int = 0
     n_served: int = 0
+    n_repeating: int = 0
     lost: list[str] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
     wrong_sightings: list[str] = field(default_factory=list)
@@ -74,7 +75,8 @@ class Findings:
     def good(self) -> bool:
         """Whether nothing was found wrong."""
         lists = (self.lost, self.doubled, self.wrong_sightings, self.worse_than_stated, self.silent, self.own_exits)
-        return not any(lists) and not self.not_calibrated and self.integrity == "ok"
+        too_many = len(self.copies) > self.n_repeating
+        return not any(lists) and not too_many and not self.not_calibrated and self.integrity == "ok"
 
 
 class Judge:
@@ -99,6 +101,7 @@ class Judge:
         self._sunny_since: float | None = None
         self._last_look: float | None = None
         self._ready_since_s: float | None = None
+        self._repeated: list[tuple[float, float]] = []
         self.found = Findings()
 
     def look(self, simulated_unix_s: float | None, *, clear: bool) -> None:
@@ -152,9 +155,9 @@ class Judge:
         found.n_sightings = len(rows)
         accepted = np.array([row for row in rows if row[2]], dtype=np.float64).reshape(-1, 7)
         found.n_accepted = len(accepted)
-        copied = self._copied(rows)
         for moment, text in self._wrong(accepted):
-            (found.copies if moment in copied else found.wrong_sightings).append(text)
+            (found.copies if self._is_copy(moment) else found.wrong_sightings).append(text)
+        found.n_repeating = len(self._repeated)
         found.n_served = len(self._served)
         for document in self._served.values():
             error_deg, stated_deg = self._error_and_stated(document)
@@ -166,11 +169,13 @@ class Judge:
             found.not_calibrated = f"no calibration was served in {n_faults} faults"
         return found
 
-    @staticmethod
-    def _copied(rows: list[tuple[Any, ...]]) -> set[float]:
-        """Return the times of sightings that a later, rejected one repeats to the last digit."""
-        rejected = {(row[3], row[4]) for row in rows if not row[2] and row[3] is not None}
-        return {row[0] / 1e6 for row in rows if row[2] and (row[3], row[4]) in rejected}
+    def repeated(self, begin: float | None, end: float | None) -> None:
+        """Note that the camera repeated its images between two of its times."""
+        if begin is not None and end is not None:
+            self._repeated.append((begin - self._cadence_s, end + self._cadence_s))
+
+    def _is_copy(self, moment: float) -> bool:
+        return any(begin <= moment <= end for begin, end in self._repeated)
 
     def _wrong(self, rows: np.ndarray[Any, np.dtype[np.float64]]) -> list[tuple[float, str]]:
         """Return the accepted sightings that are farther from the truth than they state: times and texts."""
