@@ -92,7 +92,8 @@ def test_an_exposure_that_is_none_is_refused_by_its_field(exposure_us: float) ->
     with pytest.raises(InputError) as caught:
         merge_hdr([SHORT, LONG], [1000.0, exposure_us], sensor=SENSOR)
     assert caught.value.field == "exposures_us"
-    for images in ([SHORT, LONG[:2]], [SHORT, LONG.astype(np.uint8)], [SHORT[None], LONG[None]]):
+    unlike: list[list[Image]] = [[SHORT, LONG[:2]], [SHORT, LONG.astype(np.uint8)], [SHORT[None], LONG[None]]]
+    for images in unlike:
         with pytest.raises(InputError) as caught:
             merge_hdr(images, [1000.0, 4000.0], sensor=SENSOR)
         assert caught.value.field == "images"

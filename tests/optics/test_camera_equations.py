@@ -15,6 +15,7 @@ from sunarc.optics import (
     PARAMETER_NAMES,
     PROJECTIONS,
     Camera,
+    Projection,
     angle_limit,
     ideal_angle,
     ideal_radius,
@@ -199,7 +200,8 @@ def test_the_limit_of_each_projection_is_where_its_radius_ends() -> None:
         "stereographic": 180.0,
         "orthographic": 90.0,
     }
-    for name, largest in (("orthographic", 1.0), ("equisolid", 2.0), ("equidistant", math.pi)):
+    ends: dict[Projection, float] = {"orthographic": 1.0, "equisolid": 2.0, "equidistant": math.pi}
+    for name, largest in ends.items():
         within, beyond = ideal_angle(name, [largest - 1e-9, largest + 1e-9])
         assert float(within) == pytest.approx(angle_limit(name), abs=1e-4)
         assert math.isnan(beyond)

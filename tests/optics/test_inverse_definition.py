@@ -42,7 +42,7 @@ def searched(camera: Camera, pixel: FloatArray) -> FloatArray:
         grid /= np.linalg.norm(grid, axis=-1, keepdims=True)
         centre = grid[np.argmin(np.linalg.norm(pixels_by_hand(camera, grid) - pixel, axis=-1))]
         width *= 0.45
-    return centre
+    return np.asarray(centre)
 
 
 def test_the_exact_inverse_is_what_a_search_of_the_sky_finds() -> None:

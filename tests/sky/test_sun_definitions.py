@@ -282,10 +282,10 @@ def test_the_bounds_of_a_site_belong_to_it_and_what_lies_beyond_does_not(
 ) -> None:
     place = {"latitude": 0.0, "longitude": 0.0}
     for value in (low, high):
-        assert getattr(Site(**{**place, field: value}), field) == value  # type: ignore[arg-type]
+        assert getattr(Site(**{**place, field: value}), field) == value
     for value in (low - beyond, high + beyond):
         with pytest.raises(InputError) as caught:
-            Site(**{**place, field: value})  # type: ignore[arg-type]
+            Site(**{**place, field: value})
         assert caught.value.field == field
 
 
