@@ -42,12 +42,12 @@ def test_the_memory_of_clients_is_bounded() -> None:
 
 
 def test_who_asks_too_much_is_told_when_to_come_back(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
-    made: Made = make(requests_per_s=0.5, burst=3)
+    made: Made = make(requests_per_s=0.02, burst=3)  # so slow that a busy host adds nothing meanwhile
     statuses = [made.client_at(AWAY).get("/v1/days").status_code for _ in range(4)]
     assert statuses == [200, 200, 200, 429]
     answer = made.client_at(AWAY).get("/v1/days")
     check_shape(answer, 429, "/v1/days")
-    assert 1 <= int(answer.headers["retry-after"]) <= 2
+    assert 30 <= int(answer.headers["retry-after"]) <= 50
     assert made.client_at("192.0.2.8").get("/v1/days").status_code == 200
     assert made.client_at(AWAY).get("/healthz").status_code == 200
 
