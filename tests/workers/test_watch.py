@@ -322,7 +322,13 @@ def test_sightings_are_compared_with_the_sun_in_the_measured_air(
     air = replace(SGP, temperature=40.0, pressure=90_000.0)
     compared: list[tuple[float, ...]] = []
 
-    def noting(watched: Watch, seen: Watched, *, site: Site, **how: Any) -> tuple[Watch, Change | None]:  # noqa: ANN401 - of observe
+    def noting(
+        watched: Watch,
+        seen: Watched,
+        *,
+        site: Site,
+        **how: Any,  # noqa: ANN401 - of observe
+    ) -> tuple[Watch, Change | None]:
         compared.append(seen.direction)
         assert site == (air if len(compared) == 2 else SGP)
         return observe(watched, seen, site=site, **how)
