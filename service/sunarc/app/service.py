@@ -96,14 +96,7 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         restore_last_known(self.board, archive=archive, images=self.images, camera=settings.name)
         self.keeper = SightingKeeper(archive, board=self.board)
-        self.overdue = OverdueSightings(
-            stored=lambda: self.keeper.stored,
-            apparent_zenith=self._apparent_zenith,
-            clock=clock,
-            frame_time=self.frame_time,
-            cadence_s=settings.capture.cadence_s,
-            board=self.board,
-        )
+        self.overdue = self._overdue_sightings()
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=self._apparent_zenith,
@@ -149,6 +142,16 @@ class Service:
 
     def _apparent_zenith(self) -> float:
         return self.predictor.apparent_zenith(self.frame_time.now())
+
+    def _overdue_sightings(self) -> OverdueSightings:
+        return OverdueSightings(
+            stored=lambda: self.keeper.stored,
+            apparent_zenith=self._apparent_zenith,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            cadence_s=self.settings.capture.cadence_s,
+            board=self.board,
+        )
 
     def check_sightings(self) -> None:
         """Show where none is stored though the sun is up; a replay has no slots that are due."""
