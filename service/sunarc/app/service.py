@@ -75,17 +75,7 @@ class Service:
         self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
         self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
-        self.clock_watch = ClockWatch(
-            clock=clock,
-            frame_time=self.frame_time,
-            archive=archive,
-            camera=settings.name,
-            options=settings.clock,
-            camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
-            finds_steps=self._in_real_time,
-            board=self.board,
-            largest_clock_error_s=self.largest_clock_error_s,
-        )
+        self.clock_watch = self._new_clock_watch()
         self.predictor = SunPredictor(
             archive,
             camera=settings.name,
@@ -96,6 +86,7 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self._restore_last_known()
         self.keeper = SightingKeeper(archive, board=self.board)
+<<<<<<< HEAD
         self.overdue = OverdueSightings(
             stored=lambda: self.keeper.stored,
             apparent_zenith=self._apparent_zenith,
@@ -105,6 +96,9 @@ class Service:
             board=self.board,
         )
         self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
+=======
+        self.overdue = self._overdue_sightings()
+>>>>>>> campaign2
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=self._apparent_zenith,
@@ -125,6 +119,20 @@ class Service:
             request_refit=self.request_refit,
         )
         self._open_camera = open_camera
+
+    def _new_clock_watch(self) -> ClockWatch:
+        settings = self.settings
+        return ClockWatch(
+            clock=self.clock,
+            frame_time=self.frame_time,
+            archive=self.archive,
+            camera=settings.name,
+            options=settings.clock,
+            camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
+            finds_steps=self._in_real_time,
+            board=self.board,
+            largest_clock_error_s=self.largest_clock_error_s,
+        )
 
     @property
     def _in_real_time(self) -> bool:
@@ -166,6 +174,16 @@ class Service:
 
     def _apparent_zenith(self) -> float:
         return self.predictor.apparent_zenith(self.frame_time.now())
+
+    def _overdue_sightings(self) -> OverdueSightings:
+        return OverdueSightings(
+            stored=lambda: self.keeper.stored,
+            apparent_zenith=self._apparent_zenith,
+            clock=self.clock,
+            frame_time=self.frame_time,
+            cadence_s=self.settings.capture.cadence_s,
+            board=self.board,
+        )
 
     def check_sightings(self) -> None:
         """Show where none is stored though the sun is up; a replay has no slots that are due."""
