@@ -86,19 +86,8 @@ class Service:
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self._restore_last_known()
         self.keeper = SightingKeeper(archive, board=self.board)
-<<<<<<< HEAD
-        self.overdue = OverdueSightings(
-            stored=lambda: self.keeper.stored,
-            apparent_zenith=self._apparent_zenith,
-            clock=clock,
-            frame_time=self.frame_time,
-            cadence_s=settings.capture.cadence_s,
-            board=self.board,
-        )
-        self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
-=======
         self.overdue = self._overdue_sightings()
->>>>>>> campaign2
+        self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=self._apparent_zenith,
