@@ -38,10 +38,15 @@ def merged_by_hand(short: float, long: float) -> float:
     return sum(n / t / v for (n, t), v in zip(frames, variances, strict=True)) / sum(1.0 / v for v in variances)
 
 
+def image_by_hand() -> FloatArray:
+    """Return the merge of `SHORT` and `LONG`, pixel by pixel by hand."""
+    rates = [[merged_by_hand(s, n) for s, n in zip(*rows, strict=True)] for rows in zip(SHORT, LONG, strict=True)]
+    return np.rint(np.clip(np.array(rates) / ((FULL_SCALE - BLACK) / 1000.0), 0.0, 1.0) * 65535.0)
+
+
 def test_a_merge_of_three_by_three_pixels_is_the_one_by_hand() -> None:
     merged = merge_hdr([LONG, SHORT], [4000.0, 1000.0], sensor=SENSOR)
-    rates = [[merged_by_hand(s, n) for s, n in zip(*rows, strict=True)] for rows in zip(SHORT, LONG, strict=True)]
-    expected = np.rint(np.clip(np.array(rates) / ((FULL_SCALE - BLACK) / 1000.0), 0.0, 1.0) * 65535.0)
+    expected = image_by_hand()
     np.testing.assert_array_equal(merged.image, expected)
     assert merged.counts_per_us == pytest.approx((FULL_SCALE - BLACK) / 1000.0 / 65535.0, rel=1e-15)
     assert merged.exposures_us == (1000.0, 4000.0)
@@ -65,6 +70,7 @@ def test_the_merge_interpreted_is_the_merge_compiled() -> None:
     image, lost = _merge.py_func(*arguments)
     merged = merge_hdr([SHORT, LONG], [1000.0, 4000.0], sensor=SENSOR)
     np.testing.assert_array_equal(image, merged.image)
+    np.testing.assert_array_equal(image, image_by_hand())
     assert lost == merged.saturated_px
 
 

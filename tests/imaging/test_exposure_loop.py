@@ -182,6 +182,9 @@ def test_a_bracket_that_does_not_fit_the_bounds_is_one_exposure() -> None:
     half = ExposureBounds(minimum_us=15.0, maximum_us=40.0)
     assert first_sun_exposures(OPTIONS, half).exposures_us == (20.0, 40.0)
     assert first_sun_exposures(OPTIONS, replace(half, minimum_us=30.0)).exposures_us == (30.0, 40.0)
+    # 5002 is 0.7 of a step beyond the last one of the grid, and rounding up would leave the bounds
+    grid = ExposureBounds(minimum_us=13.0, maximum_us=5002.0, step_us=7.0)
+    assert first_sun_exposures(replace(OPTIONS, first_us=1e9), grid).exposures_us == (4997.0,)
 
 
 def test_spoiled_cycles_are_counted_over_clouds() -> None:

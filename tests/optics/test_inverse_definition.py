@@ -187,12 +187,13 @@ def test_an_equidistant_lens_stretches_by_its_focal_length_and_theta_over_sine()
 
 def test_a_lens_rises_up_to_the_angle_where_its_slope_vanishes() -> None:
     # θ + k2 (θ/(π/2))² has the slope 1 + 2 k2 θ/(π/2)² = 0 at θ = -(π/2)²/(2 k2)
-    falling = replace(CAMERAS[2], radial=(-1.0, *([0.0] * 7)))
-    top = (math.pi / 2.0) ** 2 / 2.0
-    found = rising_limit(falling, up_to=1.7)
-    assert top - 1.7 / 1000.0 < found <= top
-    assert float(radius_slope(falling, found)) > 0.0
-    assert rising_limit(falling, up_to=1.0) == 1.0
+    for k2 in (-1.0, -2.0):
+        falling = replace(CAMERAS[2], radial=(k2, *([0.0] * 7)))
+        top = -((math.pi / 2.0) ** 2) / (2.0 * k2)
+        found = rising_limit(falling, up_to=1.7)
+        assert top - 1.7 / 1000.0 < found <= top
+        assert float(radius_slope(falling, found)) > 0.0
+        assert rising_limit(falling, up_to=0.5) == 0.5
     for name in PROJECTIONS:
         plain = replace(CAMERAS[2], projection=name, radial=(0.0,) * 8)
         assert rising_limit(plain, up_to=4.0) == pytest.approx(angle_limit(name), rel=2e-6)

@@ -80,6 +80,11 @@ def test_below_the_horizon_the_refraction_is_that_of_the_horizon() -> None:
     assert math.degrees(float(found[0])) == pytest.approx(0.575, abs=0.005)
 
 
+def test_a_vector_that_rounding_made_too_long_still_has_a_refraction() -> None:
+    found = float(refraction_rad([0.0, 0.0, 1.0 + 2.3e-16], STANDARD))
+    assert 0.0 <= found < 1e-6
+
+
 def test_the_refraction_undoes_that_of_pvlib_s_position_algorithm() -> None:
     # pvlib refracts true elevations by Saemundsson's formula, whose inverse Bennett's is to 0.07' above 5 degrees
     true = np.linspace(0.3, 89.0, 60)
