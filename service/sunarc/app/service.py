@@ -129,7 +129,6 @@ class Service:
         return self.settings.source == "aravis" and self.settings.capture.speed == 1.0
 
     def _restore_last_known(self) -> None:
-        """Show what the store has of the time before the start."""
         restore_last_known(
             self.board,
             archive=self.archive,
