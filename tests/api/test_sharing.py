@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from sunarc.api.compute_slots import Places
 from sunarc.api.holdings import Holding, Holdings
-from sunarc.api.places import Places
 from sunarc.api.problems import RefusedError
 
 

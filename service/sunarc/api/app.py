@@ -20,6 +20,8 @@ from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
+from sunarc.api.compute_slots import Places
+from sunarc.api.context import CurrentRecords, DaySites, Served
 from sunarc.api.day_air import day_air_routes
 from sunarc.api.decisions import decision_routes
 from sunarc.api.directions import direction_routes
@@ -31,15 +33,13 @@ from sunarc.api.holdings import Holdings
 from sunarc.api.limits import ConcurrencyLimit, RateLimit
 from sunarc.api.maps import map_routes
 from sunarc.api.metrics import StatusCollector
+from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
 from sunarc.api.overlay import overlay_routes
-from sunarc.api.places import Places
 from sunarc.api.problems import FaultGuard, add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
 from sunarc.api.request_bodies import BodyReader
-from sunarc.api.schema import describe
-from sunarc.api.served import CurrentRecords, DaySites, Served
 from sunarc.api.sun import sun_routes
 from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit

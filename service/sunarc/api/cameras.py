@@ -6,8 +6,8 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
+from sunarc.api.context import Served
 from sunarc.api.record_schemas import CameraRecordOut, Cameras
-from sunarc.api.served import Served
 
 
 def camera_routes(served: Served) -> APIRouter:

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request
 
+from sunarc.api.context import Served
 from sunarc.api.fields import SolarDate
 from sunarc.api.problems import answers
 from sunarc.api.record_schemas import DayAirIn, DayAirOut
-from sunarc.api.served import Served
 from sunarc.api.tokens import changing_needs
 from sunarc.archive import DayAir
 

@@ -10,12 +10,12 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.computing import Answering, Computation, body_of, compute, read_asked, rows_told
+from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, rows_told
+from sunarc.api.compute_slots import Places
+from sunarc.api.context import Served
 from sunarc.api.fields import Time
-from sunarc.api.places import Places
 from sunarc.api.problems import answers
 from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
-from sunarc.api.served import Served
 from sunarc.calibration import BACK_PROJECTED, PROJECTED
 from sunarc.sky import direction_from_angles
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request
 
+from sunarc.api.context import Served
 from sunarc.api.problems import answers
 from sunarc.api.record_schemas import ClosedEpoch, Decision
-from sunarc.api.served import Served
 from sunarc.api.tokens import changing_needs
 from sunarc.errors import NotFoundError
 

@@ -10,10 +10,10 @@ from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
 from sunarc.api.calibrations import summary
+from sunarc.api.context import Served
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.record import days_out
 from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
-from sunarc.api.served import Served
 from sunarc.board import StatusSnapshot
 
 

@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from sunarc.api.calibrations import summary
-from sunarc.api.served import Served
+from sunarc.api.context import Served
 from sunarc.board import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
 _EVENTS_LOOKED_AT = 1000

@@ -20,9 +20,9 @@ from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
 from sunarc.api.client_address import client_network
-from sunarc.api.places import Places
+from sunarc.api.compute_slots import Places
+from sunarc.api.context import Served
 from sunarc.api.problems import Fault, RefusedError
-from sunarc.api.served import Served
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import Lookup
 
