@@ -10,7 +10,7 @@ database's room beside them · csv_files.py: the files people hand us.
 """
 
 from sunarc.archive.archive import Archive, open_archive
-from sunarc.archive.copies import backup, backup_into, newest_sound_copy, restore
+from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.csv_files import (
     SightingTable,
     parse_time,
@@ -19,15 +19,15 @@ from sunarc.archive.csv_files import (
     write_columns,
     write_sightings,
 )
-from sunarc.archive.doubts import ELSEWHERE, FROZEN, LENS_CHANGED, MOVED
 from sunarc.archive.epoch_closing import EPOCH_CLOSED
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
-from sunarc.archive.reserve import Reserve
 from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
 from sunarc.archive.seen import sun_point_of
+from sunarc.archive.sighting_revisions import ELSEWHERE, FROZEN, LENS_CHANGED, MOVED
 from sunarc.archive.sites import require_same_site
+from sunarc.archive.space_reserve import Reserve
 from sunarc.archive.values import (
     CalibrationRecord,
     CalibrationState,

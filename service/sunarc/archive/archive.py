@@ -9,16 +9,16 @@ from typing import cast
 
 from sqlalchemy import Engine, QueuePool
 
-from sunarc.archive.air import MeasuredAir
-from sunarc.archive.doubts import Doubts
+from sunarc.archive.calibration_inputs import UsedSightings
+from sunarc.archive.day_air import MeasuredAir
+from sunarc.archive.days_and_events import Journal
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
-from sunarc.archive.journal import Journal
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import require_file, require_head
+from sunarc.archive.sighting_revisions import Doubts
 from sunarc.archive.sightings import Sightings
-from sunarc.archive.used import UsedSightings
 from sunarc.errors import OutsideError
 
 

@@ -9,13 +9,13 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, not_, or_, select
 
+from sunarc.archive.calibration_inputs import keep_used
 from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
-from sunarc.archive.doubts import LENS_CHANGED
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.sighting_revisions import LENS_CHANGED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
-from sunarc.archive.used import keep_used
 from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, told, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.errors import InputError, NotFoundError

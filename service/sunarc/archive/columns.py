@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select, type_coerce
 
 from sunarc.archive import tables
-from sunarc.archive.air import air_of_days, within_or_nan
+from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPointColumns
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 from sqlalchemy import Connection, insert, select, update
 
-from sunarc.archive.doubts import ELSEWHERE, MOVED
-from sunarc.archive.history import History, add_copy
+from sunarc.archive.calibration_states import History, add_copy
+from sunarc.archive.sighting_revisions import ELSEWHERE, MOVED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import values_of
 from sunarc.archive.tables import calibration, event, pose_epoch, sun_point

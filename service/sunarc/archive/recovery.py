@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from sunarc.archive.copies import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
+from sunarc.archive.backup import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
 from sunarc.archive.file import EMPTIED
 from sunarc.archive.ownership import PRIVATE, give_to_owner_of
 from sunarc.archive.schema import upgrade

@@ -9,7 +9,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, func, inspect, select
 
 import sunarc
-from sunarc.archive.copies import backup, remove_old_asides
+from sunarc.archive.backup import backup, remove_old_asides
 from sunarc.archive.documents import damaged_calibrations
 from sunarc.archive.engine import create_archive_engine, reading
 from sunarc.archive.ownership import give_to_owner_of

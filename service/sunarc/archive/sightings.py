@@ -11,8 +11,8 @@ from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
 from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_times
-from sunarc.archive.doubts import FROZEN
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.sighting_revisions import FROZEN
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.validity import SERVED

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
 
-from sunarc.archive.changes import Changes
+from sunarc.archive.data_version import Changes
 from sunarc.archive.engine import reading, writing
 from sunarc.archive.file import DatabaseFile
 

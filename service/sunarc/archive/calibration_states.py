@@ -10,10 +10,10 @@ from typing import Any
 
 from sqlalchemy import Connection, func, insert, select
 
+from sunarc.archive.calibration_inputs import copy_used
 from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.documents import row_of
 from sunarc.archive.tables import calibration, event
-from sunarc.archive.used import copy_used
 from sunarc.archive.validity import SERVED, end_others, set_columns, told, written, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
 
