@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from real_like_tracks import Track, real_like_track
 
 from sunarc.calibration import Calibration, calibrate, calibrate_moved, hemisphere
-from sunarc.calibration.loss import tukey_loss
+from sunarc.calibration.robust_loss import tukey_loss
 from sunarc.optics import angle_limit, project
 from sunarc.sky import sun_directions
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
 from sunarc.calibration.noise import inflation, lag_one, neighbours
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
 
 
 def _correlated(n: int, rho: float) -> NDArray[np.float64]:

@@ -10,7 +10,6 @@ known lens in a new pose · `watching/` what changed · `days` what a day is wor
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
-from sunarc.calibration.again import calibrate_again
 from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.circle import find_image_circle
@@ -36,12 +35,13 @@ from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures
-from sunarc.calibration.moves import Moved, calibrate_moved
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.points import SunPoints
+from sunarc.calibration.pose_change_points import Moved, calibrate_moved
+from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.priors import prior_knowledge
-from sunarc.calibration.record_steps import PoseStep, find_pose_steps
+from sunarc.calibration.reproduce import calibrate_again
 from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 

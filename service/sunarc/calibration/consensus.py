@@ -11,8 +11,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.loss import core_sigma
 from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.robust_loss import core_sigma
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.loss import core_sigma
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.priors import N_LENS, lens_prior, precisions
 from sunarc.calibration.problem import Observations, Problem, problem_for
+from sunarc.calibration.robust_loss import core_sigma
 from sunarc.calibration.solve import most_probable
 from sunarc.calibration.start import (
     LARGEST_TILT,

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.consensus import consensus_start
-from sunarc.calibration.loss import core_sigma, tukey_loss
 from sunarc.calibration.priors import DECENTERING, N_LENS, RADIAL
 from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.robust_loss import core_sigma, tukey_loss
 from sunarc.calibration.solve import most_probable
 
 FloatArray = NDArray[np.float64]

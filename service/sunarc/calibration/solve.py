@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from sunarc.calibration.loss import tukey_loss, tukey_weights
 from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.robust_loss import tukey_loss, tukey_weights
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

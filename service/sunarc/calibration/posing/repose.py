@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.assemble import Fitted, Job, finished, refused
 from sunarc.calibration.field import Field
-from sunarc.calibration.loss import core_sigma
 from sunarc.calibration.options import CalibrationOptions, Mirrored
 from sunarc.calibration.points import SunPoints, Usable, usable_points
 from sunarc.calibration.posing.condition import Held, Sightings, conditioned, false_density, held_to, log_normal
@@ -23,6 +22,7 @@ from sunarc.calibration.posing.seen import MOST, Seen, finite, gathered, inflati
 from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, moved, predicted, stated, turned
 from sunarc.calibration.posing.turn import likely_turn
 from sunarc.calibration.result import Calibration
+from sunarc.calibration.robust_loss import core_sigma
 from sunarc.calibration.verdict import Handedness
 from sunarc.optics import Camera, project_fast
 from sunarc.optics.pose import right_jacobian
