@@ -118,6 +118,6 @@ def test_a_process_whose_threads_are_in_opencv_ends_with_its_code_and_its_output
 
 def test_the_command_line_loads_no_library_that_only_a_fit_or_an_export_needs() -> None:
     later = "scipy.optimize scipy.interpolate h5py h5netcdf xarray pandas matplotlib"
-    code = f"import sys, sunarc.__main__; print(*[name for name in '{later}'.split() if name in sys.modules])"
+    code = f"import sys, sunarc.cli.main; print(*[name for name in '{later}'.split() if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, check=True)
     assert done.stdout.strip() == ""

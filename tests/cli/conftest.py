@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from sunarc.__main__ import main
+from sunarc.cli.main import main
 
 
 @dataclass(frozen=True, slots=True)

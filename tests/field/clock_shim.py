@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from sunarc import clock
-from sunarc.__main__ import main
+from sunarc.cli.main import main
 
 
 def _setting(file: Path) -> tuple[float, bool]:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.__main__ import main
 from sunarc.calibration import Calibration, SunPoints, calibrate
+from sunarc.cli.main import main
 from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions

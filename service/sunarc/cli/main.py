@@ -15,19 +15,19 @@ from rich.progress import track
 
 from sunarc import __version__, app, doctor, offline
 from sunarc.archive import parse_time
+from sunarc.cli.calibrate import calibrate
+from sunarc.cli.calibrations import calibrations_cli, epochs_cli
+from sunarc.cli.database import Config, db_cli, note_running_service, points_cli
+from sunarc.cli.export import export_calibration
+from sunarc.cli.output import print_json, table
+from sunarc.cli.study import study_cli
 from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.journal import start_log
 from sunarc.offline import settings_reference
-from sunarc.offline.calibrate_command_line import calibrate
-from sunarc.offline.command_line import Config, db_cli, note_running_service, points_cli
-from sunarc.offline.export_command_line import export_calibration
-from sunarc.offline.history_command_line import calibrations_cli, epochs_cli
 from sunarc.settings import load_settings
 from sunarc.sky import Site
-from sunarc.studies.command_line import study_cli
-from sunarc.terminal import print_json, table
 
 _SITE = "Where the camera stands"
 

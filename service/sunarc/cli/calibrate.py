@@ -10,14 +10,14 @@ from rich.console import Console
 
 from sunarc import offline
 from sunarc.calibration import CalibrationOptions
+from sunarc.cli.database import AsJson, Config
+from sunarc.cli.output import print_json, table
 from sunarc.clock import SystemClock
 from sunarc.errors import InputError
 from sunarc.offline.again import solve_again
 from sunarc.offline.cameras import parse_image_size
-from sunarc.offline.command_line import AsJson, Config
 from sunarc.settings import load_settings
 from sunarc.sky import Site
-from sunarc.terminal import print_json, table
 
 _SITE = "Where the camera stands"
 

@@ -9,11 +9,11 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import parse_time
+from sunarc.cli.database import AsJson, Config
+from sunarc.cli.output import print_json, table
 from sunarc.clock import SystemClock
 from sunarc.offline import history
-from sunarc.offline.command_line import AsJson, Config
 from sunarc.settings import load_settings
-from sunarc.terminal import print_json, table
 
 calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: see it, roll back, pin.")
 epochs_cli = typer.Typer(

@@ -11,13 +11,13 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import lock_holder, parse_time
+from sunarc.cli.output import print_json, table
 from sunarc.clock import SystemClock
 from sunarc.errors import InputError
 from sunarc.offline import importing, storing
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.everything import export_everything
 from sunarc.settings import load_settings
-from sunarc.terminal import print_json, table
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
 db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
