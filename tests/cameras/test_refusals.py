@@ -12,8 +12,8 @@ import pytest
 
 from sunarc.cameras import AravisCamera, AravisOptions, pack
 from sunarc.clock import VirtualClock
+from sunarc.diagnostics.camera_checks import _trial as frames_of_trial
 from sunarc.errors import CameraError, CameraLostError
-from sunarc.survey import _trial as frames_of_trial
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

@@ -16,7 +16,7 @@ from sunarc.archive import Archive, Refit, lock_state, open_archive
 from sunarc.board import StatusBoard
 from sunarc.calibration import CalibrationOptions
 from sunarc.clock import VirtualClock
-from sunarc.doctor import examine
+from sunarc.diagnostics.checks import examine
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.settings import load_settings

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from sunarc import __version__, app, doctor, offline
+from sunarc import __version__, app, offline
 from sunarc.archive import parse_time
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
@@ -23,6 +23,7 @@ from sunarc.cli.output import print_json, table
 from sunarc.cli.study import study_cli
 from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
+from sunarc.diagnostics import checks as doctor
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.journal import start_log
 from sunarc.offline import settings_reference

@@ -17,10 +17,10 @@ import sunarc
 from sunarc.app import camera_opener, require_stored_site
 from sunarc.archive import check, newest_sound_copy, open_archive
 from sunarc.clock import Clock, host_clock_state
+from sunarc.diagnostics.camera_checks import survey
 from sunarc.errors import SunarcError
 from sunarc.footing import listen, prepare_state
 from sunarc.settings import Settings
-from sunarc.survey import survey
 
 Outcome = Literal["ok", "warn", "fail"]
 _LEAST_FREE_BYTES = 2_000_000_000

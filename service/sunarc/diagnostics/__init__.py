@@ -1,0 +1,1 @@
+"""Checks of an installation and of its camera, for `sunarc check`."""
