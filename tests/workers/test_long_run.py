@@ -18,7 +18,7 @@ import pytest
 from sunarc.archive import Archive, Day, SunPoint, backup, open_archive
 from sunarc.calibration import from_document
 from sunarc.errors import InputError
-from sunarc.offline.again import solve_again
+from sunarc.offline.reproduce import solve_again
 from sunarc.settings import load_settings
 from sunarc.simulation import SGP
 from sunarc.workers import SunPredictor

@@ -5,13 +5,13 @@ ingesting.py: an archive of images to sightings · storing.py: the archive in an
 formats · files.py: what is handed over · compiling.py: the kernels, ahead of their first use.
 """
 
-from sunarc.offline.compiling import compile_kernels
-from sunarc.offline.detecting import METHODS, detect_in_files, detect_in_image, draw_overlay
-from sunarc.offline.fitting import calibrate_file, image_circle_of
-from sunarc.offline.importing import import_points
-from sunarc.offline.ingesting import Ingested, ingest_folder
-from sunarc.offline.placing import project_csv, unproject_csv
-from sunarc.offline.storing import (
+from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
+from sunarc.offline.compile_kernels import compile_kernels
+from sunarc.offline.detect_files import METHODS, detect_in_files, detect_in_image, draw_overlay
+from sunarc.offline.import_sightings import import_points
+from sunarc.offline.ingest import Ingested, ingest_folder
+from sunarc.offline.project_files import project_csv, unproject_csv
+from sunarc.offline.sighting_files import (
     backup_database,
     check_database,
     export_points,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
 from sunarc.errors import InputError, OutsideError
-from sunarc.offline.storing import database_of
+from sunarc.offline.sighting_files import database_of
 
 _UNITS = {
     "x_px": "px",

@@ -18,7 +18,7 @@ from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.imaging import document_of
 from sunarc.offline.cameras import known_camera, register_camera
-from sunarc.offline.detecting import Method, detect_in_image
+from sunarc.offline.detect_files import Method, detect_in_image
 from sunarc.offline.files import read_file, read_image
 from sunarc.settings import Settings
 from sunarc.sky import sun_angles

@@ -22,7 +22,7 @@ from sunarc.calibration import (
 from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.offline.files import read_image, read_lines, require_inside
-from sunarc.offline.placing import read_calibration
+from sunarc.offline.project_files import read_calibration
 from sunarc.sky import Site
 
 
