@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from sunarc.board import CameraStatus, ClockStatus, DiskStatus, Reason, StatusBoard, WorkerStatus
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusBoard, WorkerStatus
 
 DISK = DiskStatus(free_bytes=5, images_bytes=3)
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)

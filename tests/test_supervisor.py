@@ -10,11 +10,11 @@ from itertools import pairwise
 
 import pytest
 
-from sunarc.board import StatusBoard, WorkerStatus
-from sunarc.clock import SystemClock, VirtualClock
 from sunarc.errors import OutsideError
-from sunarc.heartbeats import Heartbeat, Monitored
-from sunarc.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
+from sunarc.runtime.clock import SystemClock, VirtualClock
+from sunarc.runtime.heartbeats import Heartbeat, Monitored
+from sunarc.runtime.status import StatusBoard, WorkerStatus
+from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 PATIENCE_S = 20.0  # only a failing test waits as long

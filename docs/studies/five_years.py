@@ -31,10 +31,10 @@ from fastapi.testclient import TestClient
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.calibration import CalibrationOptions, DayOptions
-from sunarc.clock import SystemClock
 from sunarc.optics import project_fast
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker

@@ -29,9 +29,9 @@ from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.archive import Refit
-from sunarc.board import StatusBoard
-from sunarc.clock import VirtualClock
-from sunarc.footing import listen
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.preflight import listen
+from sunarc.runtime.status import StatusBoard
 
 MAP = "/v1/back-projection-map"
 MAP_BYTES = 73_400_000

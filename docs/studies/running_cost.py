@@ -28,7 +28,7 @@ from pathlib import Path
 from types import FrameType
 
 from sunarc.archive import CameraRecord, open_archive, upgrade
-from sunarc.clock import SystemClock
+from sunarc.runtime.clock import SystemClock
 from sunarc.simulation import SGP, ImagerOptions, imager, run_imager
 
 _SIZE = 2048

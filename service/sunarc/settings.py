@@ -20,8 +20,8 @@ from sunarc.cameras import AravisOptions, ReplayOptions
 from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError
 from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky import Site
-from sunarc.supervisor import SupervisorOptions
 from sunarc.workers import CaptureOptions, ClockOptions, RefitOptions, SensorOptions
 
 _PREFIX = "SUNARC_"

@@ -19,7 +19,6 @@ from fastapi import FastAPI
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, open_archive, upgrade
-from sunarc.board import CameraStatus, ClockStatus, DiskStatus, StatusBoard, WorkerStatus
 from sunarc.calibration import (
     BackwardModel,
     Calibration,
@@ -30,8 +29,9 @@ from sunarc.calibration import (
     WaveBasis,
     to_document,
 )
-from sunarc.clock import VirtualClock
 from sunarc.optics import Camera, pose_angles, project
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusBoard, WorkerStatus
 from sunarc.sky import Site, sun_angles, sun_directions
 
 TOKEN = "a token that is long enough"  # noqa: S105 - of the test alone

@@ -25,9 +25,9 @@ from tests.api.conftest import LENS, NOON, SITE, TOKEN, fill, new_archive, write
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Refit
-from sunarc.board import StatusBoard
-from sunarc.clock import VirtualClock
-from sunarc.footing import listen
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.preflight import listen
+from sunarc.runtime.status import StatusBoard
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from sunarc.board import Reason
+from sunarc.runtime.status import Reason
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from sunarc.archive import Event
-from sunarc.board import ClockStatus, Notes, Reason
+from sunarc.runtime.status import ClockStatus, Notes, Reason
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

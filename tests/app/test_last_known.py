@@ -14,9 +14,9 @@ import pytest
 from sunarc.app import Service
 from sunarc.app.last_known import restore_last_known
 from sunarc.archive import CameraRecord, ImageStore, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.cameras import AravisOptions, SkyCamera
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.settings import Settings
 from sunarc.sky import Site
 

@@ -12,7 +12,7 @@ from tests.workers.clock_faults import START, Imager
 
 from sunarc.archive import LENS_CHANGED, Archive
 from sunarc.cameras import CameraInfo
-from sunarc.clock import ClockState
+from sunarc.runtime.clock import ClockState
 
 from .test_same_camera import INFO, Camera
 

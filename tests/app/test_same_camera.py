@@ -13,8 +13,8 @@ import pytest
 from sunarc.app import Service
 from sunarc.archive import Archive, open_archive, upgrade
 from sunarc.cameras import AravisOptions, CameraCondition, CameraInfo, Frame
-from sunarc.clock import VirtualClock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import VirtualClock
 from sunarc.settings import Settings
 from sunarc.sky import Site
 

@@ -13,7 +13,7 @@ import pytest
 from sunarc.app import Service
 from sunarc.archive import CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.cameras import AravisOptions, SkyCamera
-from sunarc.clock import ClockState, VirtualClock
+from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.settings import Settings
 from sunarc.sky import Site
 

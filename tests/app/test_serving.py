@@ -15,8 +15,8 @@ import pytest
 import uvicorn
 
 from sunarc.app.serving import _Server, _stop_on_signals
-from sunarc.clock import SystemClock
-from sunarc.heartbeats import Heartbeat
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.heartbeats import Heartbeat
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from sunarc.app.status_line import FirstFrame, StatusLine
-from sunarc.board import Reason, StatusBoard
-from sunarc.clock import VirtualClock
-from sunarc.systemd import Notifier
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.systemd import Notifier
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 

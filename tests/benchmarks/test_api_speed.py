@@ -17,9 +17,9 @@ from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive
-from sunarc.board import StatusBoard
-from sunarc.clock import VirtualClock
-from sunarc.footing import listen
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.preflight import listen
+from sunarc.runtime.status import StatusBoard
 
 _PIXEL = b'{"pixels": [[871.96, 700.0]]}'
 _AT_ONCE = 200

@@ -15,7 +15,6 @@ import pytest
 from sunarc.cameras import AravisCamera, AravisOptions, open_aravis
 from sunarc.cameras import aravis as adapter
 from sunarc.cameras.buffers import follows
-from sunarc.clock import VirtualClock
 from sunarc.errors import (
     CameraError,
     CameraLostError,
@@ -24,6 +23,7 @@ from sunarc.errors import (
     ConfigurationError,
     InputError,
 )
+from sunarc.runtime.clock import VirtualClock
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from sunarc.cameras import AravisCamera, AravisOptions, pack
-from sunarc.clock import VirtualClock
 from sunarc.diagnostics.camera_checks import _trial as frames_of_trial
 from sunarc.errors import CameraError, CameraLostError
+from sunarc.runtime.clock import VirtualClock
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

@@ -13,12 +13,12 @@ import pytest
 
 from sunarc.app.cameras import require_stored_site
 from sunarc.archive import Archive, Refit, lock_state, open_archive
-from sunarc.board import StatusBoard
 from sunarc.calibration import CalibrationOptions
-from sunarc.clock import VirtualClock
 from sunarc.diagnostics.checks import examine
 from sunarc.errors import InputError
 from sunarc.optics import project
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.settings import load_settings
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions

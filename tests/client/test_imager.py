@@ -18,10 +18,10 @@ from tests.api.conftest import NOON, SITE, fill, new_archive
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive
-from sunarc.board import StatusBoard
 from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,8 +10,8 @@ import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from sunarc import clock
 from sunarc.cli.main import main
+from sunarc.runtime import clock
 
 
 def _setting(file: Path) -> tuple[float, bool]:

@@ -21,10 +21,10 @@ from typing import Any
 
 from soak import ADDRESS, HDR_US, REGION, START, Imager  # type: ignore[import-not-found] # beside this script
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import AravisOptions, Frame, open_aravis
-from sunarc.clock import SystemClock
 from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
 
 _SETTLING = 4

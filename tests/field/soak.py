@@ -27,10 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import AravisOptions, Frame, open_aravis
-from sunarc.clock import SystemClock
 from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import ImagerOptions, scene_of
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
 

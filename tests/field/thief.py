@@ -6,8 +6,8 @@ import sys
 import threading
 
 from sunarc.cameras import AravisOptions, open_aravis
-from sunarc.clock import SystemClock
 from sunarc.errors import CameraError
+from sunarc.runtime.clock import SystemClock
 
 address, hold_s = sys.argv[1], float(sys.argv[2])
 clock = SystemClock()

@@ -60,7 +60,7 @@ def test_the_package_keeps_every_contract(package: Path, contracts: dict[str, di
         ("sky/days.py", "import sunarc.optics.camera", DOWNWARD),
         ("archive/upward.py", "import sunarc.settings", DOWNWARD),
         ("detection/sideways.py", "import sunarc.optics", DOWNWARD),
-        ("board.py", "import sunarc.clock", DOWNWARD),
+        ("board.py", "import sunarc.runtime.clock", DOWNWARD),
         ("workers/sideways.py", "def later():\n    from sunarc import supervisor", DOWNWARD),
         ("helpers/__init__.py", "", DOWNWARD),
         ("common.py", "", DOWNWARD),

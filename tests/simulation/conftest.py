@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from sunarc.clock import SystemClock
+from sunarc.runtime.clock import SystemClock
 from sunarc.simulation import SGP, ImagerOptions, Scene, scene_of, true_camera
 
 ADDRESS = "127.0.0.1"  # of 127/8 the only one that stands on an interface, which the fake camera wants

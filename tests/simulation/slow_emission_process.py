@@ -6,7 +6,7 @@ import threading
 import time
 
 from sunarc.cameras import AravisOptions, open_aravis
-from sunarc.clock import SystemClock
+from sunarc.runtime.clock import SystemClock
 from sunarc.simulation import genicam
 
 emitting = threading.Event()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sunarc.cameras.control_lost import wait_for_last_reference
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
 
 
 @pytest.mark.gige

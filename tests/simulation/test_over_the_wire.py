@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from sunarc.cameras import AravisCamera, AravisOptions, Frame, open_aravis
-from sunarc.clock import SystemClock
 from sunarc.errors import CameraError, CameraLostError, OutsideError
+from sunarc.runtime.clock import SystemClock
 from sunarc.simulation import ImagerOptions, Scene, run_imager
 
 pytestmark = [pytest.mark.gige, pytest.mark.timeout(240)]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sunarc.cameras import SkyCamera
-from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.runtime.clock import VirtualClock
 from sunarc.simulation import Scene, SceneCamera
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)

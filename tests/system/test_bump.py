@@ -20,8 +20,8 @@ from sunarc.calibration import (
     to_document,
 )
 from sunarc.cameras import AravisOptions
-from sunarc.clock import VirtualClock
 from sunarc.optics import project
+from sunarc.runtime.clock import VirtualClock
 from sunarc.settings import Settings
 from sunarc.simulation import SGP, Bump, Scene, SceneCamera, SceneOptions, SensorModel, bumped_camera, true_camera
 from sunarc.sky import sun_angles, sun_directions

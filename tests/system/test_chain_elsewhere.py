@@ -16,8 +16,8 @@ from sunarc.app import Service
 from sunarc.archive import open_archive, upgrade
 from sunarc.calibration import from_document
 from sunarc.cameras import AravisOptions, SkyCamera
-from sunarc.clock import VirtualClock
 from sunarc.optics import Camera, project
+from sunarc.runtime.clock import VirtualClock
 from sunarc.settings import Settings
 from sunarc.simulation import Scene, SceneCamera, SensorModel, true_camera
 from sunarc.sky import Site, day_bounds_unix_s, direction_from_angles, sun_angles, sun_directions

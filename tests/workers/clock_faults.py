@@ -23,9 +23,9 @@ from sunarc.app import Service
 from sunarc.archive import CameraRecord, Event, open_archive, sun_point_of, upgrade
 from sunarc.calibration import Calibration, SunPoints, calibrate, from_document, to_document
 from sunarc.cameras import AravisOptions, Frame, SkyCamera
-from sunarc.clock import ClockState, VirtualClock
 from sunarc.detection import Detection
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.settings import Settings
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions

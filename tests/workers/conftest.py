@@ -7,10 +7,10 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
-from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
 INFO = CameraInfo(

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -34,8 +33,9 @@ from sunarc.calibration import (
     project_with_covariance,
     sigma_px,
 )
-from sunarc.clock import VirtualClock
 from sunarc.optics import Camera, project
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import day_bounds_unix_s, sun_angles, sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
 from sunarc.workers import FrameTime
 
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
-from sunarc.clock import VirtualClock
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
 
 from .conftest import INFO

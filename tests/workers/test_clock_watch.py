@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
-from sunarc.clock import ClockState, VirtualClock
 from sunarc.errors import InputError, OutsideError
+from sunarc.runtime.clock import ClockState, VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import UNKNOWN_ERROR_S, ClockOptions, ClockWatch, FrameTime
 
 from .conftest import NOON

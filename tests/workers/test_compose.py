@@ -22,7 +22,7 @@ from sunarc.workers import ComposeWorker, Handover, SensorOptions, SunPredictor,
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.board import StatusBoard
+    from sunarc.runtime.status import StatusBoard
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 EXPOSURES_US = (3_000.0, 12_000.0, 48_000.0)

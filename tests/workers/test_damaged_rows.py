@@ -30,12 +30,12 @@ from sunarc.archive import (
     upgrade,
 )
 from sunarc.archive.tables import metadata
-from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import CalibrationOptions, DayOptions, SunPoints, to_document
 from sunarc.calibration.watching import WatchOptions
-from sunarc.clock import VirtualClock
 from sunarc.errors import InputError
 from sunarc.optics import project
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.sky import sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker, Reposer, SunPredictor, WatchWorker
 

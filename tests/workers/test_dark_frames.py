@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
-from sunarc.clock import VirtualClock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions
 from sunarc.workers.dark_frames import DarkFrames
 

@@ -17,8 +17,8 @@ from .conftest import NOON
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from sunarc.board import StatusBoard
-    from sunarc.clock import VirtualClock
+    from sunarc.runtime.clock import VirtualClock
+    from sunarc.runtime.status import StatusBoard
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from .conftest import NOON
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sunarc.board import StatusBoard
-    from sunarc.clock import VirtualClock
+    from sunarc.runtime.clock import VirtualClock
+    from sunarc.runtime.status import StatusBoard
 
 OPTIONS = DiskOptions(keep_days=10.0, keep_free_mb=2.0, reserve_mb=1.0)
 MB = bytes(1_000_000)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sunarc.archive import Archive, CameraRecord, Event, Refit, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -25,8 +24,9 @@ from sunarc.calibration import (
     from_document,
     project_with_covariance,
 )
-from sunarc.clock import VirtualClock
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker, points_of

@@ -4,8 +4,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from sunarc.clock import VirtualClock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import VirtualClock
 from sunarc.workers import FrameTime
 
 HOST = datetime(2026, 3, 1, 12, tzinfo=UTC)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from sunarc.archive import FROZEN, Archive, CameraRecord, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
-from sunarc.clock import VirtualClock
 from sunarc.detection import Detection, DiscOptions
 from sunarc.optics import project
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, Scene, SensorModel, true_camera
 from sunarc.sky import sun_directions
 from sunarc.workers import (

@@ -17,7 +17,7 @@ from sunarc.archive import CameraRecord, DiskOptions, ImageStore, Reserve, check
 from sunarc.cameras import Frame
 from sunarc.detection import DiscOptions
 from sunarc.errors import OutsideError
-from sunarc.footing import prepare_state
+from sunarc.runtime.preflight import prepare_state
 from sunarc.sky import Site
 from sunarc.workers import (
     ComposeWorker,
@@ -33,8 +33,8 @@ from sunarc.workers import (
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.board import StatusBoard
-    from sunarc.clock import VirtualClock
+    from sunarc.runtime.clock import VirtualClock
+    from sunarc.runtime.status import StatusBoard
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 OPTIONS = DiskOptions(keep_free_mb=6.0, reserve_mb=2.0)

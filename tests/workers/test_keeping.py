@@ -18,7 +18,7 @@ from .conftest import NOON
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sunarc.board import StatusBoard
+    from sunarc.runtime.status import StatusBoard
 
 
 class Refusing(Archive):

@@ -7,8 +7,8 @@ from datetime import timedelta
 
 import pytest
 
-from sunarc.board import StatusBoard
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import FrameTime
 from sunarc.workers.overdue_sightings import OverdueSightings
 

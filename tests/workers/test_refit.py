@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
-from sunarc.clock import SystemClock, VirtualClock
 from sunarc.optics import project
+from sunarc.runtime.clock import SystemClock, VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker

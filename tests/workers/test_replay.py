@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, ReplayOptions, open_replay
-from sunarc.clock import VirtualClock
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import FrameTime, Handover, ReplayWorker
 
 from .conftest import NOON

@@ -13,8 +13,8 @@ from sunarc.workers import SunExposures
 from .conftest import INFO
 
 if TYPE_CHECKING:
-    from sunarc.board import StatusBoard
-    from sunarc.clock import VirtualClock
+    from sunarc.runtime.clock import VirtualClock
+    from sunarc.runtime.status import StatusBoard
 
     from .conftest import FakeCamera
 

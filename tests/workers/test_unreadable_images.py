@@ -11,7 +11,7 @@ import pytest
 from sunarc.archive import DiskOptions, ImageStore, Reserve
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
-from sunarc.footing import prepare_state
+from sunarc.runtime.preflight import prepare_state
 from sunarc.workers import ComposeWorker, DiskWorker, Handover, SensorOptions
 
 from .conftest import NOON
@@ -19,8 +19,8 @@ from .test_database import as_nobody
 from .test_full_disk import mounted
 
 if TYPE_CHECKING:
-    from sunarc.board import StatusBoard
-    from sunarc.clock import VirtualClock
+    from sunarc.runtime.clock import VirtualClock
+    from sunarc.runtime.status import StatusBoard
 
 __all__ = ["as_nobody"]
 OPTIONS = DiskOptions(keep_free_mb=2.0, reserve_mb=1.0)

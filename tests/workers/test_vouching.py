@@ -9,10 +9,10 @@ from datetime import timedelta
 import numpy as np
 import pytest
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
-from sunarc.clock import VirtualClock
 from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
 from sunarc.workers.vouching import Taken, Vouching
 

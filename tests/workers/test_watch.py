@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sunarc.archive import CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
-from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -27,6 +26,7 @@ from sunarc.calibration import (
 from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
+from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import Site, sun_angles, sun_directions
 from sunarc.workers import Reposer, WatchWorker, watch

@@ -43,7 +43,7 @@ from sunarc.api.request_bodies import BodyReader
 from sunarc.api.sun import sun_routes
 from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit
-from sunarc.board import StatusSnapshot
+from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
 
 _STATIC = FilePath(__file__).parent / "static"

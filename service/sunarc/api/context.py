@@ -14,9 +14,9 @@ from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, Refit
-from sunarc.board import StatusSnapshot
 from sunarc.calibration import Calibration, Lookup, from_document, lookup
 from sunarc.errors import InputError, NotFoundError
+from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
 
 _MOST_KEPT = 8

@@ -14,7 +14,7 @@ from sunarc.api.context import Served
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.record import days_out
 from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
-from sunarc.board import StatusSnapshot
+from sunarc.runtime.status import StatusSnapshot
 
 
 def health_routes(served: Served, registry: CollectorRegistry) -> APIRouter:

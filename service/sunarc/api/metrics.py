@@ -11,7 +11,7 @@ from prometheus_client.registry import Collector
 
 from sunarc.api.calibrations import summary
 from sunarc.api.context import Served
-from sunarc.board import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
+from sunarc.runtime.status import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
 _EVENTS_LOOKED_AT = 1000
 _CAPTURE_COUNTS = {

@@ -13,7 +13,7 @@ from pydantic.config import JsonDict
 
 from sunarc.api.fields import Answers, Asked, Next, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
 from sunarc.api.record_schemas import CalibrationSummary, DayOut
-from sunarc.board import Health, Severity, WorkerState
+from sunarc.runtime.status import Health, Severity, WorkerState
 
 
 class BackProjectRequest(Asked):

@@ -9,8 +9,8 @@ from datetime import datetime
 
 from sunarc.archive import LENS_CHANGED, Archive, CameraRecord, Event, require_same_site
 from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
-from sunarc.clock import Clock
 from sunarc.errors import ConfigurationError, InputError
+from sunarc.runtime.clock import Clock
 from sunarc.settings import Settings
 from sunarc.sky import Site
 

@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import TypedDict
 
 from sunarc.archive import Archive, ImageStore
-from sunarc.board import StatusBoard
 from sunarc.errors import OutsideError
+from sunarc.runtime.status import StatusBoard
 
 _log = logging.getLogger(__name__)
 

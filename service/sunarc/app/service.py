@@ -13,13 +13,13 @@ import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, ImageStore, Recovery, Refit, Reserve
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame, SkyCamera
-from sunarc.clock import Clock
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.supervisor import Supervised, Worker
 from sunarc.settings import Settings
-from sunarc.supervisor import Supervised, Worker
 from sunarc.workers import (
     CaptureWorker,
     ClockWatch,

@@ -23,13 +23,13 @@ from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
-from sunarc.clock import SystemClock
-from sunarc.footing import listen, prepare_state
-from sunarc.heartbeats import Heartbeat, Monitored
-from sunarc.schedule import Schedule
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.daily_job import Schedule
+from sunarc.runtime.heartbeats import Heartbeat, Monitored
+from sunarc.runtime.preflight import listen, prepare_state
+from sunarc.runtime.supervisor import Supervisor
+from sunarc.runtime.systemd import credential, notifier_from, watchdog_interval_s
 from sunarc.settings import Settings
-from sunarc.supervisor import Supervisor
-from sunarc.systemd import credential, notifier_from, watchdog_interval_s
 
 _STOP_WITHIN_S = 4.0
 _KEEP_ALIVE_S = 20

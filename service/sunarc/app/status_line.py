@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.board import Reason, StatusBoard, StatusSnapshot
-from sunarc.systemd import Notifier
+from sunarc.runtime.status import Reason, StatusBoard, StatusSnapshot
+from sunarc.runtime.systemd import Notifier
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
 _MOST_CODES = 4

@@ -35,8 +35,8 @@ from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.timestamps import utc_of_timestamp
-from sunarc.clock import Clock
 from sunarc.errors import CameraError, CameraLostError, CameraSilentError, ConfigurationError, SunarcError
+from sunarc.runtime.clock import Clock
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from sunarc.clock import Clock
+from sunarc.runtime.clock import Clock
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.002

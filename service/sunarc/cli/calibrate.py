@@ -12,10 +12,10 @@ from sunarc import offline
 from sunarc.calibration import CalibrationOptions
 from sunarc.cli.database import AsJson, Config
 from sunarc.cli.output import print_json, table
-from sunarc.clock import SystemClock
 from sunarc.errors import InputError
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.reproduce import solve_again
+from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
 from sunarc.sky import Site
 

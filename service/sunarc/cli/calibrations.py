@@ -11,8 +11,8 @@ from rich.console import Console
 from sunarc.archive import parse_time
 from sunarc.cli.database import AsJson, Config
 from sunarc.cli.output import print_json, table
-from sunarc.clock import SystemClock
 from sunarc.offline import calibration_history as history
+from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
 
 calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: see it, roll back, pin.")

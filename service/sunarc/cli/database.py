@@ -12,12 +12,12 @@ from rich.console import Console
 
 from sunarc.archive import lock_holder, parse_time
 from sunarc.cli.output import print_json, table
-from sunarc.clock import SystemClock
 from sunarc.errors import InputError
 from sunarc.offline import import_sightings as importing
 from sunarc.offline import sighting_files as storing
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.export_archive import export_everything
+from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")

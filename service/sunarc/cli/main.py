@@ -21,12 +21,12 @@ from sunarc.cli.database import Config, db_cli, note_running_service, points_cli
 from sunarc.cli.export import export_calibration
 from sunarc.cli.output import print_json, table
 from sunarc.cli.study import study_cli
-from sunarc.clock import SystemClock
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks as doctor
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
-from sunarc.journal import start_log
 from sunarc.offline import settings_reference
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings import load_settings
 from sunarc.sky import Site
 

@@ -8,8 +8,8 @@ from typing import Literal
 
 from sunarc.app import camera_opener
 from sunarc.cameras import AravisCamera, SkyCamera
-from sunarc.clock import Clock
 from sunarc.errors import CameraError, CameraSilentError, CameraTimeoutError, SunarcError
+from sunarc.runtime.clock import Clock
 from sunarc.settings import Settings
 
 Look = tuple[str, Literal["ok", "warn", "fail"], str]

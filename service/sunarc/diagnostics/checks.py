@@ -16,10 +16,10 @@ from typing import Any, Literal
 import sunarc
 from sunarc.app import camera_opener, require_stored_site
 from sunarc.archive import check, newest_sound_copy, open_archive
-from sunarc.clock import Clock, host_clock_state
 from sunarc.diagnostics.camera_checks import survey
 from sunarc.errors import SunarcError
-from sunarc.footing import listen, prepare_state
+from sunarc.runtime.clock import Clock, host_clock_state
+from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.settings import Settings
 
 Outcome = Literal["ok", "warn", "fail"]

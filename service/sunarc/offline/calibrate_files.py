@@ -19,10 +19,10 @@ from sunarc.calibration import (
     repose,
     to_document,
 )
-from sunarc.clock import Clock
 from sunarc.errors import InputError
 from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.offline.project_files import read_calibration
+from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 
 

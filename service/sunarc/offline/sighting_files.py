@@ -22,8 +22,8 @@ from sunarc.archive import (
     upgrade_present,
     write_sightings,
 )
-from sunarc.clock import Clock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import Clock
 from sunarc.settings import Settings
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.cameras import Counts, full_scale_of, pack, packing_of
-from sunarc.clock import Clock, SystemClock
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
+from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
 from sunarc.simulation.options import WEATHERS, SceneOptions, SensorModel, Weather

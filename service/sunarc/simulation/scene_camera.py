@@ -9,9 +9,9 @@ from datetime import UTC, datetime, timedelta
 from typing import Literal
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame, full_scale_of
-from sunarc.clock import Clock
 from sunarc.detection import bayer_of
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
+from sunarc.runtime.clock import Clock
 from sunarc.simulation.scene import Region, Scene
 
 Fault = Literal["timeout", "lost", "error", "wrong_exposure"]

@@ -9,10 +9,10 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from sunarc.board import StatusBoard
 from sunarc.cameras import CameraCondition, Frame, SkyCamera
-from sunarc.clock import Clock
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers.capture_report import CaptureReport
 from sunarc.workers.exposing import Exposer, unreachable_exposures
 from sunarc.workers.frame_time import FrameTime

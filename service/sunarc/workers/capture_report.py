@@ -6,9 +6,9 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sunarc.board import CameraStatus, CaptureStatus, Reason, StatusBoard
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
+from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusBoard
 from sunarc.workers.dark_frames import DarkFrames
 from sunarc.workers.missed_slots import MissedSlots
 

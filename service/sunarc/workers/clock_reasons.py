@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sunarc.board import Reason
 from sunarc.cameras import TAI_MINUS_UTC_S
+from sunarc.runtime.status import Reason
 from sunarc.workers.clock_steps import ClockStep
 
 _ABOUT_S = 1.0

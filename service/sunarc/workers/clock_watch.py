@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from sunarc.archive import Archive, Event
-from sunarc.board import ClockStatus, Reason, StatusBoard
-from sunarc.clock import Clock
 from sunarc.errors import InputError, OutsideError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import ClockStatus, Reason, StatusBoard
 from sunarc.workers.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
 from sunarc.workers.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
 from sunarc.workers.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between

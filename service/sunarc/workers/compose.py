@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 import sunarc
 from sunarc.archive import ImageStore
-from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
+from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.workers.handover import Handover
 from sunarc.workers.sensor import SensorOptions, sensor_of
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import Frame
 from sunarc.imaging import is_dark
+from sunarc.runtime.status import Reason, StatusBoard
 
 CODE = "black_frames"
 LIT_ZENITH_DEG = 80.0

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from datetime import datetime
 
 from sunarc.archive import Archive, Event, Recovery
-from sunarc.board import Reason, StatusBoard
-from sunarc.clock import Clock
 from sunarc.errors import OutsideError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import Reason, StatusBoard
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 2.0

@@ -9,9 +9,9 @@ from datetime import datetime, timedelta
 from typing import NamedTuple
 
 from sunarc.archive import sun_point_of
-from sunarc.board import StatusBoard
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
+from sunarc.runtime.status import StatusBoard
 from sunarc.workers.frozen_frames import FrozenFrames
 from sunarc.workers.handover import Handover
 from sunarc.workers.keeping import SightingKeeper

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 
 from sunarc.archive import DiskOptions, DiskUsage, ImageStore, Reserve
-from sunarc.board import DiskStatus, Reason, StatusBoard
-from sunarc.clock import Clock
 from sunarc.errors import OutsideError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import DiskStatus, Reason, StatusBoard
 
 _log = logging.getLogger(__name__)
 _POLL_S = 1.0

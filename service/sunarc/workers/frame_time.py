@@ -7,8 +7,8 @@ import threading
 from collections import deque
 from datetime import UTC, datetime, timedelta
 
-from sunarc.clock import Clock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import Clock
 
 _COMPARED = 4
 """Frames whose time is compared with the host's: a bracket, so that a sighting's own frame is among them."""

@@ -12,10 +12,10 @@ from datetime import datetime
 import numpy as np
 
 from sunarc.archive import ELSEWHERE, FROZEN, Archive, Event, SunPoint
-from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import Counts, Frame
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
+from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.sky import Site, angular_distance, sun_directions
 
 _log = logging.getLogger(__name__)

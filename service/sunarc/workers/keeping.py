@@ -7,8 +7,8 @@ from collections import deque
 from dataclasses import replace
 
 from sunarc.archive import Archive, SunPoint
-from sunarc.board import Reason, StatusBoard
 from sunarc.errors import OutsideError
+from sunarc.runtime.status import Reason, StatusBoard
 
 _log = logging.getLogger(__name__)
 _CAPACITY = 20_000  # a week of two a cycle, and 10 MB

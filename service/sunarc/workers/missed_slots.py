@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from sunarc.board import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusBoard
 
 CODE = "slots_missed"
 _SLOTS = 40

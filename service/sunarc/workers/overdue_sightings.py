@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.board import Reason, StatusBoard
-from sunarc.clock import Clock
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.workers.dark_frames import LIT_ZENITH_DEG
 from sunarc.workers.frame_time import FrameTime
 

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
-from sunarc.board import StatusBoard
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -28,8 +27,9 @@ from sunarc.calibration import (
     unseen_points,
     with_pose_spread,
 )
-from sunarc.clock import Clock
 from sunarc.errors import InputError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusBoard
 from sunarc.sky import Site, solar_date
 from sunarc.workers.epoch_search import EpochSearch
 from sunarc.workers.problem import Task, next_task

@@ -7,10 +7,10 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 
-from sunarc.board import CameraStatus, StatusBoard
 from sunarc.cameras import Frame, SkyCamera
-from sunarc.clock import Clock
 from sunarc.errors import CameraLostError, ConfigurationError, InputError
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import CameraStatus, StatusBoard
 from sunarc.workers.capture_report import CaptureReport
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.handover import Handover

@@ -21,7 +21,7 @@ from sunarc.calibration import (
     calibrate,
     find_pose_steps,
 )
-from sunarc.clock import Clock
+from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 
 _POLL_S = 0.25

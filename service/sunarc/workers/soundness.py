@@ -6,9 +6,9 @@ from collections.abc import Callable
 from datetime import datetime
 
 from sunarc.archive import Archive, CalibrationRecord, Event
-from sunarc.board import Reason, StatusBoard
 from sunarc.calibration import from_document
 from sunarc.errors import InputError, NotFoundError
+from sunarc.runtime.status import Reason, StatusBoard
 
 
 class Soundness:

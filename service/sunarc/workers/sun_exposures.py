@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sunarc.board import Reason, StatusBoard
 from sunarc.cameras import CameraInfo, Frame
 from sunarc.detection import Detection
 from sunarc.imaging import (
@@ -19,6 +18,7 @@ from sunarc.imaging import (
     first_sun_exposures,
     next_sun_exposures,
 )
+from sunarc.runtime.status import Reason, StatusBoard
 
 _SATURATED = 0.98
 _BURNT_PX = 30

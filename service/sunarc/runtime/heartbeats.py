@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sunarc.board import Reason, StatusBoard, WorkerStatus
+from sunarc.runtime.status import Reason, StatusBoard, WorkerStatus
 
 _log = logging.getLogger(__name__)
 

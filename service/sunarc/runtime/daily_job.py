@@ -11,9 +11,9 @@ from apscheduler.executors.pool import ThreadPoolExecutor
 from apscheduler.schedulers.background import BackgroundScheduler
 from apscheduler.triggers.base import BaseTrigger
 
-from sunarc.board import Reason, StatusBoard
-from sunarc.clock import Clock
-from sunarc.heartbeats import Heartbeat
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.heartbeats import Heartbeat
+from sunarc.runtime.status import Reason, StatusBoard
 
 _log = logging.getLogger(__name__)
 

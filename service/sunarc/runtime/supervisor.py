@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sunarc.board import Reason, Severity, StatusBoard, WorkerState, WorkerStatus
-from sunarc.clock import Clock
 from sunarc.errors import InputError, OutsideError
-from sunarc.heartbeats import Heartbeat, Monitor, Monitored, Staleness
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.heartbeats import Heartbeat, Monitor, Monitored, Staleness
+from sunarc.runtime.status import Reason, Severity, StatusBoard, WorkerState, WorkerStatus
 
 _log = logging.getLogger(__name__)
 
