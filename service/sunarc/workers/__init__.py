@@ -1,19 +1,19 @@
 """The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
 
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
-from sunarc.workers.database import DatabaseWorker
+from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
-from sunarc.workers.disk import DiskWorker
+from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.fit_input import points_of
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.frozen_frames import FrozenFrames
-from sunarc.workers.handover import Handover
 from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.overdue_sightings import OverdueSightings
-from sunarc.workers.points import points_of
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.refit import RefitOptions, RefitWorker
 from sunarc.workers.replay import ReplayWorker

@@ -13,10 +13,10 @@ from sunarc.cameras import CameraCondition, Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusBoard
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.capture_report import CaptureReport
 from sunarc.workers.exposing import Exposer, unreachable_exposures
 from sunarc.workers.frame_time import FrameTime
-from sunarc.workers.handover import Handover
 from sunarc.workers.sun_exposures import SunExposures
 from sunarc.workers.vouching import Taken, Vouching
 

@@ -17,7 +17,7 @@ from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
 from sunarc.runtime.status import Reason, StatusBoard
-from sunarc.workers.handover import Handover
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _log = logging.getLogger(__name__)

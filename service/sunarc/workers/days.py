@@ -13,7 +13,7 @@ from sunarc.archive import Archive, Day, Event, Refit, SunPointColumns
 from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, from_document, measure_day
 from sunarc.errors import InputError
 from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
-from sunarc.workers.points import points_of
+from sunarc.workers.fit_input import points_of
 
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
 

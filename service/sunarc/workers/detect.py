@@ -12,8 +12,8 @@ from sunarc.archive import sun_point_of
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
 from sunarc.runtime.status import StatusBoard
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.frozen_frames import FrozenFrames
-from sunarc.workers.handover import Handover
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions, sensor_of

@@ -13,7 +13,7 @@ from sunarc.archive import LENS_CHANGED, Archive, Event, SunPointColumns
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep, from_document
 from sunarc.errors import InputError
 from sunarc.sky import Site
-from sunarc.workers.points import points_of
+from sunarc.workers.fit_input import points_of
 from sunarc.workers.reposer import is_provisional
 from sunarc.workers.solve import Problem
 

@@ -19,7 +19,7 @@ from sunarc.calibration import (
 )
 from sunarc.sky import Site
 from sunarc.workers.epoch_search import since_lens
-from sunarc.workers.points import points_of
+from sunarc.workers.fit_input import points_of
 from sunarc.workers.solve import Problem
 
 

@@ -11,9 +11,9 @@ from sunarc.cameras import Frame, SkyCamera
 from sunarc.errors import CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import CameraStatus, StatusBoard
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.capture_report import CaptureReport
 from sunarc.workers.frame_time import FrameTime
-from sunarc.workers.handover import Handover
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2

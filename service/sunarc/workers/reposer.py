@@ -12,7 +12,7 @@ from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
 from sunarc.calibration import Calibration, CalibrationOptions, from_document, repose, to_document
 from sunarc.errors import InputError
 from sunarc.sky import Site
-from sunarc.workers.points import points_of
+from sunarc.workers.fit_input import points_of
 
 _log = logging.getLogger(__name__)
 _GROWTH = 1.3

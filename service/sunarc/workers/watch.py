@@ -16,7 +16,7 @@ from sunarc.calibration.watching import LENS_KINDS, REMEMBERED, Change, Watch, W
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.sky import Site, sun_directions
-from sunarc.workers.handover import Handover
+from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.reposer import Reposer, is_provisional
 
 _log = logging.getLogger(__name__)
