@@ -16,7 +16,7 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
 from sunarc.api import ApiOptions, BoundedConnection
-from sunarc.api.limits import Allowances, ConcurrencyLimit
+from sunarc.api.middleware.rate_limit import Allowances, ConcurrencyLimit
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made

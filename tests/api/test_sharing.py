@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.api.compute_slots import Places
-from sunarc.api.holdings import Holding, Holdings
+from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import RefusedError
 
 

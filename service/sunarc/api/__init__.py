@@ -11,7 +11,7 @@ document · static/: the dashboard.
 """
 
 from sunarc.api.app import create_app
-from sunarc.api.connections import BoundedConnection
+from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
 
 __all__ = ["ApiOptions", "BoundedConnection", "create_app"]

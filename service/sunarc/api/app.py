@@ -15,9 +15,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from starlette.staticfiles import StaticFiles
 
 import sunarc
-from sunarc.api.allowed_hosts import AllowedHosts, host_names
 from sunarc.api.arrays import MOST_BYTES_AHEAD
-from sunarc.api.boundary import Boundary
 from sunarc.api.calibrations import calibration_routes
 from sunarc.api.cameras import camera_routes
 from sunarc.api.compute_slots import Places
@@ -29,19 +27,21 @@ from sunarc.api.epochs import epoch_routes
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.geolocation import geolocation_routes
 from sunarc.api.health import health_routes
-from sunarc.api.holdings import Holdings
-from sunarc.api.limits import ConcurrencyLimit, RateLimit
 from sunarc.api.maps import map_routes
 from sunarc.api.metrics import StatusCollector
+from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
+from sunarc.api.middleware.authentication import ReadingNeeds, read_token
+from sunarc.api.middleware.holdings import Holdings
+from sunarc.api.middleware.rate_limit import ConcurrencyLimit, RateLimit
+from sunarc.api.middleware.request_bodies import BodyReader
+from sunarc.api.middleware.request_limits import Boundary
 from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
 from sunarc.api.overlay import overlay_routes
 from sunarc.api.problems import FaultGuard, add_problem_handlers, answers
 from sunarc.api.record import record_routes
 from sunarc.api.refits import refit_routes
-from sunarc.api.request_bodies import BodyReader
 from sunarc.api.sun import sun_routes
-from sunarc.api.tokens import ReadingNeeds, read_token
 from sunarc.archive import Archive, Refit
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site

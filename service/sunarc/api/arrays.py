@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from sunarc.api.holdings import Holding
+from sunarc.api.middleware.holdings import Holding
 from sunarc.api.npy_header import NpyHeaderError, read_npy_header
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.errors import InputError

@@ -19,9 +19,9 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
-from sunarc.api.client_address import client_network
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import Served
+from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import Lookup

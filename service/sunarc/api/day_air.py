@@ -9,9 +9,9 @@ from fastapi import APIRouter, Depends, Path, Request
 
 from sunarc.api.context import Served
 from sunarc.api.fields import SolarDate
+from sunarc.api.middleware.authentication import changing_needs
 from sunarc.api.problems import answers
 from sunarc.api.record_schemas import DayAirIn, DayAirOut
-from sunarc.api.tokens import changing_needs
 from sunarc.archive import DayAir
 
 Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]

@@ -9,10 +9,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from sunarc.api.context import Served
 from sunarc.api.fields import MOST_ROWS
+from sunarc.api.middleware.authentication import changing_needs
 from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
 from sunarc.api.record_schemas import RefitOut, RefitRequest, Refits
-from sunarc.api.tokens import changing_needs
 from sunarc.archive import Refit
 from sunarc.errors import NotFoundError
 

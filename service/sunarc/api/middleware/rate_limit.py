@@ -10,10 +10,10 @@ from http import HTTPStatus
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.client_address import ClientAddressError, client_network
-from sunarc.api.holdings import Holdings, answer_held
+from sunarc.api.middleware.authentication import bears_wrong_token
+from sunarc.api.middleware.client_address import ClientAddressError, client_network
+from sunarc.api.middleware.holdings import Holdings, answer_held
 from sunarc.api.problems import Fault, RefusedError, problem_response
-from sunarc.api.tokens import bears_wrong_token
 
 _MOST_CLIENTS = 4096
 _PRICE_OF_A_WRONG_TOKEN = 20.0

@@ -10,7 +10,7 @@ from ipaddress import ip_address
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from sunarc.api.limits import is_always_answered
+from sunarc.api.middleware.rate_limit import is_always_answered
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import Fault, problem_response
 

@@ -8,8 +8,8 @@ from http import HTTPStatus
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.client_address import client_network
-from sunarc.api.holdings import Holding, Holdings, answer_held
+from sunarc.api.middleware.client_address import client_network
+from sunarc.api.middleware.holdings import Holding, Holdings, answer_held
 from sunarc.api.options import MIN_RATE_BYTES_PER_S
 from sunarc.api.problems import Fault, RefusedError, UnreadError, refusal_response
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from sunarc.api.request_bodies import is_array, too_large
+from sunarc.api.middleware.request_bodies import is_array, too_large
 
 _HEADERS = {
     "content-security-policy": (

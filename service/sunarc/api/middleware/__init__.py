@@ -1,0 +1,1 @@
+"""Limits and authentication applied to every request before a route sees it."""
