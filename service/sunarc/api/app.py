@@ -16,19 +16,9 @@ from starlette.staticfiles import StaticFiles
 
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
-from sunarc.api.calibrations import calibration_routes
-from sunarc.api.cameras import camera_routes
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import CurrentRecords, DaySites, Served
-from sunarc.api.day_air import day_air_routes
-from sunarc.api.decisions import decision_routes
-from sunarc.api.directions import direction_routes
-from sunarc.api.epochs import epoch_routes
 from sunarc.api.fault_log import FaultLog
-from sunarc.api.geolocation import geolocation_routes
-from sunarc.api.health import health_routes
-from sunarc.api.maps import map_routes
-from sunarc.api.metrics import StatusCollector
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
 from sunarc.api.middleware.authentication import ReadingNeeds, read_token
 from sunarc.api.middleware.holdings import Holdings
@@ -37,11 +27,21 @@ from sunarc.api.middleware.request_bodies import BodyReader
 from sunarc.api.middleware.request_limits import Boundary
 from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
-from sunarc.api.overlay import overlay_routes
 from sunarc.api.problems import FaultGuard, add_problem_handlers, answers
-from sunarc.api.record import record_routes
-from sunarc.api.refits import refit_routes
-from sunarc.api.sun import sun_routes
+from sunarc.api.routes.calibration_actions import decision_routes
+from sunarc.api.routes.calibrations import calibration_routes
+from sunarc.api.routes.cameras import camera_routes
+from sunarc.api.routes.day_air import day_air_routes
+from sunarc.api.routes.days_and_events import record_routes
+from sunarc.api.routes.directions import direction_routes
+from sunarc.api.routes.geolocation import geolocation_routes
+from sunarc.api.routes.health import health_routes
+from sunarc.api.routes.maps import map_routes
+from sunarc.api.routes.metrics import StatusCollector
+from sunarc.api.routes.overlay import overlay_routes
+from sunarc.api.routes.pose_epochs import epoch_routes
+from sunarc.api.routes.refits import refit_routes
+from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, Refit
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site

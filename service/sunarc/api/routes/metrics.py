@@ -9,8 +9,8 @@ from typing import get_args
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from sunarc.api.calibrations import summary
 from sunarc.api.context import Served
+from sunarc.api.routes.calibrations import summary
 from sunarc.runtime.status import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
 _EVENTS_LOOKED_AT = 1000

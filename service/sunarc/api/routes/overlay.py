@@ -12,12 +12,12 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from sunarc.api.calibrations import tagged
 from sunarc.api.context import Served
 from sunarc.api.fields import Time
 from sunarc.api.overlay_schemas import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.problems import answers
-from sunarc.api.sun import track_of
+from sunarc.api.routes.calibrations import tagged
+from sunarc.api.routes.sun import track_of
 from sunarc.calibration import Calibration, unproject_with_sigma
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles, solar_date

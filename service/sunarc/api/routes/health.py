@@ -9,10 +9,10 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
-from sunarc.api.calibrations import summary
 from sunarc.api.context import Served
 from sunarc.api.problems import Fault, answers, problem_response
-from sunarc.api.record import days_out
+from sunarc.api.routes.calibrations import summary
+from sunarc.api.routes.days_and_events import days_out
 from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
 from sunarc.runtime.status import StatusSnapshot
 

@@ -18,13 +18,13 @@ from starlette.concurrency import run_in_threadpool
 
 import sunarc
 from sunarc.api.arrays import BytesResponse
-from sunarc.api.calibrations import matches
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import Kept, Served
 from sunarc.api.fields import Time
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
+from sunarc.api.routes.calibrations import matches
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError
