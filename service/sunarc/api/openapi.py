@@ -9,10 +9,10 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
-from sunarc.api.geolocation_schemas import GeolocateRequest
 from sunarc.api.glossary import explain
 from sunarc.api.problems import Fault, Problem, answers
-from sunarc.api.schemas import BackProjectRequest, ProjectRequest
+from sunarc.api.schemas.calibration import BackProjectRequest, ProjectRequest
+from sunarc.api.schemas.geolocation import GeolocateRequest
 
 _DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun.
 

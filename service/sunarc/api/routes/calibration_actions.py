@@ -7,8 +7,8 @@ from fastapi import APIRouter, Depends, Request
 from sunarc.api.context import Served
 from sunarc.api.middleware.authentication import changing_needs
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import CalibrationSummary, Decision
 from sunarc.api.routes.calibrations import summary
+from sunarc.api.schemas.record import CalibrationSummary, Decision
 
 _REFUSALS = answers(400, 403, 404, 408, 409, 413, 415, 422)
 

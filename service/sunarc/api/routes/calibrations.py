@@ -11,10 +11,10 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.context import Kept, Served
-from sunarc.api.fields import Time
-from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import Calibrations, CalibrationSummary
+from sunarc.api.schemas.paging import Cursor, page_at
+from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.record import Calibrations, CalibrationSummary
 from sunarc.archive import CalibrationRecord, CalibrationState
 from sunarc.exports import FILE_NAMES, FORMATS, MEDIA_TYPES, Exported, Format, export
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from sunarc.api.context import Served
-from sunarc.api.record_schemas import CameraRecordOut, Cameras
+from sunarc.api.schemas.record import CameraRecordOut, Cameras
 
 
 def camera_routes(served: Served) -> APIRouter:

@@ -8,10 +8,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Request
 
 from sunarc.api.context import Served
-from sunarc.api.fields import SolarDate
 from sunarc.api.middleware.authentication import changing_needs
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import DayAirIn, DayAirOut
+from sunarc.api.schemas.parameters import SolarDate
+from sunarc.api.schemas.record import DayAirIn, DayAirOut
 from sunarc.archive import DayAir
 
 Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]

@@ -11,12 +11,12 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.context import Served
-from sunarc.api.fields import MOST_ROWS, SolarDate, Time
-from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import DayOut, Days, EventOut, Events
 from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.day_air import air_out
+from sunarc.api.schemas.paging import Cursor, page_at
+from sunarc.api.schemas.parameters import MOST_ROWS, SolarDate, Time
+from sunarc.api.schemas.record import DayOut, Days, EventOut, Events
 from sunarc.archive import Day, EventSeverity
 from sunarc.errors import NotFoundError, OutsideError
 

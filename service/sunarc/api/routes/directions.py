@@ -13,9 +13,9 @@ from sunarc.api.arrays import Rows, require_few
 from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, rows_told
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import Served
-from sunarc.api.fields import Time
 from sunarc.api.problems import answers
-from sunarc.api.schemas import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
+from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
+from sunarc.api.schemas.parameters import Time
 from sunarc.calibration import BACK_PROJECTED, PROJECTED
 from sunarc.sky import direction_from_angles
 

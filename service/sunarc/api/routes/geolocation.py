@@ -13,10 +13,10 @@ from sunarc.api.arrays import Rows, require_few
 from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, rows_told
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import Served
-from sunarc.api.fields import Time
-from sunarc.api.geolocation_schemas import GeolocateAnswer, GeolocateRequest
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import known_rows
+from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
+from sunarc.api.schemas.parameters import Time
 from sunarc.geolocation import Located, clouds, shadows
 from sunarc.sky import sun_angles, sun_directions
 

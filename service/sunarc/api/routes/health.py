@@ -13,7 +13,17 @@ from sunarc.api.context import Served
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.routes.days_and_events import days_out
-from sunarc.api.schemas import Alive, CameraOut, CaptureOut, ClockOut, DiskOut, Readiness, ReasonOut, Status, WorkerOut
+from sunarc.api.schemas.calibration import (
+    Alive,
+    CameraOut,
+    CaptureOut,
+    ClockOut,
+    DiskOut,
+    Readiness,
+    ReasonOut,
+    Status,
+    WorkerOut,
+)
 from sunarc.runtime.status import StatusSnapshot
 
 

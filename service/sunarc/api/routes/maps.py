@@ -20,11 +20,11 @@ import sunarc
 from sunarc.api.arrays import BytesResponse
 from sunarc.api.compute_slots import Places
 from sunarc.api.context import Kept, Served
-from sunarc.api.fields import Time
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
+from sunarc.api.schemas.parameters import Time
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from sunarc.api.context import Served
-from sunarc.api.fields import Time
-from sunarc.api.overlay_schemas import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import tagged
 from sunarc.api.routes.sun import track_of
+from sunarc.api.schemas.overlay import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
+from sunarc.api.schemas.parameters import Time
 from sunarc.calibration import Calibration, unproject_with_sigma
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles, solar_date

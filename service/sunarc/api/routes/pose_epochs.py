@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, Request
 from sunarc.api.context import Served
 from sunarc.api.middleware.authentication import changing_needs
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import ClosedEpoch, Decision
+from sunarc.api.schemas.record import ClosedEpoch, Decision
 from sunarc.errors import NotFoundError
 
 _REFUSALS = answers(400, 403, 404, 408, 413, 415, 422)

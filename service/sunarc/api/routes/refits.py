@@ -8,11 +8,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from sunarc.api.context import Served
-from sunarc.api.fields import MOST_ROWS
 from sunarc.api.middleware.authentication import changing_needs
-from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.record_schemas import RefitOut, RefitRequest, Refits
+from sunarc.api.schemas.paging import Cursor, page_at
+from sunarc.api.schemas.parameters import MOST_ROWS
+from sunarc.api.schemas.record import RefitOut, RefitRequest, Refits
 from sunarc.archive import Refit
 from sunarc.errors import NotFoundError
 

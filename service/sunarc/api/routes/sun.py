@@ -13,10 +13,10 @@ from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
 
 from sunarc.api.context import Served
-from sunarc.api.fields import MOST_ROWS, SolarDate, Time
-from sunarc.api.pages import Cursor, page_at
 from sunarc.api.problems import answers
-from sunarc.api.schemas import Residual, Sun, SunPointOut, SunPoints, SunTrack
+from sunarc.api.schemas.calibration import Residual, Sun, SunPointOut, SunPoints, SunTrack
+from sunarc.api.schemas.paging import Cursor, page_at
+from sunarc.api.schemas.parameters import MOST_ROWS, SolarDate, Time
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px
 from sunarc.optics import project, unproject

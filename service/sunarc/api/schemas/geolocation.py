@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sunarc.api.fields import Answers, Number, Pair, Pixel, Time
+from sunarc.api.schemas.parameters import Answers, Number, Pair, Pixel, Time
 
 Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
 Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x, y in px, cloud base height in m.")]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.fields import Answers, Pair, Size
-from sunarc.api.schemas import SunTrack
+from sunarc.api.schemas.calibration import SunTrack
+from sunarc.api.schemas.parameters import Answers, Pair, Size
 
 
 class ZenithCircle(BaseModel):

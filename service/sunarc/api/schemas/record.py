@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.fields import Asked, Next, Number, SolarDate, Time
+from sunarc.api.schemas.parameters import Asked, Next, Number, SolarDate, Time
 from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 

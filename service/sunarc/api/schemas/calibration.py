@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
 
-from sunarc.api.fields import Answers, Asked, Next, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
-from sunarc.api.record_schemas import CalibrationSummary, DayOut
+from sunarc.api.schemas.parameters import Answers, Asked, Next, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
+from sunarc.api.schemas.record import CalibrationSummary, DayOut
 from sunarc.runtime.status import Health, Severity, WorkerState
 
 
