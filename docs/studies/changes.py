@@ -24,7 +24,7 @@ from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import Calibration, SunPoints, calibrate
-from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions

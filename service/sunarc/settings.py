@@ -15,7 +15,7 @@ from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSett
 from sunarc.api import ApiOptions
 from sunarc.archive import DiskOptions
 from sunarc.calibration import CalibrationOptions, DayOptions
-from sunarc.calibration.watching import WatchOptions
+from sunarc.calibration.change_detection import WatchOptions
 from sunarc.cameras import AravisOptions, ReplayOptions
 from sunarc.detection import DiscOptions
 from sunarc.errors import ConfigurationError, InputError

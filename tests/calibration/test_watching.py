@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, repose
-from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import InputError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP

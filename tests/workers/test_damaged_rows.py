@@ -31,7 +31,7 @@ from sunarc.archive import (
 )
 from sunarc.archive.tables import metadata
 from sunarc.calibration import CalibrationOptions, DayOptions, SunPoints, to_document
-from sunarc.calibration.watching import WatchOptions
+from sunarc.calibration.change_detection import WatchOptions
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock

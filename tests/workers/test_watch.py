@@ -23,7 +23,7 @@ from sunarc.calibration import (
     project_with_covariance,
     to_document,
 )
-from sunarc.calibration.watching import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.status import StatusBoard

@@ -12,7 +12,7 @@ import numpy as np
 
 from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
 from sunarc.calibration import Calibration, from_document
-from sunarc.calibration.watching import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.sky import Site, sun_directions

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.change_detection.residual_model import Window
+from sunarc.calibration.change_detection.values import Change, ChangeKind
 from sunarc.calibration.posing.condition import Held, Sightings, conditioned
 from sunarc.calibration.posing.seen import finite
 from sunarc.calibration.posing.stated import Stated, predicted
-from sunarc.calibration.watching.values import Change, ChangeKind
-from sunarc.calibration.watching.window import Window
 
 if TYPE_CHECKING:
-    from sunarc.calibration.watching.explain import Explanation
+    from sunarc.calibration.change_detection.hypotheses import Explanation
 
 FloatArray = NDArray[np.float64]
 

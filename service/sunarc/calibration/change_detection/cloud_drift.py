@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from sunarc.calibration.change_detection.residual_model import Window
 from sunarc.calibration.posing.condition import held_to, log_evidence
-from sunarc.calibration.watching.window import Window
 
 FloatArray = NDArray[np.float64]
 

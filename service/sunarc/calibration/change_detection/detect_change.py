@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
+from sunarc.calibration.change_detection.hypotheses import explain
+from sunarc.calibration.change_detection.residual_model import Window, window_of
+from sunarc.calibration.change_detection.values import Change, Watch, Watched, WatchOptions
 from sunarc.calibration.result import Calibration
-from sunarc.calibration.watching.explain import explain
-from sunarc.calibration.watching.values import Change, Watch, Watched, WatchOptions
-from sunarc.calibration.watching.window import Window, window_of
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]
