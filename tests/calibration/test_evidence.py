@@ -7,8 +7,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from sunarc.calibration.evidence import Normal, Scales, log_evidences, marginal_fit, normal_sums, prior_precision
 from sunarc.calibration.field import WaveBasis, wave_basis
+from sunarc.calibration.fit.marginal_likelihood import (
+    Normal,
+    Scales,
+    log_evidences,
+    marginal_fit,
+    normal_sums,
+    prior_precision,
+)
 
 FloatArray = NDArray[np.float64]
 

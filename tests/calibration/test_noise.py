@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.noise import inflation, lag_one, neighbours
+from sunarc.calibration.fit.noise import inflation, lag_one, neighbours
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
 
 

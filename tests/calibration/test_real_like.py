@@ -14,12 +14,12 @@ from real_like_fits import compared
 from real_like_tracks import Draw, drawn_aside, real_like_track
 
 from sunarc.calibration import CalibrationOptions, SunPoints, calibrate
+from sunarc.calibration.fit.hyperparameter_grid import scale_grid
+from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.multistart import lowest
 from sunarc.calibration.points import usable_points
 from sunarc.calibration.priors import lens_prior
 from sunarc.calibration.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.reference import at_least_least_squares
-from sunarc.calibration.scales import scale_grid
 from sunarc.optics import project
 from sunarc.sky import Site, sun_directions
 

@@ -6,15 +6,15 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from sunarc.calibration.assemble import Fitted, Job, finished, refused
+from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
+from sunarc.calibration.fit.robust_fit import fit_robustly
+from sunarc.calibration.fit.robust_result import robust_outcome
 from sunarc.calibration.initial import first_cameras, single_problem
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
-from sunarc.calibration.outcome import robust_outcome
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.points import SunPoints, usable_points
 from sunarc.calibration.problem import Observations, observations
 from sunarc.calibration.result import Calibration
-from sunarc.calibration.robust import fit_robustly
 from sunarc.calibration.verdict import Handedness, before_fit
 from sunarc.errors import InputError
 from sunarc.optics import Camera

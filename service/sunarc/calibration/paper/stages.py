@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.assemble import Fitted, no_field
+from sunarc.calibration.fit.assemble import Fitted, no_field
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.paper.constraints import penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose

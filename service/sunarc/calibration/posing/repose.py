@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.assemble import Fitted, Job, finished, refused
 from sunarc.calibration.field import Field
+from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
 from sunarc.calibration.options import CalibrationOptions, Mirrored
 from sunarc.calibration.points import SunPoints, Usable, usable_points
 from sunarc.calibration.posing.condition import Held, Sightings, conditioned, false_density, held_to, log_normal

@@ -19,18 +19,18 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.decentering import deepest_valley
-from sunarc.calibration.decentering_mixture import mixed_over_decentering
-from sunarc.calibration.doubt import Doubt, doubt
-from sunarc.calibration.evidence import Scales, marginal_fit, prior_precision
-from sunarc.calibration.linear import LinearSystem, linear_system, settled
+from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
+from sunarc.calibration.fit.hyperparameter_grid import Grid, likely_scales, log_evidence, scale_grid
+from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt, doubt
+from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
+from sunarc.calibration.fit.noise import inflation, neighbours
+from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, settled
 from sunarc.calibration.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
-from sunarc.calibration.noise import inflation, neighbours
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.reference import at_least_least_squares
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
-from sunarc.calibration.scales import Grid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.solve import information
 from sunarc.optics import Camera
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins
-from sunarc.calibration.evidence import Normal, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.field import WaveBasis
+from sunarc.calibration.fit.marginal_likelihood import Normal, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.problem import Observations, Problem
 
 FloatArray = NDArray[np.float64]

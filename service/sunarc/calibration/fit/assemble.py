@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.backward import NO_BACKWARD, fit_backward
 from sunarc.calibration.covariance import last_angle, pose_error, sky_sigma_deg
 from sunarc.calibration.field import Field, wave_basis
-from sunarc.calibration.heldout import HeldOut
+from sunarc.calibration.fit.cross_validation import HeldOut
 from sunarc.calibration.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.points import SunPoints, Usable

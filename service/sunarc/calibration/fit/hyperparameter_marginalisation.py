@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.covariance import hemisphere
-from sunarc.calibration.evidence import Marginal, Normal, Scales, marginal_fits
 from sunarc.calibration.field import WaveBasis
+from sunarc.calibration.fit.hyperparameter_grid import Grid, scale_weights
+from sunarc.calibration.fit.marginal_likelihood import Marginal, Normal, Scales, marginal_fits
 from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.scales import Grid, scale_weights
 
 FloatArray = NDArray[np.float64]
 

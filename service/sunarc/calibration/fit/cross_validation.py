@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.evidence import Marginal, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import Marginal, marginal_fit
+from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.points import Usable
-from sunarc.calibration.robust import RobustFit
 
 FloatArray = NDArray[np.float64]
 

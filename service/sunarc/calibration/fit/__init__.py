@@ -1,0 +1,1 @@
+"""The robust maximum a posteriori fit with a marginalised discrepancy field."""
