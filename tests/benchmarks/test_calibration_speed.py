@@ -16,7 +16,7 @@ from sunarc.calibration.bins import time_bins
 from sunarc.calibration.field import wave_basis
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import linear_system, settled
-from sunarc.calibration.initial import single_problem
+from sunarc.calibration.initial_guess.coarse_search import single_problem
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable, usable_points
 from sunarc.calibration.problem import Observations, Problem, observations

@@ -16,7 +16,7 @@ from real_like_tracks import Draw, drawn_aside, real_like_track
 from sunarc.calibration import CalibrationOptions, SunPoints, calibrate
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
-from sunarc.calibration.multistart import lowest
+from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.points import usable_points
 from sunarc.calibration.priors import lens_prior
 from sunarc.calibration.problem import Observations, Problem, observations, problem_for

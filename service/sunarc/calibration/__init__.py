@@ -12,7 +12,6 @@ known lens in a new pose · `watching/` what changed · `days` what a day is wor
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
 from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.circle import find_image_circle
 from sunarc.calibration.covariance import (
     hemisphere,
     project_with_covariance,
@@ -32,6 +31,7 @@ from sunarc.calibration.days import (
 from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.field import Field, WaveBasis
+from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
 from sunarc.calibration.fit.robust_fit import fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
-from sunarc.calibration.initial import first_cameras, single_problem
+from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
 from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.points import SunPoints, usable_points

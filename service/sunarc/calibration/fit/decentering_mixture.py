@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.decentering import P3, P4
 from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, settled
+from sunarc.calibration.initial_guess.decentering_starts import P3, P4
 from sunarc.calibration.problem import Problem
 
 FloatArray = NDArray[np.float64]

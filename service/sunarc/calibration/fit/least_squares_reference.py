@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.multistart import distance_sigmas, least_squares, loosened, undistorted
+from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares, loosened, undistorted
 from sunarc.calibration.problem import Observations, Problem
 from sunarc.calibration.robust_loss import tukey_loss
 from sunarc.calibration.solve import most_probable

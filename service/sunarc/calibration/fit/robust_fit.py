@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.bins import Bins, time_bins
-from sunarc.calibration.decentering import deepest_valley
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import Grid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt, doubt
@@ -26,7 +25,8 @@ from sunarc.calibration.fit.least_squares_reference import at_least_least_square
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, settled
-from sunarc.calibration.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
+from sunarc.calibration.initial_guess.decentering_starts import deepest_valley
+from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
 from sunarc.calibration.problem import Observations, Problem

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.calibration.problem import Observations
-from sunarc.calibration.start import as_far_as_it_rises
 from sunarc.optics import Camera, rotation_vector, unproject
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration.start import as_far_as_it_rises
+from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.optics import Camera, rotation_matrix, unproject
 
 FloatArray = NDArray[np.float64]

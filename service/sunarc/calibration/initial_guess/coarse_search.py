@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.priors import N_LENS, lens_prior, precisions
-from sunarc.calibration.problem import Observations, Problem, problem_for
-from sunarc.calibration.robust_loss import core_sigma
-from sunarc.calibration.solve import most_probable
-from sunarc.calibration.start import (
+from sunarc.calibration.initial_guess.candidates import (
     LARGEST_TILT,
     as_far_as_it_rises,
     camera_from_circle,
@@ -22,6 +17,11 @@ from sunarc.calibration.start import (
     tilt,
     wahba,
 )
+from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.priors import N_LENS, lens_prior, precisions
+from sunarc.calibration.problem import Observations, Problem, problem_for
+from sunarc.calibration.robust_loss import core_sigma
+from sunarc.calibration.solve import most_probable
 from sunarc.optics import Camera, angle_limit, unproject
 
 FloatArray = NDArray[np.float64]

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.consensus import consensus_start
+from sunarc.calibration.initial_guess.ransac import consensus_start
 from sunarc.calibration.priors import DECENTERING, N_LENS, RADIAL
 from sunarc.calibration.problem import Observations, Problem
 from sunarc.calibration.robust_loss import core_sigma, tukey_loss
