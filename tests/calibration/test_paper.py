@@ -11,9 +11,9 @@ import pytest
 
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PaperOptions, calibrate
 from sunarc.calibration.initial_guess.candidates import wahba
+from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.metrics import measures
 from sunarc.calibration.paper import direct_linear_pose, penalties
-from sunarc.calibration.problem import Observations
 from sunarc.optics import pose_angles, project
 
 if TYPE_CHECKING:

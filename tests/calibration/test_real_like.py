@@ -17,9 +17,9 @@ from sunarc.calibration import CalibrationOptions, SunPoints, calibrate
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.initial_guess.multistart import lowest
+from sunarc.calibration.least_squares.priors import lens_prior
+from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
 from sunarc.calibration.points import usable_points
-from sunarc.calibration.priors import lens_prior
-from sunarc.calibration.problem import Observations, Problem, observations, problem_for
 from sunarc.optics import project
 from sunarc.sky import Site, sun_directions
 

@@ -27,7 +27,7 @@ from sunarc.calibration import (
     to_document,
     unproject_with_sigma,
 )
-from sunarc.calibration import bins as bins_module
+from sunarc.calibration.least_squares import time_bins as bins_module
 from sunarc.errors import InputError
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance

@@ -32,6 +32,7 @@ from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
+from sunarc.calibration.least_squares.priors import prior_knowledge
 from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.metrics import Metrics, measures
@@ -40,7 +41,6 @@ from sunarc.calibration.points import SunPoints
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
-from sunarc.calibration.priors import prior_knowledge
 from sunarc.calibration.reproduce import calibrate_again
 from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings

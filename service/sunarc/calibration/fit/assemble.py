@@ -15,10 +15,10 @@ from sunarc.calibration.covariance import last_angle, pose_error, sky_sigma_deg
 from sunarc.calibration.field import Field, wave_basis
 from sunarc.calibration.fit.cross_validation import HeldOut
 from sunarc.calibration.initial_guess.candidates import camera_from_circle, camera_from_size
+from sunarc.calibration.least_squares.priors import FREE_NAMES, lens_prior, precisions
 from sunarc.calibration.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.points import SunPoints, Usable
-from sunarc.calibration.priors import FREE_NAMES, lens_prior, precisions
 from sunarc.calibration.result import Calibration, Evidence, Verdict
 from sunarc.calibration.verdict import Handedness, own_verdict
 from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector

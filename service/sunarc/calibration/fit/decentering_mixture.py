@@ -20,7 +20,7 @@ from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, settled
 from sunarc.calibration.initial_guess.decentering_starts import P3, P4
-from sunarc.calibration.problem import Problem
+from sunarc.calibration.least_squares.problem import Problem
 
 FloatArray = NDArray[np.float64]
 

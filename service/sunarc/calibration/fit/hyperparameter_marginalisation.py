@@ -18,7 +18,7 @@ from sunarc.calibration.covariance import hemisphere
 from sunarc.calibration.field import WaveBasis
 from sunarc.calibration.fit.hyperparameter_grid import Grid, scale_weights
 from sunarc.calibration.fit.marginal_likelihood import Marginal, Normal, Scales, marginal_fits
-from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.least_squares.problem import Observations, Problem
 
 FloatArray = NDArray[np.float64]
 

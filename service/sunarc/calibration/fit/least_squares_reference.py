@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares, loosened, undistorted
-from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import tukey_loss
-from sunarc.calibration.solve import most_probable
 
 FloatArray = NDArray[np.float64]
 

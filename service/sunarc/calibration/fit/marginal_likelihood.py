@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.field import WaveBasis
-from sunarc.calibration.priors import N_LENS, precisions
+from sunarc.calibration.least_squares.priors import N_LENS, precisions
 
 FloatArray = NDArray[np.float64]
 

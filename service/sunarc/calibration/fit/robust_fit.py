@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.bins import Bins, time_bins
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import Grid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt, doubt
@@ -27,11 +26,12 @@ from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, settled
 from sunarc.calibration.initial_guess.decentering_starts import deepest_valley
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.solve import information
+from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.options import CalibrationOptions
 from sunarc.calibration.points import Usable
-from sunarc.calibration.problem import Observations, Problem
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
-from sunarc.calibration.solve import information
 from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.problem import Observations
 from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
 
 FloatArray = NDArray[np.float64]

@@ -17,11 +17,11 @@ from sunarc.calibration.initial_guess.candidates import (
     tilt,
     wahba,
 )
+from sunarc.calibration.least_squares.priors import N_LENS, lens_prior, precisions
+from sunarc.calibration.least_squares.problem import Observations, Problem, problem_for
+from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.priors import N_LENS, lens_prior, precisions
-from sunarc.calibration.problem import Observations, Problem, problem_for
 from sunarc.calibration.robust_loss import core_sigma
-from sunarc.calibration.solve import most_probable
 from sunarc.optics import Camera, angle_limit, unproject
 
 FloatArray = NDArray[np.float64]

@@ -11,8 +11,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.problem import Observations, Problem
-from sunarc.calibration.solve import Solution, most_probable
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.solve import Solution, most_probable
 
 FloatArray = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.initial_guess.ransac import consensus_start
-from sunarc.calibration.priors import DECENTERING, N_LENS, RADIAL
-from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import core_sigma, tukey_loss
-from sunarc.calibration.solve import most_probable
 
 FloatArray = NDArray[np.float64]
 

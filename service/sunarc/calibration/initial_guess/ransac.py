@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import core_sigma
 
 FloatArray = NDArray[np.float64]

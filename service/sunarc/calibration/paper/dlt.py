@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
-from sunarc.calibration.problem import Observations
+from sunarc.calibration.least_squares.problem import Observations
 from sunarc.optics import Camera, rotation_vector, unproject
 
 FloatArray = NDArray[np.float64]

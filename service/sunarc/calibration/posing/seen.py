@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.bins import Bins
-from sunarc.calibration.problem import Observations
+from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.result import Calibration
 from sunarc.optics import Camera, project_fast
 

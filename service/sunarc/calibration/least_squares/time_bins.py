@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.points import Usable
-from sunarc.calibration.problem import Observations
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from sunarc.calibration.problem import Observations, Problem
+from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import tukey_loss, tukey_weights
 
 FloatArray = NDArray[np.float64]
