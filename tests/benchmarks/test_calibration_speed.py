@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sunarc.calibration import SunPoints, back_projection_map, calibrate, lookup
-from sunarc.calibration.field import wave_basis
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.normal_equations import linear_system, settled
 from sunarc.calibration.initial_guess.coarse_search import single_problem
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations
 from sunarc.calibration.least_squares.time_bins import time_bins
-from sunarc.calibration.options import CalibrationOptions
-from sunarc.calibration.points import Usable, usable_points
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.residual_field import wave_basis
+from sunarc.calibration.model.sightings import Usable, usable_points
 from sunarc.optics import Camera, inverse_table, project
 from sunarc.sky import Site, sun_angles, sun_directions
 

@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from sunarc.calibration.field import WaveBasis, wave_basis
 from sunarc.calibration.fit.marginal_likelihood import (
     Normal,
     Scales,
@@ -16,6 +15,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     normal_sums,
     prior_precision,
 )
+from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 

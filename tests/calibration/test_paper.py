@@ -12,7 +12,7 @@ import pytest
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PaperOptions, calibrate
 from sunarc.calibration.initial_guess.candidates import wahba
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.metrics import measures
+from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.paper import direct_linear_pose, penalties
 from sunarc.optics import pose_angles, project
 

@@ -19,7 +19,7 @@ from sunarc.calibration.fit.least_squares_reference import at_least_least_square
 from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.points import usable_points
+from sunarc.calibration.model.sightings import usable_points
 from sunarc.optics import project
 from sunarc.sky import Site, sun_directions
 

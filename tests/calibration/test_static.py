@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import SunPoints, calibrate
-from sunarc.calibration.points import usable_points
+from sunarc.calibration.model.sightings import usable_points
 from sunarc.optics import project
 from sunarc.sky import Site, sun_angles, sun_directions
 

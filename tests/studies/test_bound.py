@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sunarc.calibration.options import Method
+from sunarc.calibration.model.options import Method
 from sunarc.optics import project_with_jacobian
 from sunarc.simulation import true_camera
 from sunarc.studies.bound import cramer_rao_bound, known_beforehand

@@ -10,15 +10,7 @@ known lens in a new pose · `watching/` what changed · `days` what a day is wor
 """
 
 from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
-from sunarc.calibration.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.covariance import (
-    hemisphere,
-    project_with_covariance,
-    sigma_deg,
-    sigma_px,
-    unproject_with_sigma,
-)
 from sunarc.calibration.days import (
     DayMeasure,
     DayOptions,
@@ -28,21 +20,29 @@ from sunarc.calibration.days import (
     measure_day,
     smooth_arc,
 )
-from sunarc.calibration.document import SCHEMA, from_document, to_document
 from sunarc.calibration.drift import pose_spread_deg, with_pose_spread
-from sunarc.calibration.field import Field, WaveBasis
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.least_squares.priors import prior_knowledge
-from sunarc.calibration.lookup import BACK_PROJECTED, PROJECTED, Lookup, lookup
-from sunarc.calibration.maps import BackProjectionMap, back_projection_map
-from sunarc.calibration.metrics import Metrics, measures
-from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
-from sunarc.calibration.points import SunPoints
+from sunarc.calibration.model.backward import BackwardModel, back_project, camera_sees, fit_backward
+from sunarc.calibration.model.covariance import (
+    hemisphere,
+    project_with_covariance,
+    sigma_deg,
+    sigma_px,
+    unproject_with_sigma,
+)
+from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED, Lookup, lookup
+from sunarc.calibration.model.document import SCHEMA, from_document, to_document
+from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
+from sunarc.calibration.model.metrics import Metrics, measures
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Evidence, Move, Verdict
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.reproduce import calibrate_again
-from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 
 __all__ = [

@@ -11,10 +11,10 @@ from sunarc.calibration.fit.robust_fit import fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
 from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
 from sunarc.calibration.least_squares.problem import Observations, observations
-from sunarc.calibration.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints, usable_points
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.points import SunPoints, usable_points
-from sunarc.calibration.result import Calibration
 from sunarc.calibration.verdict import Handedness, before_fit
 from sunarc.errors import InputError
 from sunarc.optics import Camera

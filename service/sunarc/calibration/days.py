@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.metrics import measures
+from sunarc.calibration.model.metrics import measures
+from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
 from sunarc.calibration.patches import solid_angle_sr
-from sunarc.calibration.points import SunPoints, Usable, usable_points
 from sunarc.calibration.robust_loss import core_sigma, tukey_weights
 from sunarc.calibration.sampling import Sampling, fully_observed, sampling_of
 from sunarc.errors import InputError

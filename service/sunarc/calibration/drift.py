@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.calibration.covariance import sky_sigma_deg, turn_covariance
-from sunarc.calibration.result import Calibration
+from sunarc.calibration.model.covariance import sky_sigma_deg, turn_covariance
+from sunarc.calibration.model.result import Calibration
 
 FloatArray = NDArray[np.float64]
 

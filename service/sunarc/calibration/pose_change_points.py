@@ -19,10 +19,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.points import SunPoints, Usable, usable_points
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration, Move
+from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
 from sunarc.calibration.pose_step_evidence import log_bayes_factor
-from sunarc.calibration.result import Calibration, Move
 from sunarc.calibration.robust_loss import core_sigma, tukey_loss
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site

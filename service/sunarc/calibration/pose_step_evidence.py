@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, lens_prior, precisions
-from sunarc.calibration.options import LensTolerances
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.options import LensTolerances
+from sunarc.calibration.model.sightings import Usable
 from sunarc.calibration.robust_loss import core_sigma
 from sunarc.optics import Camera, project_with_rows_fast
 

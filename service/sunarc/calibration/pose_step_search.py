@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.points import SunPoints, usable_points
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.result import Calibration, Move
+from sunarc.calibration.model.sightings import SunPoints, usable_points
 from sunarc.calibration.pose_change_points import best_row, calibrate_moved
 from sunarc.calibration.posing import daily_pose_offset
-from sunarc.calibration.result import Calibration, Move
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]

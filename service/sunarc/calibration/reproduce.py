@@ -8,9 +8,9 @@ from typing import Any
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.drift import with_pose_spread
-from sunarc.calibration.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
-from sunarc.calibration.points import SunPoints
-from sunarc.calibration.result import Calibration
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.errors import InputError
 from sunarc.optics import Camera
 

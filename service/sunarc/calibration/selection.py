@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.patches import sky_patches
-from sunarc.calibration.points import SunPoints
 from sunarc.errors import InputError
 from sunarc.sky import Site, sun_directions
 

@@ -15,7 +15,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from sunarc.calibration.change_detection.hypotheses import explain
 from sunarc.calibration.change_detection.residual_model import Window, window_of
 from sunarc.calibration.change_detection.values import Change, Watch, Watched, WatchOptions
-from sunarc.calibration.result import Calibration
+from sunarc.calibration.model.result import Calibration
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]

@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.backward import NO_BACKWARD, fit_backward
-from sunarc.calibration.covariance import last_angle, pose_error, sky_sigma_deg
-from sunarc.calibration.field import Field, wave_basis
 from sunarc.calibration.fit.cross_validation import HeldOut
 from sunarc.calibration.initial_guess.candidates import camera_from_circle, camera_from_size
 from sunarc.calibration.least_squares.priors import FREE_NAMES, lens_prior, precisions
-from sunarc.calibration.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.points import SunPoints, Usable
-from sunarc.calibration.result import Calibration, Evidence, Verdict
+from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
+from sunarc.calibration.model.covariance import last_angle, pose_error, sky_sigma_deg
+from sunarc.calibration.model.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.result import Calibration, Evidence, Verdict
+from sunarc.calibration.model.sightings import SunPoints, Usable
 from sunarc.calibration.verdict import Handedness, own_verdict
 from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector
 from sunarc.sky import Site

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.fit.marginal_likelihood import Marginal, marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.sightings import Usable
 
 FloatArray = NDArray[np.float64]
 

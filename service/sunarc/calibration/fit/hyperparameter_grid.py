@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.field import WaveBasis, wave_basis
 from sunarc.calibration.fit.marginal_likelihood import Normal, Scales, log_evidences
+from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.covariance import hemisphere
-from sunarc.calibration.field import WaveBasis
 from sunarc.calibration.fit.hyperparameter_grid import Grid, scale_weights
 from sunarc.calibration.fit.marginal_likelihood import Marginal, Normal, Scales, marginal_fits
 from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.calibration.model.residual_field import WaveBasis
 
 FloatArray = NDArray[np.float64]
 

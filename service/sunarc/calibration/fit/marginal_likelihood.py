@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.field import WaveBasis
 from sunarc.calibration.least_squares.priors import N_LENS, precisions
+from sunarc.calibration.model.residual_field import WaveBasis
 
 FloatArray = NDArray[np.float64]
 

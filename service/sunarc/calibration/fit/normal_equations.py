@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.field import WaveBasis
 from sunarc.calibration.fit.marginal_likelihood import Normal, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.model.residual_field import WaveBasis
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -29,8 +29,8 @@ from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import information
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
-from sunarc.calibration.options import CalibrationOptions
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import Usable
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
 from sunarc.optics import Camera
 

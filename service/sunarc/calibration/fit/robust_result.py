@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.field import Field
 from sunarc.calibration.fit.assemble import Fitted, tidied
 from sunarc.calibration.fit.cross_validation import held_out
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS, POSE
-from sunarc.calibration.options import CalibrationOptions
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.model.sightings import Usable
 from sunarc.optics import Camera
 from sunarc.optics.pose import right_jacobian
 

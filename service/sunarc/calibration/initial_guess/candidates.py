@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
 
 FloatArray = NDArray[np.float64]

@@ -20,7 +20,7 @@ from sunarc.calibration.initial_guess.candidates import (
 from sunarc.calibration.least_squares.priors import N_LENS, lens_prior, precisions
 from sunarc.calibration.least_squares.problem import Observations, Problem, problem_for
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import core_sigma
 from sunarc.optics import Camera, angle_limit, unproject
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.calibration.options import ImageCircle
+from sunarc.calibration.model.options import ImageCircle
 from sunarc.errors import InputError
 
 _WORKING_SIZE = 480

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.options import ImageCircle, LensTolerances
+from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius
 from sunarc.optics.camera import RADIAL_ORDERS
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, LensPrior
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.sightings import Usable
 from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
 from sunarc.sky import raised, upward
 

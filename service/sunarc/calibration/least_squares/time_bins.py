@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.points import Usable
+from sunarc.calibration.model.sightings import Usable
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

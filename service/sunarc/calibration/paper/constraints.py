@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.options import PaperOptions
+from sunarc.calibration.model.options import PaperOptions
 from sunarc.optics import Camera, ideal_radius
 from sunarc.optics.camera import RADIAL_ORDERS
 from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope

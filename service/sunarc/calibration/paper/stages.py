@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.fit.assemble import Fitted, no_field
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.options import CalibrationOptions
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.sightings import Usable
 from sunarc.calibration.paper.constraints import penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
-from sunarc.calibration.points import Usable
 from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast
 
 FloatArray = NDArray[np.float64]

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.field import Field
 from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
-from sunarc.calibration.options import CalibrationOptions, Mirrored
-from sunarc.calibration.points import SunPoints, Usable, usable_points
+from sunarc.calibration.model.options import CalibrationOptions, Mirrored
+from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
 from sunarc.calibration.posing.condition import Held, Sightings, conditioned, false_density, held_to, log_normal
 from sunarc.calibration.posing.seen import MOST, Seen, finite, gathered, inflation, noise_px
 from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, moved, predicted, stated, turned
 from sunarc.calibration.posing.turn import likely_turn
-from sunarc.calibration.result import Calibration
 from sunarc.calibration.robust_loss import core_sigma
 from sunarc.calibration.verdict import Handedness
 from sunarc.optics import Camera, project_fast

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.time_bins import Bins
-from sunarc.calibration.result import Calibration
+from sunarc.calibration.model.result import Calibration
 from sunarc.optics import Camera, project_fast
 
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration.field import WaveBasis
-from sunarc.calibration.result import Calibration
+from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast, rotation_matrix, rotation_vector
 from sunarc.optics.pose import right_jacobian

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.backward import BackwardModel
-from sunarc.calibration.field import Field, WaveBasis
-from sunarc.calibration.metrics import Metrics
-from sunarc.calibration.result import Calibration, Evidence, Move, Verdict
+from sunarc.calibration.model.backward import BackwardModel
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.residual_field import Field, WaveBasis
+from sunarc.calibration.model.result import Calibration, Evidence, Move, Verdict
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
 from sunarc.sky import Site

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.backward import BackwardModel
-from sunarc.calibration.field import Field
-from sunarc.calibration.metrics import Metrics
-from sunarc.calibration.options import Method
+from sunarc.calibration.model.backward import BackwardModel
+from sunarc.calibration.model.metrics import Metrics
+from sunarc.calibration.model.options import Method
+from sunarc.calibration.model.residual_field import Field
 from sunarc.optics import Camera, PoseAngles
 from sunarc.sky import Site
 

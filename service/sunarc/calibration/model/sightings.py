@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.calibration.static import StaticPosition, static_positions, static_sightings
+from sunarc.calibration.model.static_positions import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, sun_directions
 

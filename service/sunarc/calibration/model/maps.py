@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.lookup import Lookup
+from sunarc.calibration.model.direction_table import Lookup
 
 _ROWS = 16
 

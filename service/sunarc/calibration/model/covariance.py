@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.calibration.backward import camera_sees
-from sunarc.calibration.field import Field
+from sunarc.calibration.model.backward import camera_sees
+from sunarc.calibration.model.residual_field import Field
 from sunarc.optics import (
     PARAMETER_NAMES,
     Camera,

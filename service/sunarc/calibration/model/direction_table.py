@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from sunarc.calibration.covariance import Uncertain, direction_covariance, uncertainties
+from sunarc.calibration.model.covariance import Uncertain, direction_covariance, uncertainties
 from sunarc.jit import njit
 from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
 

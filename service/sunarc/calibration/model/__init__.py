@@ -1,0 +1,1 @@
+"""Values of a calibration: sightings, options, result, document, covariance, uncertainty maps."""
