@@ -39,9 +39,9 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Le
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Evidence, Move, Verdict
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.pose import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
-from sunarc.calibration.posing import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.reproduce import calibrate_again
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 

@@ -15,8 +15,8 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import SunPoints, usable_points
+from sunarc.calibration.pose import daily_pose_offset
 from sunarc.calibration.pose_change_points import best_row, calibrate_moved
-from sunarc.calibration.posing import daily_pose_offset
 from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from sunarc.calibration.change_detection.residual_model import Window
-from sunarc.calibration.posing.condition import held_to, log_evidence
+from sunarc.calibration.pose.gaussian_conditioning import held_to, log_evidence
 
 FloatArray = NDArray[np.float64]
 

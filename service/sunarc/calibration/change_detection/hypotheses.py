@@ -17,10 +17,10 @@ from sunarc.calibration.change_detection.cloud_drift import drift_evidence
 from sunarc.calibration.change_detection.report import told
 from sunarc.calibration.change_detection.residual_model import Window, errors_at
 from sunarc.calibration.change_detection.values import Change, ChangeKind, WatchOptions
-from sunarc.calibration.posing.condition import Held, Sightings, held_to
-from sunarc.calibration.posing.seen import finite
-from sunarc.calibration.posing.stated import joined, predicted, turned
-from sunarc.calibration.posing.turn import likely_turn
+from sunarc.calibration.pose.error_model import joined, predicted, turned
+from sunarc.calibration.pose.gaussian_conditioning import Held, Sightings, held_to
+from sunarc.calibration.pose.residuals import finite
+from sunarc.calibration.pose.rotation_consensus import likely_turn
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site, sun_directions
 

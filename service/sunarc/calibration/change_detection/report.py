@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.change_detection.residual_model import Window
 from sunarc.calibration.change_detection.values import Change, ChangeKind
-from sunarc.calibration.posing.condition import Held, Sightings, conditioned
-from sunarc.calibration.posing.seen import finite
-from sunarc.calibration.posing.stated import Stated, predicted
+from sunarc.calibration.pose.error_model import Stated, predicted
+from sunarc.calibration.pose.gaussian_conditioning import Held, Sightings, conditioned
+from sunarc.calibration.pose.residuals import finite
 
 if TYPE_CHECKING:
     from sunarc.calibration.change_detection.hypotheses import Explanation

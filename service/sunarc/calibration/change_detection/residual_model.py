@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sunarc.calibration.change_detection.values import Watch, WatchOptions
 from sunarc.calibration.least_squares.problem import by_elevation
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.posing.condition import Sightings, false_density
-from sunarc.calibration.posing.seen import finite, noise_px
-from sunarc.calibration.posing.stated import Predicted, Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.error_model import Predicted, Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density
+from sunarc.calibration.pose.residuals import finite, noise_px
 from sunarc.optics import Camera, project_with_rows_fast
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, Site, refraction_rad
 

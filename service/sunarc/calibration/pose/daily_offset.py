@@ -10,9 +10,9 @@ from scipy.linalg import cho_solve, cholesky
 
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, usable_points
-from sunarc.calibration.posing.repose import fit_pose
-from sunarc.calibration.posing.seen import Seen, finite, gathered, inflation, noise_px
-from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.error_model import Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.estimate_pose import fit_pose
+from sunarc.calibration.pose.residuals import Seen, finite, gathered, inflation, noise_px
 from sunarc.optics import Camera, rotation_matrix
 from sunarc.sky import Site
 

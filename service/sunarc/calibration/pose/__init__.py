@@ -5,7 +5,7 @@ Map: `stated` what a calibration says of its errors, jointly · `condition` that
 how it stood on a day.
 """
 
-from sunarc.calibration.posing.offset import PoseOffset, daily_pose_offset
-from sunarc.calibration.posing.repose import repose
+from sunarc.calibration.pose.daily_offset import PoseOffset, daily_pose_offset
+from sunarc.calibration.pose.estimate_pose import repose
 
 __all__ = ["PoseOffset", "daily_pose_offset", "repose"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
-from sunarc.calibration.posing.stated import Predicted, Stated, joint_covariance, with_parameters, with_waves
+from sunarc.calibration.pose.error_model import Predicted, Stated, joint_covariance, with_parameters, with_waves
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

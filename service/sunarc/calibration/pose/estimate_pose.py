@@ -18,10 +18,25 @@ from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
-from sunarc.calibration.posing.condition import Held, Sightings, conditioned, false_density, held_to, log_normal
-from sunarc.calibration.posing.seen import MOST, Seen, finite, gathered, inflation, noise_px
-from sunarc.calibration.posing.stated import Stated, at_every_angle, joint_covariance, moved, predicted, stated, turned
-from sunarc.calibration.posing.turn import likely_turn
+from sunarc.calibration.pose.error_model import (
+    Stated,
+    at_every_angle,
+    joint_covariance,
+    moved,
+    predicted,
+    stated,
+    turned,
+)
+from sunarc.calibration.pose.gaussian_conditioning import (
+    Held,
+    Sightings,
+    conditioned,
+    false_density,
+    held_to,
+    log_normal,
+)
+from sunarc.calibration.pose.residuals import MOST, Seen, finite, gathered, inflation, noise_px
+from sunarc.calibration.pose.rotation_consensus import likely_turn
 from sunarc.calibration.robust_loss import core_sigma
 from sunarc.calibration.verdict import Handedness
 from sunarc.optics import Camera, project_fast
