@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import SunPoints, Verdict, accept, acceptance, distance_px, hemisphere, unseen_points
+from sunarc.calibration import SunPoints, Verdict, accept, distance_px, hemisphere, unseen_points
+from sunarc.calibration.quality import acceptance
 from sunarc.optics import PARAMETER_NAMES, project, project_with_rows_fast
 from sunarc.sky import sun_directions
 

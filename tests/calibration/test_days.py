@@ -15,7 +15,7 @@ from sunarc.sky import Site
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator
 
-    from sunarc.calibration.days import DayKind
+    from sunarc.calibration.quality.day_quality import DayKind
 
 
 def test_a_clear_day_is_clear(clear_day: Simulated) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import DayVerdict, SunPoints, decide_day, measure_day
-from sunarc.calibration.sampling import Sampling, sampling_of
+from sunarc.calibration.quality.sampling import Sampling, sampling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,18 +9,7 @@ known lens in a new pose · `watching/` what changed · `days` what a day is wor
 `circle` the image circle · `document` its JSON.
 """
 
-from sunarc.calibration.acceptance import accept, disagreement, distance_px, unseen_points
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.days import (
-    DayMeasure,
-    DayOptions,
-    DayVerdict,
-    days_left_out,
-    decide_day,
-    measure_day,
-    smooth_arc,
-)
-from sunarc.calibration.drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.least_squares.priors import prior_knowledge
 from sunarc.calibration.model.backward import BackwardModel, back_project, camera_sees, fit_backward
@@ -42,6 +31,17 @@ from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.pose import PoseOffset, daily_pose_offset, repose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
+from sunarc.calibration.quality.acceptance import accept, disagreement, distance_px, unseen_points
+from sunarc.calibration.quality.day_quality import (
+    DayMeasure,
+    DayOptions,
+    DayVerdict,
+    days_left_out,
+    decide_day,
+    measure_day,
+    smooth_arc,
+)
+from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.reproduce import calibrate_again
 from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
 

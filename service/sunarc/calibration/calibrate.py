@@ -15,7 +15,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, usable_points
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.verdict import Handedness, before_fit
+from sunarc.calibration.quality.fit_checks import Handedness, before_fit
 from sunarc.errors import InputError
 from sunarc.optics import Camera
 from sunarc.sky import Site

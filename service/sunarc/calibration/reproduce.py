@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from sunarc.calibration.calibrate import calibrate
-from sunarc.calibration.drift import with_pose_spread
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.pose_drift import with_pose_spread
 from sunarc.errors import InputError
 from sunarc.optics import Camera
 

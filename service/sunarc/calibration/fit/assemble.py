@@ -20,7 +20,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Evidence, Verdict
 from sunarc.calibration.model.sightings import SunPoints, Usable
-from sunarc.calibration.verdict import Handedness, own_verdict
+from sunarc.calibration.quality.fit_checks import Handedness, own_verdict
 from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector
 from sunarc.sky import Site
 

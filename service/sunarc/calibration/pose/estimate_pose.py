@@ -37,8 +37,8 @@ from sunarc.calibration.pose.gaussian_conditioning import (
 )
 from sunarc.calibration.pose.residuals import MOST, Seen, finite, gathered, inflation, noise_px
 from sunarc.calibration.pose.rotation_consensus import likely_turn
+from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import core_sigma
-from sunarc.calibration.verdict import Handedness
 from sunarc.optics import Camera, project_fast
 from sunarc.optics.pose import right_jacobian
 from sunarc.sky import Site

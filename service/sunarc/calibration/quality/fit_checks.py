@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.days import arc_length_deg
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.quality.day_quality import arc_length_deg
 
 _FEWEST = 20
 _SHORTEST_ARC_DEG = 10.0

@@ -8,10 +8,10 @@ from datetime import date
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.drift import own_sky_rms_deg
 from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.quality.pose_drift import own_sky_rms_deg
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 
