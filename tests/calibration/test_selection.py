@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import SelectionOptions, SunPoints, hemisphere, select_sightings
-from sunarc.calibration.patches import sky_patches, solid_angle_sr
+from sunarc.calibration.selection.sky_grid import sky_patches, solid_angle_sr
 from sunarc.errors import InputError
 from sunarc.sky import Site, sun_directions
 

@@ -43,7 +43,7 @@ from sunarc.calibration.quality.day_quality import (
 )
 from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.reproduce import calibrate_again
-from sunarc.calibration.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
 
 __all__ = [
     "BACK_PROJECTED",

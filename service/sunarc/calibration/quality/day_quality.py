@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
-from sunarc.calibration.patches import solid_angle_sr
 from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampling_of
 from sunarc.calibration.robust_loss import core_sigma, tukey_weights
+from sunarc.calibration.selection.sky_grid import solid_angle_sr
 from sunarc.errors import InputError
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
 

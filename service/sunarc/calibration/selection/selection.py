@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.patches import sky_patches
+from sunarc.calibration.selection.sky_grid import sky_patches
 from sunarc.errors import InputError
 from sunarc.sky import Site, sun_directions
 

@@ -1,0 +1,1 @@
+"""Selection of the sightings that a fit uses, by sky cell."""
