@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.detection import Detection, DiscOptions, Sensor, detect_sun
-from sunarc.detection.window import saturated_pixels
+from sunarc.detection.disc.window import saturated_pixels
 from sunarc.errors import InputError
 from sunarc.simulation import SGP, Scene, SceneOptions, SensorModel, true_camera
 

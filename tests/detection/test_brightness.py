@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sunarc.detection import clear_sun
-from sunarc.detection.brightness import ClearSun
+from sunarc.detection.disc.brightness import ClearSun
 from sunarc.sky import relative_air_mass
 
 ZENITH = np.linspace(20.0, 88.0, 400)

@@ -8,9 +8,9 @@ centre is off, `photo` the verdict.
 """
 
 from sunarc.detection.bias import Lens, radial_bias_px
-from sunarc.detection.bracket import beside, combine
-from sunarc.detection.brightness import ClearSun, clear_sun
-from sunarc.detection.detect import detect_sun
+from sunarc.detection.disc.bracket import beside, combine
+from sunarc.detection.disc.brightness import ClearSun, clear_sun
+from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.paper import Estimates, Planes, locate, planes_of
 from sunarc.detection.photo import PaperOptions, detect_sun_in_photo

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.smear import column_smear
+from sunarc.detection.disc.smear import column_smear
 from sunarc.detection.values import Bayer, FloatArray, Image, Sensor
 
 BoolArray = NDArray[np.bool_]

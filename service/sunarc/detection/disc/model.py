@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import kernels, template
-from sunarc.detection.template import Sources, SunSources
+from sunarc.detection.disc import kernels, template
+from sunarc.detection.disc.template import Sources, SunSources
+from sunarc.detection.disc.window import Window
 from sunarc.detection.values import FloatArray, Sensor
-from sunarc.detection.window import Window
 
 PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 """Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""

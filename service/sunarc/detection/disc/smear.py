@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.search import median_of
+from sunarc.detection.disc.search import median_of
 from sunarc.detection.values import FloatArray, Image
 
 _STEP, _FINE_STEP = 32, 8  # rows looked at first, and where smear shows; even: a Bayer mosaic's rows stay apart

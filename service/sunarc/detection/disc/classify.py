@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from sunarc.detection.fit import DiscFit
+from sunarc.detection.disc.fit import DiscFit
+from sunarc.detection.disc.search import semi_axes
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.search import semi_axes
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings; below it, texture resembles a disc

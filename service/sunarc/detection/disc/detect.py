@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.detection.fit import DiscFit, fit_disc
+from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
+from sunarc.detection.disc.fit import DiscFit, fit_disc
+from sunarc.detection.disc.model import Prior
+from sunarc.detection.disc.obstruction import obstructed_reason
+from sunarc.detection.disc.search import Spot, brightest_spots, semi_axes, symmetric_root
+from sunarc.detection.disc.template import sun_sources
+from sunarc.detection.disc.window import Window, cut, saturated_level
 from sunarc.detection.frames import require_raw
-from sunarc.detection.judge import detection_of, is_flat, verdict_of
-from sunarc.detection.model import Prior
-from sunarc.detection.obstruction import obstructed_reason
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.search import Spot, brightest_spots, semi_axes, symmetric_root
-from sunarc.detection.template import sun_sources
 from sunarc.detection.values import Detection, Expectation, FloatArray, Image, Sensor, Verdict
-from sunarc.detection.window import Window, cut, saturated_level
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0

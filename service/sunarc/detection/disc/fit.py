@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import kernels
-from sunarc.detection.model import (
+from sunarc.detection.disc import kernels
+from sunarc.detection.disc.model import (
     PSF,
     WINGS,
     Evaluation,
@@ -25,10 +25,10 @@ from sunarc.detection.model import (
     with_levels,
     without,
 )
-from sunarc.detection.search import median_of
-from sunarc.detection.template import SunSources
+from sunarc.detection.disc.search import median_of
+from sunarc.detection.disc.template import SunSources
+from sunarc.detection.disc.window import Window
 from sunarc.detection.values import FloatArray, Sensor
-from sunarc.detection.window import Window
 
 _STEPS = 15
 _STEPS_BINNED = 40

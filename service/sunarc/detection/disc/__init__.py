@@ -1,0 +1,1 @@
+"""The sun's disc in microsecond exposures."""
