@@ -11,7 +11,7 @@ from scipy.signal import fftconvolve
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection import Lens, locate, planes_of, radial_bias_px
-from sunarc.detection.estimators import gaussian_sigma_px, kernels, smear_column
+from sunarc.detection.photo.centroids import gaussian_sigma_px, kernels, smear_column
 from sunarc.errors import InputError
 
 ALPHA_PX = 601.32

@@ -7,13 +7,13 @@ Map: `values` in and out, `options`; `search` finds bright spots, `window` cuts 
 centre is off, `photo` the verdict.
 """
 
-from sunarc.detection.bias import Lens, radial_bias_px
 from sunarc.detection.disc.bracket import beside, combine
 from sunarc.detection.disc.brightness import ClearSun, clear_sun
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.paper import Estimates, Planes, locate, planes_of
-from sunarc.detection.photo import PaperOptions, detect_sun_in_photo
+from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
+from sunarc.detection.photo.ordinary_image import PaperOptions, detect_sun_in_photo
+from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
 
 __all__ = [

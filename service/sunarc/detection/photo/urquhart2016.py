@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import estimators
-from sunarc.detection.blob import Blob
+from sunarc.detection.photo import centroids as estimators
+from sunarc.detection.photo.blob import Blob
 from sunarc.detection.values import Image
 from sunarc.errors import InputError
 

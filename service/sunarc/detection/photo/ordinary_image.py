@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.detection.bias import Lens, bias_at
-from sunarc.detection.blob import thickest
-from sunarc.detection.circles import Circle, Plane, level_circle
-from sunarc.detection.halo import Halo, halo_about
 from sunarc.detection.options import require_positive
-from sunarc.detection.paper import Estimates, Planes, locate, planes_of
+from sunarc.detection.photo.aureole import Halo, halo_about
+from sunarc.detection.photo.blob import thickest
+from sunarc.detection.photo.blob_bias import Lens, bias_at
+from sunarc.detection.photo.circles import Circle, Plane, level_circle
+from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.values import Detection, Expectation, Image, Verdict
 
 _LEVELS = (0.995, 0.98, 0.96, 0.93, 0.90, 0.86)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.blob import Blob, blobs_of, opened
+from sunarc.detection.photo.blob import Blob, blobs_of, opened
 from sunarc.detection.values import FloatArray, Image
 
 Plane = NDArray[np.float32]

@@ -1,0 +1,1 @@
+"""The sun in ordinary exposures."""
