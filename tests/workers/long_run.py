@@ -39,7 +39,7 @@ from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import day_bounds_unix_s, sun_angles, sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker
-from sunarc.workers.solve import Problem
+from sunarc.workers.calibrating.solver_process import Problem
 
 FloatArray = NDArray[np.float64]
 

@@ -40,7 +40,7 @@ from sunarc.sky import sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker, Reposer, SunPredictor, WatchWorker
 
 if TYPE_CHECKING:
-    from sunarc.workers.problem import Task
+    from sunarc.workers.calibrating.refit_task import Task
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 NOW = NOON + timedelta(days=3)

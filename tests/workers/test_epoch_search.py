@@ -30,8 +30,8 @@ from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker, points_of
-from sunarc.workers.epoch_search import SEARCHED, EpochSearch
-from sunarc.workers.solve import Problem, SolverDiedError
+from sunarc.workers.calibrating.epoch_search import SEARCHED, EpochSearch
+from sunarc.workers.calibrating.solver_process import Problem, SolverDiedError
 
 FloatArray = NDArray[np.float64]
 SIZE = (1748, 1748)

@@ -17,10 +17,11 @@ from sunarc.archive import Archive, CameraRecord, DayAir, SunPoint, open_archive
 from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions, SunPoints, measure_day
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import SunPredictor, days
-from sunarc.workers.days import DayJudge
-from sunarc.workers.epoch_search import EpochSearch
-from sunarc.workers.problem import Task, next_task
+from sunarc.workers import SunPredictor
+from sunarc.workers.calibrating import judge_days as days
+from sunarc.workers.calibrating.epoch_search import EpochSearch
+from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.refit_task import Task, next_task
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 LOW_SUN = datetime(2013, 5, 13, 12, 0, tzinfo=UTC)

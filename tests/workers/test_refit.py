@@ -19,7 +19,7 @@ from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker
-from sunarc.workers.solve import Problem, SolveFailedError, SolverDiedError, solve_in_child
+from sunarc.workers.calibrating.solver_process import Problem, SolveFailedError, SolverDiedError, solve_in_child
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
 SIZE = (1748, 1748)

@@ -10,7 +10,7 @@ import pytest
 
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints
 from sunarc.sky import Site
-from sunarc.workers.solve import Problem, _calibrate, _child
+from sunarc.workers.calibrating.solver_process import Problem, _calibrate, _child
 
 
 def refuse(increment: int) -> int:

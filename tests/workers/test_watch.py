@@ -29,7 +29,8 @@ from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.status import StatusBoard
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import Site, sun_angles, sun_directions
-from sunarc.workers import Reposer, WatchWorker, watch
+from sunarc.workers import Reposer, WatchWorker
+from sunarc.workers.calibrating import monitor as watch
 
 FloatArray = NDArray[np.float64]
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()

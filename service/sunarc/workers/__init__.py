@@ -1,11 +1,14 @@
 """The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
 
 from sunarc.workers.bounded_queue import Handover
+from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.monitor import WatchWorker
+from sunarc.workers.calibrating.provisional_pose import Reposer
+from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 from sunarc.workers.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.database_file import DatabaseWorker
-from sunarc.workers.days import DayJudge
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.fit_input import points_of
@@ -15,12 +18,9 @@ from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.overdue_sightings import OverdueSightings
 from sunarc.workers.predictor import SunPredictor
-from sunarc.workers.refit import RefitOptions, RefitWorker
 from sunarc.workers.replay import ReplayWorker
-from sunarc.workers.reposer import Reposer
 from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sun_exposures import SunExposures
-from sunarc.workers.watch import WatchWorker
 
 __all__ = [
     "UNKNOWN_ERROR_S",

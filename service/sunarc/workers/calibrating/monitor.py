@@ -17,7 +17,7 @@ from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.sky import Site, sun_directions
 from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.reposer import Reposer, is_provisional
+from sunarc.workers.calibrating.provisional_pose import Reposer, is_provisional
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5

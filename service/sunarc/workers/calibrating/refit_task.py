@@ -18,9 +18,9 @@ from sunarc.calibration import (
     select_sightings,
 )
 from sunarc.sky import Site
-from sunarc.workers.epoch_search import since_lens
+from sunarc.workers.calibrating.epoch_search import since_lens
+from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
-from sunarc.workers.solve import Problem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

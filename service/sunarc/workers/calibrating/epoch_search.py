@@ -13,9 +13,9 @@ from sunarc.archive import LENS_CHANGED, Archive, Event, SunPointColumns
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep, from_document
 from sunarc.errors import InputError
 from sunarc.sky import Site
+from sunarc.workers.calibrating.provisional_pose import is_provisional
+from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
-from sunarc.workers.reposer import is_provisional
-from sunarc.workers.solve import Problem
 
 SEARCHED = "epochs_searched"
 """Kind of the event that remembers up to which sighting the record was searched, and which epochs it divided."""

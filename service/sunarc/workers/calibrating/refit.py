@@ -31,10 +31,16 @@ from sunarc.errors import InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusBoard
 from sunarc.sky import Site, solar_date
-from sunarc.workers.epoch_search import EpochSearch
-from sunarc.workers.problem import Task, next_task
-from sunarc.workers.solve import Problem, SolveFailedError, SolverDiedError, search_in_child, solve_in_child
-from sunarc.workers.soundness import Soundness
+from sunarc.workers.calibrating.epoch_search import EpochSearch
+from sunarc.workers.calibrating.integrity import Soundness
+from sunarc.workers.calibrating.refit_task import Task, next_task
+from sunarc.workers.calibrating.solver_process import (
+    Problem,
+    SolveFailedError,
+    SolverDiedError,
+    search_in_child,
+    solve_in_child,
+)
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5

@@ -1,0 +1,1 @@
+"""Day evaluation, refits, monitoring of the current calibration."""
