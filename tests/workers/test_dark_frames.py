@@ -12,7 +12,7 @@ from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions
-from sunarc.workers.dark_frames import DarkFrames
+from sunarc.workers.capture.dark_frames import DarkFrames
 
 from .conftest import FakeCamera
 

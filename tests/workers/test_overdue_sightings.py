@@ -10,7 +10,7 @@ import pytest
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusBoard
 from sunarc.workers import FrameTime
-from sunarc.workers.overdue_sightings import OverdueSightings
+from sunarc.workers.capture.overdue_sightings import OverdueSightings
 
 CADENCE_S = 30.0
 

@@ -14,7 +14,7 @@ from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusBoard
 from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
-from sunarc.workers.vouching import Taken, Vouching
+from sunarc.workers.capture.cycle_consistency import Taken, Vouching
 
 from .conftest import INFO, NOON, FakeCamera, StopAfter
 

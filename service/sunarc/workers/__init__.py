@@ -5,7 +5,10 @@ from sunarc.workers.calibrating.judge_days import DayJudge
 from sunarc.workers.calibrating.monitor import WatchWorker
 from sunarc.workers.calibrating.provisional_pose import Reposer
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
-from sunarc.workers.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
+from sunarc.workers.capture.overdue_sightings import OverdueSightings
+from sunarc.workers.capture.replay import ReplayWorker
+from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.database_file import DatabaseWorker
@@ -16,11 +19,8 @@ from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.frozen_frames import FrozenFrames
 from sunarc.workers.image_document import image_document
 from sunarc.workers.keeping import SightingKeeper
-from sunarc.workers.overdue_sightings import OverdueSightings
 from sunarc.workers.predictor import SunPredictor
-from sunarc.workers.replay import ReplayWorker
 from sunarc.workers.sensor import SensorOptions
-from sunarc.workers.sun_exposures import SunExposures
 
 __all__ = [
     "UNKNOWN_ERROR_S",

@@ -10,7 +10,7 @@ from itertools import pairwise
 from sunarc.cameras import CameraInfo, Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.imaging import Exposed, light_ratio_contradiction
-from sunarc.workers.capture_report import CaptureReport
+from sunarc.workers.capture.status import CaptureReport
 
 _log = logging.getLogger(__name__)
 _COMPARABLE_S = 5.0  # frames further apart may show another sky

@@ -14,11 +14,11 @@ from sunarc.errors import CameraError, CameraLostError, ConfigurationError, Inpu
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusBoard
 from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.capture_report import CaptureReport
-from sunarc.workers.exposing import Exposer, unreachable_exposures
+from sunarc.workers.capture.cycle_consistency import Taken, Vouching
+from sunarc.workers.capture.exposure_sequence import Exposer, unreachable_exposures
+from sunarc.workers.capture.status import CaptureReport
+from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.frame_time import FrameTime
-from sunarc.workers.sun_exposures import SunExposures
-from sunarc.workers.vouching import Taken, Vouching
 
 _HEARTBEAT_S = 1.0
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over

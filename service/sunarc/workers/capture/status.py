@@ -9,8 +9,8 @@ from dataclasses import replace
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
 from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusBoard
-from sunarc.workers.dark_frames import DarkFrames
-from sunarc.workers.missed_slots import MissedSlots
+from sunarc.workers.capture.dark_frames import DarkFrames
+from sunarc.workers.capture.missed_slots import MissedSlots
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row

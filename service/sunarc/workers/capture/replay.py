@@ -12,7 +12,7 @@ from sunarc.errors import CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import CameraStatus, StatusBoard
 from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.capture_report import CaptureReport
+from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.frame_time import FrameTime
 
 _log = logging.getLogger(__name__)

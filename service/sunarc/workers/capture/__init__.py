@@ -1,0 +1,1 @@
+"""Capture loop: exposure sequence, sun exposure control, consistency of cycles."""
