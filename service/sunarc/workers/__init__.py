@@ -10,14 +10,14 @@ from sunarc.workers.capture.overdue_sightings import OverdueSightings
 from sunarc.workers.capture.replay import ReplayWorker
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
-from sunarc.workers.compose import ComposeWorker
 from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.detect import DetectWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.frozen_frames import FrozenFrames
-from sunarc.workers.image_document import image_document
+from sunarc.workers.images.compose import ComposeWorker
+from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.keeping import SightingKeeper
 from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions

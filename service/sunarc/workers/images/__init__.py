@@ -1,0 +1,1 @@
+"""Composites and their metadata."""
