@@ -11,7 +11,8 @@ import pytest
 
 from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.errors import OutsideError
-from sunarc.workers import SightingKeeper, keeping
+from sunarc.workers import SightingKeeper
+from sunarc.workers.sightings import write_buffer as keeping
 
 from .conftest import NOON
 

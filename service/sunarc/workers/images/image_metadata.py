@@ -11,7 +11,7 @@ from sunarc.cameras import Frame
 from sunarc.detection import bayer_of
 from sunarc.imaging import HdrImage
 from sunarc.sky import Site, sun_angles
-from sunarc.workers.predictor import SunPredictor
+from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 SCHEMA = "sunarc.image/1"
 

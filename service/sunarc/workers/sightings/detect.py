@@ -13,10 +13,10 @@ from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
 from sunarc.runtime.status import StatusBoard
 from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.frozen_frames import FrozenFrames
-from sunarc.workers.keeping import SightingKeeper
-from sunarc.workers.predictor import SunPredictor
 from sunarc.workers.sensor import SensorOptions, sensor_of
+from sunarc.workers.sightings.frozen_frames import FrozenFrames
+from sunarc.workers.sightings.sun_prediction import SunPredictor
+from sunarc.workers.sightings.write_buffer import SightingKeeper
 
 _POLL_S = 0.5
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
