@@ -9,11 +9,9 @@ from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.capture.overdue_sightings import OverdueSightings
 from sunarc.workers.capture.replay import ReplayWorker
 from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.fit_input import points_of
-from sunarc.workers.frame_time import FrameTime
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.sensor import SensorOptions
@@ -21,6 +19,8 @@ from sunarc.workers.sightings.detect import DetectWorker
 from sunarc.workers.sightings.frozen_frames import FrozenFrames
 from sunarc.workers.sightings.sun_prediction import SunPredictor
 from sunarc.workers.sightings.write_buffer import SightingKeeper
+from sunarc.workers.timing.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
+from sunarc.workers.timing.frame_time import FrameTime
 
 __all__ = [
     "UNKNOWN_ERROR_S",

@@ -18,7 +18,7 @@ from sunarc.workers.capture.cycle_consistency import Taken, Vouching
 from sunarc.workers.capture.exposure_sequence import Exposer, unreachable_exposures
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
-from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.timing.frame_time import FrameTime
 
 _HEARTBEAT_S = 1.0
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over

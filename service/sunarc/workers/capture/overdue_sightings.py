@@ -7,7 +7,7 @@ from collections.abc import Callable
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import Reason, StatusBoard
 from sunarc.workers.capture.dark_frames import LIT_ZENITH_DEG
-from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.timing.frame_time import FrameTime
 
 CODE = "no_sightings"
 _SLOTS = 10

@@ -13,7 +13,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import CameraStatus, StatusBoard
 from sunarc.workers.bounded_queue import Handover
 from sunarc.workers.capture.status import CaptureReport
-from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.timing.frame_time import FrameTime
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from sunarc.workers.clock_steps import ClockReading
+from sunarc.workers.timing.clock_steps import ClockReading
 
 LARGE_STEP_S = 60.0
 """From this size on a step is no correction of a disciplined clock: a minute turns the sky by 0.25 degrees."""

@@ -13,10 +13,10 @@ from sunarc.archive import Archive, Event
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusBoard
-from sunarc.workers.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
-from sunarc.workers.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
-from sunarc.workers.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
-from sunarc.workers.frame_time import FrameTime
+from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
+from sunarc.workers.timing.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
+from sunarc.workers.timing.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
+from sunarc.workers.timing.frame_time import FrameTime
 
 _log = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sunarc.cameras import TAI_MINUS_UTC_S
 from sunarc.runtime.status import Reason
-from sunarc.workers.clock_steps import ClockStep
+from sunarc.workers.timing.clock_steps import ClockStep
 
 _ABOUT_S = 1.0
 """How near to TAI less UTC a difference must be to be called that."""

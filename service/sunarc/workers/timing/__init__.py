@@ -1,0 +1,1 @@
+"""Frame times, clock steps and the clock's state."""
