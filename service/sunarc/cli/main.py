@@ -280,7 +280,3 @@ def _choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
         if text == choice:
             return choice
     raise InputError(field=option, problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(choices)}")
-
-
-if __name__ == "__main__":
-    main()
