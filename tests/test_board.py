@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusBoard, WorkerStatus
+from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusRegistry, WorkerStatus
 
 DISK = DiskStatus(free_bytes=5, images_bytes=3)
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -20,11 +20,11 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def board(clock: VirtualClock) -> StatusBoard:
-    return StatusBoard(version="0.1", started_at=START, monotonic=clock.monotonic)
+def board(clock: VirtualClock) -> StatusRegistry:
+    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
 
 
-def test_an_empty_board_is_ready_and_knows_nothing(board: StatusBoard) -> None:
+def test_an_empty_board_is_ready_and_knows_nothing(board: StatusRegistry) -> None:
     snapshot = board.snapshot()
     assert snapshot.health == "ready"
     assert not snapshot.workers
@@ -33,7 +33,7 @@ def test_an_empty_board_is_ready_and_knows_nothing(board: StatusBoard) -> None:
     assert snapshot.last_frame_at is None
 
 
-def test_health_is_the_worst_reason(board: StatusBoard) -> None:
+def test_health_is_the_worst_reason(board: StatusRegistry) -> None:
     board.set_reason(DRIFT)
     assert board.snapshot().health == "degraded"
     board.set_reason(LOST)
@@ -43,14 +43,14 @@ def test_health_is_the_worst_reason(board: StatusBoard) -> None:
     assert board.snapshot().reasons == (DRIFT,)
 
 
-def test_a_reason_replaces_the_one_of_its_code(board: StatusBoard) -> None:
+def test_a_reason_replaces_the_one_of_its_code(board: StatusRegistry) -> None:
     board.set_reason(DRIFT)
     worse = Reason(code=DRIFT.code, severity="not_ready", text="it moved again", remedy="tighten the screws")
     board.set_reason(worse)
     assert board.snapshot().reasons == (worse,)
 
 
-def test_heartbeats_age_between_writing_and_reading(board: StatusBoard, clock: VirtualClock) -> None:
+def test_heartbeats_age_between_writing_and_reading(board: StatusRegistry, clock: VirtualClock) -> None:
     board.set_worker(WorkerStatus(name="capture", state="running", heartbeat_age_s=1.5))
     board.set_worker(WorkerStatus(name="archive", state="starting"))
     clock.advance(10.0)
@@ -59,7 +59,7 @@ def test_heartbeats_age_between_writing_and_reading(board: StatusBoard, clock: V
     assert (capture.name, capture.heartbeat_age_s) == ("capture", 11.5)
 
 
-def test_notes_keep_what_was_noted_before(board: StatusBoard) -> None:
+def test_notes_keep_what_was_noted_before(board: StatusRegistry) -> None:
     camera = CameraStatus(name="roof", connected=True)
     board.note(camera=camera, disk=DISK)
     board.note(clock=ClockStatus(synchronised=True, max_error_s=0.01), last_frame_at=START)
@@ -67,7 +67,7 @@ def test_notes_keep_what_was_noted_before(board: StatusBoard) -> None:
     assert (snapshot.camera, snapshot.disk, snapshot.last_frame_at) == (camera, DISK, START)
 
 
-def test_a_snapshot_does_not_change_afterwards(board: StatusBoard) -> None:
+def test_a_snapshot_does_not_change_afterwards(board: StatusRegistry) -> None:
     before = board.snapshot()
     board.set_reason(LOST)
     board.note(disk=DISK)
@@ -75,7 +75,7 @@ def test_a_snapshot_does_not_change_afterwards(board: StatusBoard) -> None:
     assert before.disk is None
 
 
-def test_many_threads_may_write_at_once(board: StatusBoard) -> None:
+def test_many_threads_may_write_at_once(board: StatusRegistry) -> None:
     def write(name: str) -> None:
         for restarts in range(200):
             board.set_worker(WorkerStatus(name=name, state="running", restarts=restarts))

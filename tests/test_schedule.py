@@ -11,7 +11,7 @@ import pytest
 
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.daily_job import MonotonicTrigger, Schedule
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 PATIENCE_S = 20.0  # only a failing test waits as long
 SOON_S = 0.01
@@ -19,15 +19,15 @@ NEVER_S = 1e6
 
 
 @pytest.fixture
-def board() -> StatusBoard:
-    return StatusBoard(version="0.1", started_at=datetime(2026, 5, 1, tzinfo=UTC), monotonic=SystemClock().monotonic)
+def board() -> StatusRegistry:
+    return StatusRegistry(version="0.1", started_at=datetime(2026, 5, 1, tzinfo=UTC), monotonic=SystemClock().monotonic)
 
 
 MakeSchedule = Callable[[Callable[[], None], float], Schedule]
 
 
 @pytest.fixture
-def make_schedule(board: StatusBoard) -> Iterator[MakeSchedule]:
+def make_schedule(board: StatusRegistry) -> Iterator[MakeSchedule]:
     made: list[Schedule] = []
 
     def make(job: Callable[[], None], every_s: float) -> Schedule:
@@ -80,7 +80,7 @@ def test_a_stopped_schedule_may_begin_again(make_schedule: MakeSchedule) -> None
 
 
 def test_a_job_that_fails_is_a_reason_until_it_succeeds(
-    make_schedule: MakeSchedule, board: StatusBoard, caplog: pytest.LogCaptureFixture
+    make_schedule: MakeSchedule, board: StatusRegistry, caplog: pytest.LogCaptureFixture
 ) -> None:
     reasons: list[tuple[str, ...]] = []
     third_call = threading.Event()
@@ -99,7 +99,7 @@ def test_a_job_that_fails_is_a_reason_until_it_succeeds(
     assert caplog.text.count("Traceback") == 1
 
 
-def test_a_slow_job_is_never_called_twice_at_a_time(make_schedule: MakeSchedule, board: StatusBoard) -> None:
+def test_a_slow_job_is_never_called_twice_at_a_time(make_schedule: MakeSchedule, board: StatusRegistry) -> None:
     running, most, calls = 0, 0, threading.Semaphore(0)
 
     def job() -> None:
@@ -170,7 +170,7 @@ def stepped(monkeypatch: pytest.MonkeyPatch) -> SteppedClock:
     ids=["hour on", "hour back", "400 days on", "400 days back"],
 )
 def test_a_step_of_the_wall_clock_neither_delays_nor_multiplies_the_calls(
-    stepped: SteppedClock, board: StatusBoard, step: timedelta
+    stepped: SteppedClock, board: StatusRegistry, step: timedelta
 ) -> None:
     every_s, calls, called = 0.3, list[float](), threading.Semaphore(0)
 
@@ -200,7 +200,7 @@ def test_a_step_of_the_wall_clock_neither_delays_nor_multiplies_the_calls(
 
 
 def test_a_clock_that_was_ahead_at_the_start_and_is_set_right_holds_up_no_call(
-    stepped: SteppedClock, board: StatusBoard
+    stepped: SteppedClock, board: StatusRegistry
 ) -> None:
     stepped.stepped = timedelta(days=400)
     called = threading.Semaphore(0)

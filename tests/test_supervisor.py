@@ -13,7 +13,7 @@ import pytest
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.heartbeats import Heartbeat, Monitored
-from sunarc.runtime.status import StatusBoard, WorkerStatus
+from sunarc.runtime.status import StatusRegistry, WorkerStatus
 from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -51,8 +51,8 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def board(clock: VirtualClock) -> StatusBoard:
-    return StatusBoard(version="0.1", started_at=START, monotonic=clock.monotonic)
+def board(clock: VirtualClock) -> StatusRegistry:
+    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
 
 
 @pytest.fixture
@@ -79,11 +79,11 @@ def obey_and_tell(started: threading.Event) -> Deed:
     return deed
 
 
-def on_board(board: StatusBoard, name: str) -> WorkerStatus:
+def on_board(board: StatusRegistry, name: str) -> WorkerStatus:
     return next(worker for worker in board.snapshot().workers if worker.name == name)
 
 
-def test_each_worker_runs_in_a_thread_of_its_name(clock: VirtualClock, board: StatusBoard) -> None:
+def test_each_worker_runs_in_a_thread_of_its_name(clock: VirtualClock, board: StatusRegistry) -> None:
     names: list[str] = []
     started = threading.Event()
 
@@ -101,7 +101,7 @@ def test_each_worker_runs_in_a_thread_of_its_name(clock: VirtualClock, board: St
     assert on_board(board, "capture").state == "stopped"
 
 
-def test_starting_and_stopping_twice_is_starting_and_stopping_once(clock: VirtualClock, board: StatusBoard) -> None:
+def test_starting_and_stopping_twice_is_starting_and_stopping_once(clock: VirtualClock, board: StatusRegistry) -> None:
     started = threading.Event()
     factory = Factory([obey_and_tell(started)])
     supervisor = Supervisor([Supervised(name="detect", make_worker=factory)], clock=clock, board=board)
@@ -114,7 +114,7 @@ def test_starting_and_stopping_twice_is_starting_and_stopping_once(clock: Virtua
     assert len(factory.made) == 1
 
 
-def test_what_was_stopped_before_it_started_never_starts(clock: VirtualClock, board: StatusBoard) -> None:
+def test_what_was_stopped_before_it_started_never_starts(clock: VirtualClock, board: StatusRegistry) -> None:
     factory = Factory([obey])
     supervisor = Supervisor([Supervised(name="detect", make_worker=factory)], clock=clock, board=board)
     assert supervisor.stop() == ()
@@ -123,7 +123,7 @@ def test_what_was_stopped_before_it_started_never_starts(clock: VirtualClock, bo
     assert factory.made == []
 
 
-def test_a_dead_worker_is_made_anew_and_the_others_notice_nothing(clock: VirtualClock, board: StatusBoard) -> None:
+def test_a_dead_worker_is_made_anew_and_the_others_notice_nothing(clock: VirtualClock, board: StatusRegistry) -> None:
     again, neighbour_runs = threading.Event(), threading.Event()
     mortal, neighbour = Factory([die, obey_and_tell(again)]), Factory([obey_and_tell(neighbour_runs)])
     supervisor = Supervisor(
@@ -143,7 +143,7 @@ def test_a_dead_worker_is_made_anew_and_the_others_notice_nothing(clock: Virtual
 
 
 def test_a_death_is_logged_once_with_its_stack(
-    clock: VirtualClock, board: StatusBoard, caplog: pytest.LogCaptureFixture
+    clock: VirtualClock, board: StatusRegistry, caplog: pytest.LogCaptureFixture
 ) -> None:
     again = threading.Event()
     factory = Factory([die, obey_and_tell(again)])
@@ -172,7 +172,7 @@ def fail_to_make() -> Worker:
     ids=["raises", "returns", "exits", "cannot be made"],
 )
 def test_a_worker_that_keeps_dying_and_is_essential_fails_with_a_reason(
-    clock: VirtualClock, board: StatusBoard, make_worker: Callable[[], Worker], last_error: str
+    clock: VirtualClock, board: StatusRegistry, make_worker: Callable[[], Worker], last_error: str
 ) -> None:
     told = threading.Event()
     supervisor = Supervisor(
@@ -202,7 +202,7 @@ def test_a_worker_that_keeps_dying_and_is_essential_fails_with_a_reason(
     assert on_board(board, "capture").state == "failed"
 
 
-def test_the_failure_of_one_worker_leaves_the_others_running(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_failure_of_one_worker_leaves_the_others_running(clock: VirtualClock, board: StatusRegistry) -> None:
     told, runs = threading.Event(), threading.Event()
     supervisor = Supervisor(
         [
@@ -222,7 +222,9 @@ def test_the_failure_of_one_worker_leaves_the_others_running(clock: VirtualClock
     assert supervisor.stop() == ()
 
 
-def test_the_process_is_told_once_however_many_essential_workers_fail(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_process_is_told_once_however_many_essential_workers_fail(
+    clock: VirtualClock, board: StatusRegistry
+) -> None:
     tellings: list[str] = []
     workers = [
         Supervised(name=name, make_worker=Factory([die]), options=SupervisorOptions(max_restarts=0), essential=True)
@@ -236,7 +238,7 @@ def test_the_process_is_told_once_however_many_essential_workers_fail(clock: Vir
     assert {reason.code for reason in board.snapshot().reasons} == {"worker_failed_capture", "worker_failed_detect"}
 
 
-def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: StatusRegistry) -> None:
     births: list[float] = []
 
     def make_worker() -> Worker:
@@ -262,7 +264,9 @@ def test_the_back_off_doubles_up_to_half_a_minute(clock: VirtualClock, board: St
     assert [after - before for before, after in pairwise(births)] == [1, 2, 4, 8, 16, 30, 30]
 
 
-def test_what_is_outside_may_hinder_a_worker_for_as_long_as_it_takes(clock: VirtualClock, board: StatusBoard) -> None:
+def test_what_is_outside_may_hinder_a_worker_for_as_long_as_it_takes(
+    clock: VirtualClock, board: StatusRegistry
+) -> None:
     def hindered(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
         raise OutsideError("the disk is full")
 
@@ -281,7 +285,7 @@ def test_what_is_outside_may_hinder_a_worker_for_as_long_as_it_takes(clock: Virt
     assert supervisor.stop() == ()
 
 
-def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusBoard) -> None:
+def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusRegistry) -> None:
     def die_late(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
         clock.advance(601.0)
         raise OSError("the cable fell out")
@@ -300,7 +304,7 @@ def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusBoard)
     assert supervisor.stop() == ()
 
 
-def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock, board: StatusBoard) -> None:
+def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock, board: StatusRegistry) -> None:
     runs, beat, beaten = threading.Event(), threading.Event(), threading.Event()
 
     def deed(stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -337,7 +341,7 @@ def lives_of(n: int, *, then: Deed) -> Factory:
 
 
 def test_a_failed_worker_that_is_not_essential_is_retried_every_five_minutes_and_the_process_goes_on(
-    board: StatusBoard,
+    board: StatusRegistry,
 ) -> None:
     clock, births = VirtualClock(START), list[float]()
     runs = threading.Event()
@@ -370,7 +374,7 @@ def test_a_failed_worker_that_is_not_essential_is_retried_every_five_minutes_and
 
 
 def test_a_worker_that_dies_again_is_a_condition_until_it_has_run_for_half_a_minute(
-    clock: VirtualClock, board: StatusBoard
+    clock: VirtualClock, board: StatusRegistry
 ) -> None:
     runs = threading.Event()
     worker = Supervised(name="detect", make_worker=lives_of(2, then=obey_and_tell(runs)), severity="not_ready")
@@ -386,7 +390,7 @@ def test_a_worker_that_dies_again_is_a_condition_until_it_has_run_for_half_a_min
     assert supervisor.stop() == ()
 
 
-def test_one_death_is_no_condition(clock: VirtualClock, board: StatusBoard) -> None:
+def test_one_death_is_no_condition(clock: VirtualClock, board: StatusRegistry) -> None:
     runs = threading.Event()
     worker = Supervised(name="detect", make_worker=lives_of(1, then=obey_and_tell(runs)))
     supervisor = Supervisor([worker], clock=clock, board=board)
@@ -397,7 +401,7 @@ def test_one_death_is_no_condition(clock: VirtualClock, board: StatusBoard) -> N
 
 
 def test_a_monitored_loop_without_a_heartbeat_is_stuck_and_the_watchdog_not_fed(
-    clock: VirtualClock, board: StatusBoard
+    clock: VirtualClock, board: StatusRegistry
 ) -> None:
     heartbeat = Heartbeat(clock.monotonic)
     loop = Monitored(name="web", heartbeat=heartbeat, stale_after_s=30.0)
@@ -416,7 +420,7 @@ def test_a_monitored_loop_without_a_heartbeat_is_stuck_and_the_watchdog_not_fed(
 
 
 def test_what_a_periodic_check_raises_is_logged_and_the_watchdog_is_fed_all_the_same(
-    board: StatusBoard, caplog: pytest.LogCaptureFixture
+    board: StatusRegistry, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock, meals = Turns(), list[float]()
 
@@ -441,7 +445,7 @@ def test_what_a_periodic_check_raises_is_logged_and_the_watchdog_is_fed_all_the_
 
 
 def test_being_stuck_is_logged_once(
-    clock: VirtualClock, board: StatusBoard, caplog: pytest.LogCaptureFixture, release: threading.Event
+    clock: VirtualClock, board: StatusRegistry, caplog: pytest.LogCaptureFixture, release: threading.Event
 ) -> None:
     runs = threading.Event()
 
@@ -466,7 +470,7 @@ def test_being_stuck_is_logged_once(
 
 
 def test_blocked_workers_do_not_hold_up_the_stop(
-    board: StatusBoard, release: threading.Event, caplog: pytest.LogCaptureFixture
+    board: StatusRegistry, release: threading.Event, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = threading.Semaphore(0)
 
@@ -489,7 +493,7 @@ def test_blocked_workers_do_not_hold_up_the_stop(
     assert "did not stop within 0.3 s" in caplog.text
 
 
-def test_a_stop_interrupts_the_back_off(board: StatusBoard) -> None:
+def test_a_stop_interrupts_the_back_off(board: StatusRegistry) -> None:
     died = threading.Event()
 
     def deed(_stop: threading.Event, _heartbeat: Callable[[], None]) -> None:
@@ -509,7 +513,7 @@ def test_a_stop_interrupts_the_back_off(board: StatusBoard) -> None:
     assert clock.monotonic() - before_s < 0.9  # the shortest back-off is 1 s
 
 
-def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: StatusBoard) -> None:
+def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: StatusRegistry) -> None:
     late: list[tuple[str, ...]] = []
     done = threading.Event()
 
@@ -532,7 +536,7 @@ def test_a_worker_may_stop_its_own_supervisor(clock: VirtualClock, board: Status
     assert late == [()]
 
 
-def test_the_watchdog_is_fed_while_all_are_alive(board: StatusBoard) -> None:
+def test_the_watchdog_is_fed_while_all_are_alive(board: StatusRegistry) -> None:
     fed, runs = threading.Semaphore(0), threading.Event()
     supervisor = Supervisor(
         [Supervised(name="capture", make_worker=Factory([obey_and_tell(runs)]))],
@@ -563,7 +567,7 @@ class Turns(VirtualClock):
         return stop.is_set()
 
 
-def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusBoard) -> None:
+def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusRegistry) -> None:
     clock, runs, meals = Turns(), threading.Event(), list[float]()
     supervisor = Supervisor(
         [
@@ -590,7 +594,7 @@ def test_the_watchdog_goes_hungry_while_one_is_stuck(board: StatusBoard) -> None
     assert supervisor.stop() == ()
 
 
-def test_two_workers_of_one_name_are_refused(clock: VirtualClock, board: StatusBoard) -> None:
+def test_two_workers_of_one_name_are_refused(clock: VirtualClock, board: StatusRegistry) -> None:
     twins = [Supervised(name="capture", make_worker=Factory([obey])) for _ in range(2)]
     with pytest.raises(ValueError, match="same name"):
         Supervisor(twins, clock=clock, board=board)

@@ -24,7 +24,7 @@ from real_like_tracks import drawn_aside
 from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import Calibration, SunPoints, calibrate
-from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
@@ -66,13 +66,13 @@ def calibrated() -> Calibration:
 
 
 def looked(
-    watch: Watch, calibration: Calibration, times: FloatArray, pixels: FloatArray, **told: bool
-) -> tuple[Watch, int, Change | None]:
+    watch: SightingWindow, calibration: Calibration, times: FloatArray, pixels: FloatArray, **told: bool
+) -> tuple[SightingWindow, int, Change | None]:
     """Return the watch after sightings, how many it took, and the change it found."""
     directions = sun_directions(times, SGP)
     for number, (unix_s, pixel, direction) in enumerate(zip(times, pixels, directions, strict=True), 1):
-        one = Watched(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=_SIGMA_PX)
-        watch, change = observe(watch, one, calibration=calibration, site=SGP, options=WatchOptions(), **told)
+        one = Sighting(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=_SIGMA_PX)
+        watch, change = update_window(watch, one, calibration=calibration, site=SGP, options=WatchOptions(), **told)
         if change is not None:
             return watch, number, change
     return watch, times.size, None
@@ -80,7 +80,7 @@ def looked(
 
 def false_alarms(days: int, calibration: Calibration, cadence_s: float) -> None:
     """Print the false alarms over simulated days."""
-    rng, watch, found = np.random.default_rng(7), Watch(), []
+    rng, watch, found = np.random.default_rng(7), SightingWindow(), []
     total = 0
     for day in range(days):
         times = times_of(day, cadence_s)
@@ -94,13 +94,13 @@ def false_alarms(days: int, calibration: Calibration, cadence_s: float) -> None:
         watch, _, change = looked(watch, calibration, times, pixels)
         if change is not None:
             found.append((day, change.kind, change.text))
-            watch = Watch()
+            watch = SightingWindow()
     print(f"{days} days, {total} sightings: {len(found)} false alarms {found}")
 
 
 def clouded(days: int, calibration: Calibration, cadence_s: float) -> int:
     """Print, and return, the false alarms over days on which cloud draws the detections aside."""
-    rng, watch, found, total = np.random.default_rng(11), Watch(), [], 0
+    rng, watch, found, total = np.random.default_rng(11), SightingWindow(), [], 0
     for day in range(days):
         times = times_of(day, cadence_s)
         pixels = wandering(times, np.array([0.7, 0.7, 0.1])) + rng.normal(0.0, _SIGMA_PX, (times.size, 2))
@@ -113,7 +113,7 @@ def clouded(days: int, calibration: Calibration, cadence_s: float) -> int:
         watch, number, change = looked(watch, calibration, times, pixels)
         if change is not None:
             found.append((day, number, change.kind, change.text))
-            watch = Watch()
+            watch = SightingWindow()
     print(f"{days} days with cloud, a sighting every {cadence_s:g} s, {total}: {len(found)} false alarms", flush=True)
     for one in found:
         print(f"  {one}")
@@ -185,7 +185,7 @@ def changes(trials: int, calibration: Calibration, cadence_s: float) -> None:
             pixels = pixels + rng.normal(0.0, _SIGMA_PX, pixels.shape)
             inside = np.all(np.isfinite(pixels), axis=-1)
             _, number, found = looked(
-                Watch(), calibration, times[inside], pixels[inside], clock_stepped=name.startswith("clock")
+                SightingWindow(), calibration, times[inside], pixels[inside], clock_stepped=name.startswith("clock")
             )
             called["nothing" if found is None else found.kind] += 1
             if found is not None:

@@ -34,7 +34,7 @@ from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, open_archiv
 from sunarc.calibration import CalibrationOptions, DayOptions
 from sunarc.optics import project_fast
 from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker
@@ -126,7 +126,7 @@ def measure(path: Path) -> None:
     """Print what a refit, the pages and a start take."""
     _measured("upgrade and open", lambda: (upgrade(path), open_archive(path).close()))
     archive = open_archive(path)
-    board = StatusBoard(version="study", started_at=_END, monotonic=SystemClock().monotonic)
+    board = StatusRegistry(version="study", started_at=_END, monotonic=SystemClock().monotonic)
     judge = DayJudge(
         archive=archive,
         camera="roof",

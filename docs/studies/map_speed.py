@@ -31,7 +31,7 @@ from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.archive import Refit
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 MAP = "/v1/back-projection-map"
 MAP_BYTES = 73_400_000
@@ -146,7 +146,7 @@ def serve(folder: Path, told_to: Connection) -> None:
         archive=archive,
         camera="roof",
         site=SITE,
-        status=StatusBoard(version="0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic).snapshot,
+        status=StatusRegistry(version="0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic).snapshot,
         request_refit=lambda reason: archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason=reason)),
         frame_clock=lambda: NOON,
         latest_image=lambda: None,

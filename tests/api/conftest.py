@@ -22,16 +22,16 @@ from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, o
 from sunarc.calibration import (
     BackwardModel,
     Calibration,
-    Evidence,
     Field,
     Metrics,
+    Provenance,
     Verdict,
     WaveBasis,
     to_document,
 )
 from sunarc.optics import Camera, pose_angles, project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusBoard, WorkerStatus
+from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
 from sunarc.sky import Site, sun_angles, sun_directions
 
 TOKEN = "a token that is long enough"  # noqa: S105 - of the test alone
@@ -66,7 +66,7 @@ def calibration(camera: Camera = LENS) -> Calibration:
         ),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
-        evidence=Evidence(
+        evidence=Provenance(
             days=("2013-05-13",),
             n_supplied=1500,
             n_used=1440,
@@ -154,7 +154,7 @@ class Made:
     """An application and all that stands behind it."""
 
     archive: Archive
-    board: StatusBoard
+    board: StatusRegistry
     app: FastAPI
     client: Client
     asked: list[str] = field(default_factory=list)
@@ -209,7 +209,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
             opened.append(open_archive(tmp_path / f"{len(opened)}.sqlite"))
         kept = archive or opened[-1]
         started_at, clock = NOON - timedelta(hours=9), VirtualClock(NOON)
-        board = StatusBoard(version="0.1.0", started_at=started_at, monotonic=clock.monotonic)
+        board = StatusRegistry(version="0.1.0", started_at=started_at, monotonic=clock.monotonic)
         asked: list[str] = []
 
         def request_refit(reason: str) -> Refit:

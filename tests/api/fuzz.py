@@ -27,7 +27,7 @@ from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Refit
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 SMALL = replace(LENS, width=120, height=116, focal_length_px=(41.0, 41.0), principal_point_px=(59.8, 58.1))
@@ -75,7 +75,7 @@ def served(folder: Path) -> Iterator[str]:
         archive=archive,
         camera="roof",
         site=SITE,
-        status=StatusBoard(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic).snapshot,
+        status=StatusRegistry(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic).snapshot,
         request_refit=request_refit,
         frame_clock=lambda: NOON,
         latest_image=lambda: image,

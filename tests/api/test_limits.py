@@ -16,7 +16,7 @@ from starlette.types import Receive, Scope, Send
 from tests.api.test_problems import check_shape
 
 from sunarc.api import ApiOptions, BoundedConnection
-from sunarc.api.middleware.rate_limit import Allowances, ConcurrencyLimit
+from sunarc.api.middleware.rate_limit import ConcurrencyLimit, TokenBuckets
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -25,7 +25,7 @@ AWAY = "192.0.2.7"
 
 
 def test_a_bucket_holds_a_burst_and_fills_steadily() -> None:
-    allowances = Allowances(per_s=2.0, burst=3)
+    allowances = TokenBuckets(per_s=2.0, burst=3)
     assert [allowances.take("a", 1.0, now_s=0.0) for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
     assert allowances.take("b", 1.0, now_s=0.0) == 0.0
     assert allowances.take("a", 1.0, now_s=0.49) > 0.0
@@ -34,7 +34,7 @@ def test_a_bucket_holds_a_burst_and_fills_steadily() -> None:
 
 
 def test_the_memory_of_clients_is_bounded() -> None:
-    allowances = Allowances(per_s=1.0, burst=1)
+    allowances = TokenBuckets(per_s=1.0, burst=1)
     for number in range(20_000):
         allowances.take(str(number), 1.0, now_s=0.0)
     assert len(allowances._left) == 4096

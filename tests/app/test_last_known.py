@@ -16,7 +16,7 @@ from sunarc.app.last_known import restore_last_known
 from sunarc.archive import CameraRecord, ImageStore, SunPoint, open_archive, upgrade
 from sunarc.cameras import AravisOptions, SkyCamera
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.settings import Settings
 from sunarc.sky import Site
 
@@ -97,7 +97,7 @@ def test_a_store_that_cannot_be_read_hinders_no_start(start: Callable[[], Servic
     look(service, NOON, accepted=True)
     with closing(sqlite3.connect(tmp_path / "sunarc.sqlite", isolation_level=None)) as other:
         other.execute("ALTER TABLE sun_point RENAME TO hidden")
-    board = StatusBoard(version="1", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
+    board = StatusRegistry(version="1", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
     restore_last_known(
         board,
         archive=service.archive,

@@ -13,7 +13,7 @@ import pytest
 
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.systemd import Notifier
 
 START = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -25,8 +25,8 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def board(clock: VirtualClock) -> StatusBoard:
-    return StatusBoard(version="0.1", started_at=START, monotonic=clock.monotonic)
+def board(clock: VirtualClock) -> StatusRegistry:
+    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def manager() -> Iterator[socket.socket]:
 
 
 @pytest.fixture
-def line(manager: socket.socket, board: StatusBoard, clock: VirtualClock) -> StatusLine:
+def line(manager: socket.socket, board: StatusRegistry, clock: VirtualClock) -> StatusLine:
     notifier = Notifier(os.fsdecode(manager.getsockname()))
     return StatusLine(notifier, snapshot=board.snapshot, address="http://127.0.0.1:8080/", monotonic=clock.monotonic)
 
@@ -58,7 +58,7 @@ def reason(code: str) -> Reason:
 
 
 def test_it_tells_address_health_last_sighting_and_conditions(
-    line: StatusLine, board: StatusBoard, clock: VirtualClock, manager: socket.socket
+    line: StatusLine, board: StatusRegistry, clock: VirtualClock, manager: socket.socket
 ) -> None:
     line.ready()
     assert heard(manager) == ["READY=1\nSTATUS=serving at http://127.0.0.1:8080/; ready; no sighting yet"]
@@ -73,7 +73,7 @@ def test_it_tells_address_health_last_sighting_and_conditions(
 
 
 def test_it_is_sent_when_it_has_changed_and_at_most_every_ten_seconds(
-    line: StatusLine, board: StatusBoard, clock: VirtualClock, manager: socket.socket
+    line: StatusLine, board: StatusRegistry, clock: VirtualClock, manager: socket.socket
 ) -> None:
     line.update()
     assert heard(manager) == []  # not ready yet
@@ -92,14 +92,14 @@ def test_it_is_sent_when_it_has_changed_and_at_most_every_ten_seconds(
     assert heard(manager) == []
 
 
-def test_more_than_four_conditions_are_counted(line: StatusLine, board: StatusBoard) -> None:
+def test_more_than_four_conditions_are_counted(line: StatusLine, board: StatusRegistry) -> None:
     for code in "abcdef":
         board.set_reason(reason(code))
     assert line.text().endswith("conditions: a, b, c, d and 2 more")
 
 
 @pytest.mark.parametrize("before", [None, START - timedelta(hours=1)])
-def test_a_service_is_not_called_ready_before_its_first_frame(board: StatusBoard, before: datetime | None) -> None:
+def test_a_service_is_not_called_ready_before_its_first_frame(board: StatusRegistry, before: datetime | None) -> None:
     if before is not None:
         board.note(last_frame_at=before)  # of the store, from before a restart
     first = FirstFrame(board)

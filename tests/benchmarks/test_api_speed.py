@@ -19,7 +19,7 @@ from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.preflight import listen
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 _PIXEL = b'{"pixels": [[871.96, 700.0]]}'
 _AT_ONCE = 200
@@ -45,7 +45,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Iterator[HTTPConnection]:
     archive = open_archive(path)
     fill(archive)
     clock = VirtualClock(NOON)
-    board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=clock.monotonic)
+    board = StatusRegistry(version="0.1.0", started_at=NOON, monotonic=clock.monotonic)
     yield from _served(
         create_app(
             archive=archive,

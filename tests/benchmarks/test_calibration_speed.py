@@ -13,13 +13,13 @@ from scipy.optimize import least_squares
 
 from sunarc.calibration import SunPoints, back_projection_map, calibrate, lookup
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
-from sunarc.calibration.fit.normal_equations import linear_system, settled
+from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
 from sunarc.calibration.initial_guess.coarse_search import single_problem
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations
 from sunarc.calibration.least_squares.time_bins import time_bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.calibration.model.sightings import Usable, usable_points
+from sunarc.calibration.model.sightings import FilteredSightings, filter_sightings
 from sunarc.optics import Camera, inverse_table, project
 from sunarc.sky import Site, sun_angles, sun_directions
 
@@ -54,7 +54,7 @@ class _Task:
     """One cost, one start: 15 966 sightings, Gaussian noise of 0.5 px, the lens's priors."""
 
     def __init__(self, points: SunPoints) -> None:
-        self.usable: Usable = usable_points(points, site=SGP)
+        self.usable: FilteredSightings = filter_sightings(points, site=SGP)
         self.seen: Observations = observations(self.usable).weighted(np.full(len(self.usable), 4.0))
         start = replace(TRUTH, focal_length_px=(605.0, 605.0), principal_point_px=(876.0, 880.0), radial=(0.0,) * 8)
         start = replace(start, decentering=(1e-5, 1e-5, 0.0, 0.0), rotation_cam_enu=(0.02, -0.01, 0.81))
@@ -68,7 +68,7 @@ class _Task:
         bins, at = time_bins(self.usable), self.start
         for _ in range(2):
             system = linear_system(self.problem, self.seen, bins, at, information=self.seen.information, basis=basis)
-            at, _ = settled(self.problem, system, NO_FIELD)
+            at, _ = irls_converged(self.problem, system, NO_FIELD)
         return at
 
     def misfit(self, at: FloatArray) -> FloatArray:

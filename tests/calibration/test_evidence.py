@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from sunarc.calibration.fit.marginal_likelihood import (
-    Normal,
+    NormalEquations,
     Scales,
     log_evidences,
     marginal_fit,
@@ -38,7 +38,7 @@ class _Case:
         self.at = 0.1 * rng.standard_normal(p)
         self.waves = basis.values(self.pixels)
 
-    def normal(self) -> Normal:
+    def normal(self) -> NormalEquations:
         return normal_sums(self.rows, self.waves, self.residual, self.information, at=self.at)
 
 

@@ -29,21 +29,23 @@ def test_pixels_look_where_the_camera_says(calibrated: Calibration, ready: Looku
     pixels = np.random.default_rng(0).uniform(-60.0, 1810.0, (3000, 2))
     directions, _, inside = unproject_with_sigma(calibrated, pixels)
     zenith, azimuth = angles_from_direction(directions)
-    told = ready.back_project(pixels)
-    np.testing.assert_allclose(told[:, 0], zenith, atol=1e-8)
-    assert np.nanmax(np.abs((told[:, 1] - azimuth + 180.0) % 360.0 - 180.0) * np.sin(np.radians(zenith))) < 1e-8
-    assert np.all((told[:, 1] >= 0.0) & (told[:, 1] < 360.0) | np.isnan(zenith))
-    np.testing.assert_allclose(told[:, 2:5], directions, atol=1e-10)
-    np.testing.assert_array_equal(told[:, 6] == 1.0, inside)
+    describe_change = ready.back_project(pixels)
+    np.testing.assert_allclose(describe_change[:, 0], zenith, atol=1e-8)
+    assert (
+        np.nanmax(np.abs((describe_change[:, 1] - azimuth + 180.0) % 360.0 - 180.0) * np.sin(np.radians(zenith))) < 1e-8
+    )
+    assert np.all((describe_change[:, 1] >= 0.0) & (describe_change[:, 1] < 360.0) | np.isnan(zenith))
+    np.testing.assert_allclose(describe_change[:, 2:5], directions, atol=1e-10)
+    np.testing.assert_array_equal(describe_change[:, 6] == 1.0, inside)
     assert np.any(np.isnan(zenith))
 
 
 def test_the_tables_uncertainty_is_the_exact_one_to_a_few_percent(calibrated: Calibration, ready: Lookup) -> None:
     pixels = np.random.default_rng(1).uniform(-60.0, 1810.0, (3000, 2))
     directions, sigma, _ = unproject_with_sigma(calibrated, pixels)
-    told = ready.back_project(pixels)[:, 5]
-    np.testing.assert_array_equal(np.isnan(told), np.isnan(sigma))
-    off = np.abs(told / sigma - 1.0)
+    describe_change = ready.back_project(pixels)[:, 5]
+    np.testing.assert_array_equal(np.isnan(describe_change), np.isnan(sigma))
+    off = np.abs(describe_change / sigma - 1.0)
     assert np.nanmax(off) < 0.03
     assert np.nanquantile(off, 0.99) < 0.01
     known = np.isfinite(sigma)
@@ -70,9 +72,9 @@ def test_covariances_of_directions_are_across_them_and_as_large_as_sigma(
 
 def test_single_precision_is_answered_in_single_precision(ready: Lookup) -> None:
     pixels = np.random.default_rng(2).uniform(300.0, 1400.0, (70_000, 2)).astype(np.float32)
-    told, exact = ready.back_project(pixels), ready.back_project(pixels.astype(np.float64))
-    assert [told.dtype.name, exact.dtype.name] == ["float32", "float64"]
-    assert np.max(np.abs(told - exact)) < 2e-5
+    describe_change, exact = ready.back_project(pixels), ready.back_project(pixels.astype(np.float64))
+    assert [describe_change.dtype.name, exact.dtype.name] == ["float32", "float64"]
+    assert np.max(np.abs(describe_change - exact)) < 2e-5
 
 
 def test_a_mirrored_image_has_the_same_uncertainty_on_the_other_side(calibrated: Calibration) -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.calibration.fit.noise import inflation, lag_one, neighbours
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
 
 
 def _correlated(n: int, rho: float) -> NDArray[np.float64]:
@@ -22,7 +22,7 @@ def test_core_scale_is_found_among_outliers(share: float) -> None:
     rng = np.random.default_rng(2)
     points = rng.normal(0.0, 0.4, (4000, 2))
     points[rng.random(4000) < share] += [9.0, 3.0]
-    assert core_sigma(np.linalg.norm(points, axis=-1)) == pytest.approx(0.4, rel=0.05)
+    assert robust_sigma(np.linalg.norm(points, axis=-1)) == pytest.approx(0.4, rel=0.05)
 
 
 def test_weights_are_the_loss_s_slope_over_distance() -> None:

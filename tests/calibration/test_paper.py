@@ -36,8 +36,8 @@ def test_table_2_case_3_comes_back_from_its_own_noise_free_arcs(simulator: Simul
 
 def test_on_one_arc_the_paper_is_right_on_the_track_and_ours_over_the_sky(simulator: Simulator) -> None:
     seen = simulator(sigma_px=0.43, cadence_s=30.0)
-    told = CalibrationOptions(method="paper")
-    paper = calibrate(seen.points, site=seen.site, image_size=SIZE, options=told, circle=CIRCLE)
+    describe_change = CalibrationOptions(method="paper")
+    paper = calibrate(seen.points, site=seen.site, image_size=SIZE, options=describe_change, circle=CIRCLE)
     ours = calibrate(seen.points, site=seen.site, image_size=SIZE, circle=CIRCLE)
     assert paper.method == "paper"
     assert seen.track_error_px(paper.camera) < 0.12
@@ -51,20 +51,20 @@ def test_penalties_are_nothing_for_a_round_rising_lens(clear_day: Simulated) -> 
 
 def test_c1_c2_and_c3_feel_what_they_should(clear_day: Simulated) -> None:
     plain = replace(clear_day.camera, radial=(0.0,) * 8, decentering=(0.0,) * 4, skew_px=0.0)
-    told = PaperOptions()
+    describe_change = PaperOptions()
     edge = math.pi / 2
-    first = penalties(replace(plain, radial=(0.01, *([0.0] * 7))), told, largest_angle=edge)
+    first = penalties(replace(plain, radial=(0.01, *([0.0] * 7))), describe_change, largest_angle=edge)
     expected = np.trapezoid(2.0 * np.sin(np.linspace(0, edge, 999) / 2) * np.linspace(0, 1, 999) ** 2, dx=edge / 998)
-    assert first[0] == pytest.approx(told.orthogonality_weight * 0.01 * expected, rel=1e-3)
-    skewed = penalties(replace(plain, skew_px=1.0), told, largest_angle=edge)
+    assert first[0] == pytest.approx(describe_change.orthogonality_weight * 0.01 * expected, rel=1e-3)
+    skewed = penalties(replace(plain, skew_px=1.0), describe_change, largest_angle=edge)
     # a skew of s stretches the circle by about s sin(2φ) r̂ / 2, whose standard deviation is s r̂ / √8
     spread = math.sqrt(2.0) / math.sqrt(8.0)
-    assert np.linalg.norm(skewed[1:25]) == pytest.approx(told.circularity_weight * spread, rel=0.01)
-    falling = penalties(replace(plain, radial=(-2.0, *([0.0] * 7))), told, largest_angle=edge)
+    assert np.linalg.norm(skewed[1:25]) == pytest.approx(describe_change.circularity_weight * spread, rel=0.01)
+    falling = penalties(replace(plain, radial=(-2.0, *([0.0] * 7))), describe_change, largest_angle=edge)
     assert np.min(falling[25:]) < 0.0
     bent = replace(plain, decentering=(1e-3, 0.0, 0.0, 0.0))
-    assert np.max(np.abs(penalties(bent, told, largest_angle=edge))) < 1e-6
-    included = replace(told, ellipse_scope="with_decentering")
+    assert np.max(np.abs(penalties(bent, describe_change, largest_angle=edge))) < 1e-6
+    included = replace(describe_change, ellipse_scope="with_decentering")
     assert np.max(np.abs(penalties(bent, included, largest_angle=edge))) > 100.0
 
 

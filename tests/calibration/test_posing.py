@@ -18,10 +18,10 @@ from sunarc.calibration import (
     SunPoints,
     calibrate,
     daily_pose_offset,
+    estimate_pose,
     from_document,
     hemisphere,
     project_with_covariance,
-    repose,
     to_document,
 )
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
@@ -78,7 +78,7 @@ def test_a_few_sightings_pose_a_known_lens_and_say_how_sure_they_are(
         axis = rng.normal(size=3)
         truth = turned(camera, tuple(size_deg * axis / np.linalg.norm(axis)))
         seen = few(simulator, truth, 10, seed=seed)
-        found = repose(seen.points, start=calibrated, site=SGP, options=TILTED)
+        found = estimate_pose(seen.points, start=calibrated, site=SGP, options=TILTED)
         assert found.verdict.accepted, found.verdict.reasons
         covered.append(float(np.mean(squares(found, truth) < 5.991)))
     assert np.mean(covered) > 0.6
@@ -89,7 +89,7 @@ def test_the_answer_grows_surer_with_every_sighting(
 ) -> None:
     truth = turned(camera, (0.1, -0.15, 0.1))
     stated = [
-        repose(few(simulator, truth, count, seed=1).points, start=calibrated, site=SGP).sky_rms_deg
+        estimate_pose(few(simulator, truth, count, seed=1).points, start=calibrated, site=SGP).sky_rms_deg
         for count in (3, 20, 120)
     ]
     assert stated[0] > 3.0 * stated[1] > 3.0 * stated[2]
@@ -103,7 +103,7 @@ def test_a_third_of_the_sightings_may_be_false(camera: Camera, simulator: Simula
     false = rng.random(60) < 0.33
     pixels = np.where(false[:, None], rng.uniform(300.0, 1400.0, (60, 2)), seen.points.pixels)
     points = SunPoints(unix_s=seen.points.unix_s, pixels=pixels)
-    found = repose(points, start=calibrated, site=SGP)
+    found = estimate_pose(points, start=calibrated, site=SGP)
     assert found.used is not None
     assert not np.any(found.used & false)
     assert rms(project(found.camera, SKY) - project(truth, SKY)) < 0.2
@@ -118,7 +118,7 @@ def test_the_lens_s_own_doubt_stays_in_the_uncertainty(
         field=replace(calibrated.field, amplitude_px=0.0, cross=0.0 * calibrated.field.cross),
     )
     seen = simulator(turned(camera, (1.0, 0.0, 0.0)), days=(30.0,))
-    honest, vain = (repose(seen.points, start=start, site=SGP) for start in (calibrated, sure))
+    honest, vain = (estimate_pose(seen.points, start=start, site=SGP) for start in (calibrated, sure))
     assert honest.sky_rms_deg > 2.0 * vain.sky_rms_deg
 
 
@@ -138,13 +138,13 @@ def test_the_document_of_the_lens_suffices(camera: Camera, simulator: Simulator,
         )
     )
     seen = few(simulator, turned(camera, (0.5, 0.5, 0.0)), 12, seed=3)
-    first, second = (repose(seen.points, start=start, site=SGP) for start in (calibrated, written))
+    first, second = (estimate_pose(seen.points, start=start, site=SGP) for start in (calibrated, written))
     assert rms(project(first.camera, SKY) - project(second.camera, SKY)) < 1e-3
     assert second.sky_rms_deg == pytest.approx(first.sky_rms_deg, rel=1e-3)
 
 
 def test_two_sightings_are_too_few(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:
-    found = repose(few(simulator, camera, 2, seed=1).points, start=calibrated, site=SGP)
+    found = estimate_pose(few(simulator, camera, 2, seed=1).points, start=calibrated, site=SGP)
     assert not found.verdict.accepted
     assert "only 2 usable sightings" in found.verdict.reasons[0]
 
@@ -184,7 +184,7 @@ def test_a_real_lens_is_posed_anew() -> None:
     site = Site(latitude=54.495866, longitude=11.237683, altitude=9.0)
     options = CalibrationOptions(projection="equidistant")
     whole = calibrate(points, site=site, image_size=(1920, 1920), options=options)
-    again = repose(points.select(slice(100, 300)), start=whole, site=site)
+    again = estimate_pose(points.select(slice(100, 300)), start=whole, site=site)
     assert again.verdict.accepted, again.verdict.reasons
     assert again.metrics.rmse_px < 1.05
 
@@ -204,7 +204,7 @@ def test_sightings_of_a_frozen_image_are_an_answer_and_no_exception(
     else:
         pixels[:] = (-5000.0, 9000.0)
     points = replace(seen, pixels=pixels)
-    found = repose(points, start=calibrated, site=SGP)
+    found = estimate_pose(points, start=calibrated, site=SGP)
     assert found.verdict.reasons
     assert found.verdict.accepted == (shown == "corner")  # there the first half is good
     daily_pose_offset(points, calibration=calibrated, site=SGP)

@@ -19,7 +19,7 @@ from sunarc.calibration.fit.least_squares_reference import at_least_least_square
 from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.model.sightings import usable_points
+from sunarc.calibration.model.sightings import filter_sightings
 from sunarc.optics import project
 from sunarc.sky import Site, sun_directions
 
@@ -44,7 +44,7 @@ def _problem(track_seed: int) -> tuple[Problem, Observations, NDArray[np.float64
     fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
     prior = lens_prior(fit.camera, tolerances=track.options.tolerances, circle=None, field_angle=np.pi / 2)
     problem = problem_for(fit.camera, prior, n_epochs=1)
-    return problem, observations(usable_points(track.points, site=track.site)), problem.unknowns([fit.camera])
+    return problem, observations(filter_sightings(track.points, site=track.site)), problem.unknowns([fit.camera])
 
 
 def test_a_camera_that_misses_the_sightings_is_brought_back_and_a_good_one_stays() -> None:

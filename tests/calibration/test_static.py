@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import SunPoints, calibrate
-from sunarc.calibration.model.sightings import usable_points
+from sunarc.calibration.model.sightings import filter_sightings
 from sunarc.optics import project
 from sunarc.sky import Site, sun_angles, sun_directions
 
@@ -41,7 +41,7 @@ def test_an_overlay_among_true_sightings_is_left_out_and_named(
     seen = simulator(sigma_px=0.3)
     points = with_overlay(seen, *places, share=0.4, jitter_px=jitter_px)
     still = np.any(points.pixels != seen.points.pixels, axis=-1)
-    usable = usable_points(points, site=seen.site)
+    usable = filter_sightings(points, site=seen.site)
     assert np.array_equal(np.sort(usable.index), np.flatnonzero(~still))
     assert len(usable.static) == len(places)
     assert sum(position.n for position in usable.static) == still.sum()
@@ -73,7 +73,7 @@ def test_whole_pixels_at_a_high_cadence_are_the_sun(simulator: Simulator, latitu
     times = times[sun_angles(times, site).apparent_zenith < 89.6]
     camera = replace(simulator().camera, focal_length_px=(focal_px, focal_px), radial=(0.0,) * 8)
     pixels = np.rint(project(camera, sun_directions(times, site)))
-    usable = usable_points(SunPoints(unix_s=times, pixels=pixels), site=site)
+    usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels), site=site)
     assert len(usable) == times.size
     assert usable.static == ()
 
@@ -82,5 +82,5 @@ def test_gross_errors_at_one_place_do_not_make_the_sun_stand_still(simulator: Si
     seen = simulator(sigma_px=0.3, cadence_s=10.0)
     pixels = np.rint(seen.points.pixels)
     pixels[::2000] = pixels[1500]
-    usable = usable_points(replace(seen.points, pixels=pixels), site=seen.site)
+    usable = filter_sightings(replace(seen.points, pixels=pixels), site=seen.site)
     assert usable.static == ()

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, repose
-from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, estimate_pose
+from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
 from sunarc.errors import InputError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP
@@ -48,13 +48,15 @@ def sightings(camera: Camera, after: After, *, false: float, seed: int) -> tuple
 
 
 def watched(
-    calibration: Calibration, times: FloatArray, pixels: FloatArray, *, site: Site = SGP, **told: bool
+    calibration: Calibration, times: FloatArray, pixels: FloatArray, *, site: Site = SGP, **describe_change: bool
 ) -> tuple[int, Change | None]:
     """Return after how many sightings what was found."""
-    watch, directions = Watch(), sun_directions(times, site)
+    watch, directions = SightingWindow(), sun_directions(times, site)
     for number, (unix_s, pixel, direction) in enumerate(zip(times, pixels, directions, strict=True), 1):
-        one = Watched(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
-        watch, change = observe(watch, one, calibration=calibration, site=site, options=WatchOptions(), **told)
+        one = Sighting(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, change = update_window(
+            watch, one, calibration=calibration, site=site, options=WatchOptions(), **describe_change
+        )
         if change is not None:
             return number, change
     return len(times), None
@@ -152,7 +154,7 @@ def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated
         return
     begun = times >= first.at_unix_s
     few = SunPoints(unix_s=times[begun][: number - 30], pixels=pixels[begun][: number - 30])
-    posed = repose(few, start=calibrated, site=SGP, options=CalibrationOptions(level_within_deg=40.0))
+    posed = estimate_pose(few, start=calibrated, site=SGP, options=CalibrationOptions(level_within_deg=40.0))
     _, second = watched(posed, times[begun], pixels[begun], posed_from_few=True)
     assert second is not None
     assert second.kind == "lens"
@@ -191,10 +193,10 @@ def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibrati
         [project(camera, sun_directions(times[:10], SGP)), project(other, sun_directions(times[10:], SGP))]
     )
     found: set[str] = set()
-    watch, directions = Watch(), sun_directions(times, SGP)
+    watch, directions = SightingWindow(), sun_directions(times, SGP)
     for unix_s, pixel, direction in zip(times, pixels, directions, strict=True):
-        one = Watched(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
-        watch, change = observe(watch, one, calibration=calibrated, site=SGP, options=WatchOptions())
+        one = Sighting(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, change = update_window(watch, one, calibration=calibrated, site=SGP, options=WatchOptions())
         found |= set() if change is None else {change.kind}
     assert "lens" in found
 

@@ -18,7 +18,7 @@ from sunarc.diagnostics.checks import examine
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.settings import load_settings
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
@@ -68,7 +68,7 @@ def imported(sunarc: Sunarc, config: Path, points: Path, *more: str) -> str:
 def refit(archive: Archive) -> Refit:
     """Carry a refit out as the service does."""
     clock = VirtualClock(NOW)
-    board = StatusBoard(version="test", started_at=NOW, monotonic=clock.monotonic)
+    board = StatusRegistry(version="test", started_at=NOW, monotonic=clock.monotonic)
     worker = RefitWorker(
         archive=archive, camera="roof", site=SGP, options=RefitOptions(),
         calibration=CalibrationOptions(level_within_deg=40.0), cadence_s=300.0, clock=clock, now=clock.now, board=board,

@@ -21,7 +21,7 @@ from sunarc.archive import open_archive
 from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,7 +32,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     new_archive(path).close()
     archive = open_archive(path)
     fill(archive)
-    board = StatusBoard(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
+    board = StatusRegistry(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
     app = create_app(
         archive=archive,
         camera="roof",

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sunarc.calibration import (
     BackwardModel,
     Calibration,
-    Evidence,
     Field,
     Metrics,
+    Provenance,
     Verdict,
     WaveBasis,
     camera_sees,
@@ -53,7 +53,7 @@ def document_of(camera: Camera) -> dict[str, Any]:
         metrics=Metrics(n=1440, **numbers),
         pose=pose_angles(camera.rotation_cam_enu),
         backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
-        evidence=Evidence(
+        evidence=Provenance(
             days=("2013-05-13",),
             n_supplied=1500,
             n_used=1440,

@@ -24,8 +24,8 @@ from soak import ADDRESS, HDR_US, REGION, START, Imager  # type: ignore[import-n
 from sunarc.cameras import AravisOptions, Frame, open_aravis
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
 
 _SETTLING = 4
 _UP_DEG, _DOWN_DEG = 60.0, 92.0  # apparent zenith angles: in daylight both
@@ -54,9 +54,9 @@ class Pace:
 
     def __init__(self, *, cadence_s: float) -> None:
         self.clock, self.stop = SystemClock(), threading.Event()
-        self.board = StatusBoard(version="pace", started_at=START, monotonic=self.clock.monotonic)
-        self.done: Handover[Sequence[Frame]] = Handover(capacity=4)
-        self.sun_frames: Handover[Frame] = Handover(capacity=10)
+        self.board = StatusRegistry(version="pace", started_at=START, monotonic=self.clock.monotonic)
+        self.done: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=4)
+        self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=10)
         self.zenith_deg = _DOWN_DEG
         self.cadence_s = cadence_s
 

@@ -30,9 +30,9 @@ import numpy as np
 from sunarc.cameras import AravisOptions, Frame, open_aravis
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import SystemClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import ImagerOptions, scene_of
-from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
+from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
 
 ADDRESS = "127.0.0.1"
 START = datetime(2013, 5, 13, 22, 40, tzinfo=UTC)
@@ -124,9 +124,9 @@ class Soak:
         self.stop = threading.Event()
         self.outcome = Outcome()
         self.scene = scene_of(ImagerOptions(**imager_settings(), start=START))
-        self.cycles: Handover[Sequence[Frame]] = Handover(capacity=50)
-        self.sun_frames: Handover[Frame] = Handover(capacity=200)
-        self.board = StatusBoard(version="soak", started_at=START, monotonic=self.clock.monotonic)
+        self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=50)
+        self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=200)
+        self.board = StatusRegistry(version="soak", started_at=START, monotonic=self.clock.monotonic)
         self.frame_time = FrameTime(self.clock, follows_camera=True)
         self.completed: dict[int, float] = {}
         self.disturbed: list[tuple[float, float]] = []

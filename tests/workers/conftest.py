@@ -10,7 +10,7 @@ import pytest
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
 INFO = CameraInfo(
@@ -75,8 +75,8 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def board(clock: VirtualClock) -> StatusBoard:
-    return StatusBoard(version="test", started_at=clock.now(), monotonic=clock.monotonic)
+def board(clock: VirtualClock) -> StatusRegistry:
+    return StatusRegistry(version="test", started_at=clock.now(), monotonic=clock.monotonic)
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ from sunarc.calibration import (
 )
 from sunarc.optics import Camera, project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import day_bounds_unix_s, sun_angles, sun_directions
 from sunarc.workers import DayJudge, RefitOptions, RefitWorker
@@ -113,7 +113,7 @@ class LongRun:
 
     def _join(self) -> None:
         clock = VirtualClock(self.now)
-        self._board = StatusBoard(version="long run", started_at=self.now, monotonic=clock.monotonic)
+        self._board = StatusRegistry(version="long run", started_at=self.now, monotonic=clock.monotonic)
         self.judge = DayJudge(
             archive=self.archive,
             camera="roof",

@@ -14,8 +14,8 @@ from sunarc.cameras import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
 
 from .conftest import INFO
 
@@ -29,8 +29,8 @@ SUN = [20.0, 80.0]  # the controller's first bracket
 @dataclass
 class Bench:
     worker: CaptureWorker
-    cycles: Handover[Sequence[Frame]]
-    sun_frames: Handover[Frame]
+    cycles: DropOldestQueue[Sequence[Frame]]
+    sun_frames: DropOldestQueue[Frame]
     stop: threading.Event
 
     def run_until(self, reached: Callable[[], bool]) -> None:
@@ -51,10 +51,10 @@ MakeBench = Callable[..., Bench]
 
 
 @pytest.fixture
-def bench(clock: VirtualClock, board: StatusBoard, camera: FakeCamera) -> MakeBench:
+def bench(clock: VirtualClock, board: StatusRegistry, camera: FakeCamera) -> MakeBench:
     def make(*, zenith: float = 20.0, open_camera: Callable[[], SkyCamera] = lambda: camera) -> Bench:
-        cycles: Handover[Sequence[Frame]] = Handover(capacity=100)
-        sun_frames: Handover[Frame] = Handover(capacity=100)
+        cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=100)
+        sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=100)
         worker = CaptureWorker(
             open_camera=open_camera,
             clock=clock,
@@ -72,7 +72,7 @@ def bench(clock: VirtualClock, board: StatusBoard, camera: FakeCamera) -> MakeBe
     return make
 
 
-def reasons(board: StatusBoard) -> set[str]:
+def reasons(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
@@ -114,7 +114,7 @@ def test_a_frame_that_fails_once_is_taken_again(bench: MakeBench, camera: FakeCa
 
 
 def test_a_cycle_that_lacks_an_exposure_makes_no_composite_but_still_looks_at_the_sun(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     camera.faults = [None, CameraTimeoutError("late"), CameraError("torn"), None]
     made = bench()
@@ -125,7 +125,7 @@ def test_a_cycle_that_lacks_an_exposure_makes_no_composite_but_still_looks_at_th
 
 
 def test_a_lost_camera_is_closed_shown_and_opened_again_ever_less_often(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard, clock: VirtualClock
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry, clock: VirtualClock
 ) -> None:
     opened: list[float] = []
     shown: list[bool] = []
@@ -199,7 +199,7 @@ def test_a_clock_set_while_a_slot_is_waited_for_costs_one_slot_at_most(
 
 
 def test_a_camera_that_changed_its_settings_is_opened_anew_and_its_cycle_is_not_kept(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     camera.changed = [None, CameraLostError("GainAuto is Continuous, not Off")]  # before the slot, after the cycle
     made = bench()
@@ -220,7 +220,7 @@ def test_a_change_before_the_slot_is_mended_before_the_slot(bench: MakeBench, ca
     assert camera.exposures[0][0] == pytest.approx(20.0)  # the first slot
 
 
-def test_what_went_wrong_is_counted(bench: MakeBench, camera: FakeCamera, board: StatusBoard) -> None:
+def test_what_went_wrong_is_counted(bench: MakeBench, camera: FakeCamera, board: StatusRegistry) -> None:
     camera.faults = [None, CameraTimeoutError("late"), CameraError("torn"), None, CameraTimeoutError("late")]
     made = bench()
     made.run_until(lambda: len(made.cycles) >= 1)
@@ -233,7 +233,7 @@ def test_what_went_wrong_is_counted(bench: MakeBench, camera: FakeCamera, board:
 
 
 def test_slots_that_pass_while_the_camera_is_away_are_counted(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard, clock: VirtualClock
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry, clock: VirtualClock
 ) -> None:
     camera.faults = [None] * 5 + [CameraLostError("gone")]
     opened: list[None] = []
@@ -252,7 +252,7 @@ def test_slots_that_pass_while_the_camera_is_away_are_counted(
 
 
 def test_slots_that_a_busy_host_misses_are_a_condition_until_it_keeps_up(
-    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     made, expose, slow = bench(), camera.expose, [True]
 
@@ -281,7 +281,7 @@ def test_slots_that_a_busy_host_misses_are_a_condition_until_it_keeps_up(
 
 
 def test_black_frames_by_day_make_the_service_not_ready(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     made, expose, light = bench(), camera.expose, np.zeros((64, 64))
 
@@ -308,7 +308,7 @@ def test_a_simulated_camera_that_is_slowed_has_its_slots_further_apart(bench: Ma
 
 
 def test_exposures_that_the_camera_cannot_take_are_refused_and_nothing_is_taken(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     camera.info = replace(INFO, exposure_max_us=20_000.0)
     made = bench()
@@ -365,7 +365,7 @@ def test_a_leap_second_that_the_clock_repeats_makes_no_cycle_of_its_own(
 
 
 def test_normal_exposures_that_leave_the_sun_no_time_are_told_with_the_remedy(
-    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     made, expose, slow = bench(), camera.expose, [True]
 
@@ -389,7 +389,7 @@ def test_normal_exposures_that_leave_the_sun_no_time_are_told_with_the_remedy(
 
 
 def test_an_exposure_that_fails_in_every_cycle_is_told_for_as_long_as_it_does(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     made, expose, broken = bench(), camera.expose, [True]
 
@@ -411,7 +411,7 @@ def test_an_exposure_that_fails_in_every_cycle_is_told_for_as_long_as_it_does(
 
 
 def test_a_camera_that_is_lost_in_every_cycle_is_told_between_them_too(
-    bench: MakeBench, camera: FakeCamera, board: StatusBoard
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
 ) -> None:
     camera.faults = [CameraTimeoutError("packets were lost")] * 12  # two attempts at three exposures, in two cycles
     made = bench()

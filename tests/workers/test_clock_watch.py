@@ -12,7 +12,7 @@ import pytest
 from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import UNKNOWN_ERROR_S, ClockOptions, ClockWatch, FrameTime
 
 from .conftest import NOON
@@ -33,7 +33,7 @@ MakeWatch = Callable[..., ClockWatch]
 
 
 @pytest.fixture
-def watch_with(clock: VirtualClock, archive: Archive, board: StatusBoard) -> MakeWatch:
+def watch_with(clock: VirtualClock, archive: Archive, board: StatusRegistry) -> MakeWatch:
     def make(
         *,
         options: ClockOptions | None = None,
@@ -62,7 +62,7 @@ def watch(watch_with: MakeWatch) -> ClockWatch:
     return watch_with()
 
 
-def reasons(board: StatusBoard) -> set[str]:
+def reasons(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
@@ -95,7 +95,7 @@ def test_a_sighting_carries_the_kernels_bound_and_never_less_than_the_least(
 
 
 def test_a_clock_without_its_time_service_has_no_bound_stops_calibration_and_says_so(
-    watch: ClockWatch, clock: VirtualClock, board: StatusBoard
+    watch: ClockWatch, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     assert watch.trusted()
     assert reasons(board) == set()
@@ -111,7 +111,7 @@ def test_a_clock_without_its_time_service_has_no_bound_stops_calibration_and_say
 
 
 def test_an_operator_may_vouch_for_a_clock_that_the_kernel_knows_nothing_of(
-    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     clock.set_state(UNSYNCHRONISED)
     watch = watch_with(options=ClockOptions(assumed_error_s=0.05))
@@ -122,7 +122,7 @@ def test_an_operator_may_vouch_for_a_clock_that_the_kernel_knows_nothing_of(
 
 @pytest.mark.parametrize("step_s", [3.0, -3.0, 5 * HOUR_S, -5 * HOUR_S, 0.2])
 def test_a_step_is_found_remembered_and_shown_for_a_while(
-    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusBoard, step_s: float
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry, step_s: float
 ) -> None:
     clock.advance(1.0)
     watch.look()
@@ -178,7 +178,7 @@ def test_a_slew_of_500_ppm_for_a_day_is_no_step(watch: ClockWatch, clock: Virtua
 
 @pytest.mark.parametrize("step_s", [-1.0, 1.0])
 def test_a_leap_second_is_no_step_but_its_second_is_in_doubt(
-    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusBoard, step_s: float
+    watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry, step_s: float
 ) -> None:
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01, leap_second=True))
     clock.advance(0.5)
@@ -206,7 +206,7 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
 
 
 def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_until_it_is_right_again(
-    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusBoard
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry
 ) -> None:
     frame_time = FrameTime(clock, follows_camera=True)
     frame_time.note(NOON)
@@ -244,7 +244,7 @@ def dated_by_camera(
 
 
 def test_a_camera_that_tells_tai_is_named_with_the_setting_that_mends_it(
-    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusBoard
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry
 ) -> None:
     watch, frame_time = dated_by_camera(watch_with, clock, offset_s=37.002)
     assert watch.error_s(frame_time.now()) == pytest.approx(37.002)
@@ -275,7 +275,7 @@ def test_a_camera_that_tells_tai_is_named_with_the_setting_that_mends_it(
 def test_the_bound_of_a_camera_s_time_is_its_difference_from_the_host_s(
     watch_with: MakeWatch,
     clock: VirtualClock,
-    board: StatusBoard,
+    board: StatusRegistry,
     *,
     offset_s: float,
     bound_s: float,
@@ -290,7 +290,7 @@ def test_the_bound_of_a_camera_s_time_is_its_difference_from_the_host_s(
 
 
 def test_one_late_trigger_widens_a_few_bounds_and_is_no_condition(
-    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     watch, frame_time = dated_by_camera(watch_with, clock, offset_s=0.002)
     frame_time.note(clock.now(), host_offset_s=0.9)
@@ -300,7 +300,7 @@ def test_one_late_trigger_widens_a_few_bounds_and_is_no_condition(
 
 
 def test_a_host_that_is_not_synchronised_says_nothing_of_the_camera(
-    watch_with: MakeWatch, clock: VirtualClock, board: StatusBoard
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     clock.set_state(UNSYNCHRONISED)
     watch, frame_time = dated_by_camera(watch_with, clock, offset_s=37.0)

@@ -17,12 +17,12 @@ from sunarc.archive import DiskOptions, ImageStore, open_archive, upgrade
 from sunarc.cameras import Frame
 from sunarc.imaging import HdrImage, document_of
 from sunarc.sky import Site
-from sunarc.workers import ComposeWorker, Handover, SensorOptions, SunPredictor, image_document
+from sunarc.workers import ComposeWorker, DropOldestQueue, SensorOptions, SunPredictor, image_document
 
 from .conftest import NOON
 
 if TYPE_CHECKING:
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 EXPOSURES_US = (3_000.0, 12_000.0, 48_000.0)
@@ -50,16 +50,18 @@ def predictor(tmp_path: Path) -> SunPredictor:
     return SunPredictor(open_archive(tmp_path / "sunarc.sqlite"), camera="roof", site=SGP)
 
 
-def composer(store: ImageStore, predictor: SunPredictor, board: StatusBoard) -> ComposeWorker:
+def composer(store: ImageStore, predictor: SunPredictor, board: StatusRegistry) -> ComposeWorker:
     def describe(frames: Sequence[Frame], composite: HdrImage) -> dict[str, object]:
         return image_document(frames, composite, camera="roof", site=SGP, predictor=predictor)
 
-    return ComposeWorker(Handover(capacity=4), store=store, options=SensorOptions(), describe=describe, board=board)
+    return ComposeWorker(
+        DropOldestQueue(capacity=4), store=store, options=SensorOptions(), describe=describe, board=board
+    )
 
 
 @pytest.mark.parametrize("pixel_format", ["Mono12", "BayerRG12"])
 def test_a_composite_is_linear_in_light_and_says_how_it_was_made(
-    tmp_path: Path, predictor: SunPredictor, board: StatusBoard, pixel_format: str
+    tmp_path: Path, predictor: SunPredictor, board: StatusRegistry, pixel_format: str
 ) -> None:
     store = ImageStore(tmp_path / "images")
     composer(store, predictor, board).compose(cycle(pixel_format=pixel_format))
@@ -83,7 +85,7 @@ def test_a_composite_is_linear_in_light_and_says_how_it_was_made(
 
 
 def test_the_preview_says_the_same_as_the_composite(
-    tmp_path: Path, predictor: SunPredictor, board: StatusBoard
+    tmp_path: Path, predictor: SunPredictor, board: StatusRegistry
 ) -> None:
     store = ImageStore(tmp_path / "images")
     composer(store, predictor, board).compose(cycle())
@@ -97,7 +99,7 @@ def test_the_preview_says_the_same_as_the_composite(
 
 
 def test_a_disk_without_room_costs_composites_and_is_told_until_there_is_room(
-    tmp_path: Path, predictor: SunPredictor, board: StatusBoard
+    tmp_path: Path, predictor: SunPredictor, board: StatusRegistry
 ) -> None:
     free = [0]
     options = DiskOptions(keep_free_mb=2.0, reserve_mb=1.0)

@@ -35,9 +35,9 @@ from sunarc.calibration.change_detection import WatchOptions
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import sun_directions
-from sunarc.workers import DayJudge, RefitOptions, RefitWorker, Reposer, SunPredictor, WatchWorker
+from sunarc.workers import DayJudge, ProvisionalPoseEstimator, RefitOptions, RefitWorker, SunPredictor, WatchWorker
 
 if TYPE_CHECKING:
     from sunarc.workers.calibrating.refit_task import Task
@@ -124,7 +124,7 @@ def flip(path: Path, table: str, column: str, *, where: str = "1", byte: int = 0
         )
 
 
-def refit_worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWorker:
+def refit_worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
         archive=archive,
         camera="roof",
@@ -139,11 +139,11 @@ def refit_worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> R
     )
 
 
-def run_every_part(path: Path, board: StatusBoard, clock: VirtualClock) -> dict[str, Reason]:
+def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> dict[str, Reason]:
     """Start and run every part of the service that reads the archive, once; return the conditions by code."""
     archive = open_archive(path)
     archive.save_camera(CAMERA)  # as at every opening of the camera
-    reposer = Reposer(
+    reposer = ProvisionalPoseEstimator(
         archive=archive,
         camera="roof",
         site=SITE,
@@ -192,7 +192,7 @@ TEXTS = [
 
 @pytest.mark.parametrize("place", TEXTS, ids=lambda place: f"{place[0]}.{place[1]}")
 def test_no_flipped_bit_in_a_text_column_ends_a_part_of_the_service(
-    filled: Path, tmp_path: Path, board: StatusBoard, clock: VirtualClock, place: tuple[str, str]
+    filled: Path, tmp_path: Path, board: StatusRegistry, clock: VirtualClock, place: tuple[str, str]
 ) -> None:
     table, column = place
     for bit in (0, 7):  # another letter, no UTF-8
@@ -206,7 +206,7 @@ def test_no_flipped_bit_in_a_text_column_ends_a_part_of_the_service(
 
 @pytest.mark.parametrize(("byte", "bit"), [(0, 0), (40, 1), (700, 7), (-20, 2)])
 def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
-    path: Path, board: StatusBoard, clock: VirtualClock, byte: int, bit: int
+    path: Path, board: StatusRegistry, clock: VirtualClock, byte: int, bit: int
 ) -> None:
     flip(path, "calibration", "document", where="id = 'third'", byte=byte, bit=bit)
     reasons = run_every_part(path, board, clock)
@@ -230,7 +230,7 @@ def test_the_calibration_before_a_damaged_one_is_served_and_the_damage_shown(
     assert not found.sound
 
 
-def test_a_new_calibration_ends_the_condition(path: Path, board: StatusBoard, clock: VirtualClock) -> None:
+def test_a_new_calibration_ends_the_condition(path: Path, board: StatusRegistry, clock: VirtualClock) -> None:
     flip(path, "calibration", "document", where="id = 'third'", byte=40)
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute("UPDATE calibration SET pinned = 1 WHERE id = 'third'")
@@ -244,7 +244,7 @@ def test_a_new_calibration_ends_the_condition(path: Path, board: StatusBoard, cl
 
 
 def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
-    path: Path, board: StatusBoard, clock: VirtualClock
+    path: Path, board: StatusRegistry, clock: VirtualClock
 ) -> None:
     none = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     task = cast("Task", SimpleNamespace(pose_epoch="roof-1", problem=SimpleNamespace(points=none)))
@@ -261,7 +261,7 @@ def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
 
 
 def test_with_every_calibration_damaged_none_is_served_and_the_record_goes_on(
-    path: Path, board: StatusBoard, clock: VirtualClock
+    path: Path, board: StatusRegistry, clock: VirtualClock
 ) -> None:
     for name in ("first", "second", "third"):
         flip(path, "calibration", "document", where=f"id = '{name}'", byte=40)

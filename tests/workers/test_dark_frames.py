@@ -10,7 +10,7 @@ import pytest
 from sunarc.cameras import Frame
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import CaptureOptions
 from sunarc.workers.capture.dark_frames import DarkFrames
 
@@ -24,7 +24,7 @@ def frame(clock: VirtualClock, *, light: bool) -> Frame:
     return replace(FakeCamera(clock).expose(48_000.0), image=image)
 
 
-def test_ten_black_slots_by_day_are_not_ready_and_light_ends_it(clock: VirtualClock, board: StatusBoard) -> None:
+def test_ten_black_slots_by_day_are_not_ready_and_light_ends_it(clock: VirtualClock, board: StatusRegistry) -> None:
     watch = DarkFrames(board)
     for _ in range(9):
         watch.add([frame(clock, light=False)], apparent_zenith=40.0)
@@ -40,14 +40,14 @@ def test_ten_black_slots_by_day_are_not_ready_and_light_ends_it(clock: VirtualCl
     assert board.snapshot().health == "ready"
 
 
-def test_black_frames_at_dusk_and_in_the_night_say_nothing(clock: VirtualClock, board: StatusBoard) -> None:
+def test_black_frames_at_dusk_and_in_the_night_say_nothing(clock: VirtualClock, board: StatusRegistry) -> None:
     watch = DarkFrames(board)
     for _ in range(50):
         watch.add([frame(clock, light=False)], apparent_zenith=81.0)
     assert board.snapshot().health == "ready"
 
 
-def test_the_longest_exposure_decides(clock: VirtualClock, board: StatusBoard) -> None:
+def test_the_longest_exposure_decides(clock: VirtualClock, board: StatusRegistry) -> None:
     watch = DarkFrames(board)
     short = replace(frame(clock, light=False), exposure_us=3000.0)
     for _ in range(20):

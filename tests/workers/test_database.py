@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sunarc.archive import Archive, CameraRecord, Recovery, SunPoint, open_archive, upgrade
-from sunarc.workers import DatabaseWorker, SightingKeeper
+from sunarc.workers import DatabaseWorker, SightingWriteBuffer
 
 from .conftest import NOON
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def archive(tmp_path: Path) -> Iterator[Archive]:
 
 
 def worker_of(
-    archive: Archive, clock: VirtualClock, board: StatusBoard, recovered: Recovery | None = None
+    archive: Archive, clock: VirtualClock, board: StatusRegistry, recovered: Recovery | None = None
 ) -> DatabaseWorker:
     return DatabaseWorker(archive=archive, clock=clock, now=clock.now, board=board, recovered=recovered)
 
@@ -41,20 +41,20 @@ def sighting(number: int) -> SunPoint:
                     verdict="clear", x_px=1.0, y_px=2.0)  # fmt: skip
 
 
-def codes(board: StatusBoard) -> set[str]:
+def codes(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
-def test_a_database_in_place_is_not_worth_a_word(archive: Archive, clock: VirtualClock, board: StatusBoard) -> None:
+def test_a_database_in_place_is_not_worth_a_word(archive: Archive, clock: VirtualClock, board: StatusRegistry) -> None:
     worker_of(archive, clock, board).look()
     assert codes(board) == set()
     assert archive.events() == ()
 
 
 def test_no_sighting_is_lost_when_the_database_is_deleted(
-    archive: Archive, clock: VirtualClock, board: StatusBoard, tmp_path: Path
+    archive: Archive, clock: VirtualClock, board: StatusRegistry, tmp_path: Path
 ) -> None:
-    keeper, worker = SightingKeeper(archive, board=board), worker_of(archive, clock, board)
+    keeper, worker = SightingWriteBuffer(archive, board=board), worker_of(archive, clock, board)
     keeper.keep(sighting(0))
     (tmp_path / "sunarc.sqlite").unlink()
     keeper.keep(sighting(1))
@@ -71,7 +71,7 @@ def test_no_sighting_is_lost_when_the_database_is_deleted(
 
 
 def test_what_was_done_at_the_start_is_shown_and_written_down_once(
-    archive: Archive, clock: VirtualClock, board: StatusBoard
+    archive: Archive, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     done = Recovery(kind="restored", text="the database had 0 bytes; it was restored")
     worker = worker_of(archive, clock, board, done)
@@ -82,7 +82,7 @@ def test_what_was_done_at_the_start_is_shown_and_written_down_once(
 
 
 def test_a_database_that_cannot_be_put_back_is_shown_and_tried_again(
-    archive: Archive, clock: VirtualClock, board: StatusBoard, tmp_path: Path
+    archive: Archive, clock: VirtualClock, board: StatusRegistry, tmp_path: Path
 ) -> None:
     worker = worker_of(archive, clock, board)
     (tmp_path / "sunarc.sqlite").unlink()
@@ -116,13 +116,13 @@ def as_nobody(tmp_path: Path) -> Iterator[None]:
 
 @pytest.mark.usefixtures("as_nobody")
 def test_a_state_folder_out_of_reach_is_shown_and_nothing_is_rebuilt(
-    tmp_path: Path, clock: VirtualClock, board: StatusBoard
+    tmp_path: Path, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     state = tmp_path / "state"
     upgrade(state / "sunarc.sqlite")
     archive = open_archive(state / "sunarc.sqlite")
     archive.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
-    keeper, worker = SightingKeeper(archive, board=board), worker_of(archive, clock, board)
+    keeper, worker = SightingWriteBuffer(archive, board=board), worker_of(archive, clock, board)
     inode = (state / "sunarc.sqlite").stat().st_ino
     state.chmod(0)
     worker.look()

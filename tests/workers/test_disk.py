@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 OPTIONS = DiskOptions(keep_days=10.0, keep_free_mb=2.0, reserve_mb=1.0)
 MB = bytes(1_000_000)
@@ -47,7 +47,7 @@ def store(disk: Disk) -> ImageStore:
 
 
 def worker_of(
-    store: ImageStore, clock: VirtualClock, board: StatusBoard, age_from: Callable[[], datetime | None] | None = None
+    store: ImageStore, clock: VirtualClock, board: StatusRegistry, age_from: Callable[[], datetime | None] | None = None
 ) -> DiskWorker:
     return DiskWorker(
         store=store,
@@ -59,12 +59,12 @@ def worker_of(
     )
 
 
-def reasons(board: StatusBoard) -> set[str]:
+def reasons(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
 def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
-    disk: Disk, store: ImageStore, clock: VirtualClock, board: StatusBoard
+    disk: Disk, store: ImageStore, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     worker = worker_of(store, clock, board)
     for hour in range(3):
@@ -92,7 +92,7 @@ def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
 
 
 def test_old_images_are_removed_but_not_by_a_clock_that_cannot_be_trusted(
-    store: ImageStore, clock: VirtualClock, board: StatusBoard
+    store: ImageStore, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     for age_days in range(12):
         store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
@@ -103,7 +103,7 @@ def test_old_images_are_removed_but_not_by_a_clock_that_cannot_be_trusted(
 
 
 def test_a_clock_that_is_a_year_ahead_removes_one_date_of_images_a_day_at_most(
-    store: ImageStore, clock: VirtualClock, board: StatusBoard
+    store: ImageStore, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     for age_days in range(10):
         store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
@@ -124,7 +124,7 @@ def oldest_days(store: ImageStore) -> int:
 
 
 def test_it_looks_every_ten_seconds_until_stopped(
-    store: ImageStore, clock: VirtualClock, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+    store: ImageStore, clock: VirtualClock, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker, stop, looks = worker_of(store, clock, board), threading.Event(), []
     monkeypatch.setattr(worker, "look", lambda: looks.append(clock.monotonic()))

@@ -19,14 +19,14 @@ from sunarc.calibration import (
     CalibrationOptions,
     PoseStep,
     calibrate,
-    calibrate_again,
     find_pose_steps,
     from_document,
     project_with_covariance,
+    reproduce_calibration,
 )
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker, points_of
@@ -100,7 +100,7 @@ def archive(tmp_path: Path) -> Archive:
 
 
 @pytest.fixture
-def worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWorker:
+def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
         archive=archive,
         camera="roof",
@@ -157,7 +157,7 @@ def test_a_turn_in_an_imported_record_gets_an_epoch_and_a_calibration_on_either_
     assert {answer.pose_epoch for answer in answers} == {"roof-1", "roof-2"}
     past = next(answer for answer in answers if answer.pose_epoch == "roof-1")
     points = points_of(archive.sightings_of(past.id), latest="roof-1")
-    again = calibrate_again(from_document(past.document), points)
+    again = reproduce_calibration(from_document(past.document), points)
     assert np.allclose(again.camera.to_vector(), from_document(past.document).camera.to_vector(), atol=1e-9)
     refit("b")
     assert archive.epochs("roof") == epochs

@@ -16,15 +16,15 @@ from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, Scene, SensorModel, true_camera
 from sunarc.sky import sun_directions
 from sunarc.workers import (
     DetectWorker,
+    DropOldestQueue,
     FrozenFrames,
-    Handover,
     SensorOptions,
-    SightingKeeper,
+    SightingWriteBuffer,
     SunPredictor,
 )
 
@@ -65,10 +65,10 @@ def archive(tmp_path: Path) -> Archive:
 
 
 @pytest.fixture
-def new_worker(archive: Archive, board: StatusBoard) -> Callable[[], DetectWorker]:
+def new_worker(archive: Archive, board: StatusRegistry) -> Callable[[], DetectWorker]:
     return lambda: DetectWorker(
-        Handover(capacity=4),
-        keeper=SightingKeeper(archive, board=board),
+        DropOldestQueue(capacity=4),
+        keeper=SightingWriteBuffer(archive, board=board),
         camera="roof",
         predictor=SunPredictor(archive, camera="roof", site=SGP),
         options=SensorOptions(),
@@ -81,12 +81,12 @@ def new_worker(archive: Archive, board: StatusBoard) -> Callable[[], DetectWorke
     )
 
 
-def codes(board: StatusBoard) -> set[str]:
+def codes(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
 def test_a_frozen_camera_gives_no_sighting_is_shown_and_is_welcome_when_it_lives_again(
-    new_worker: Callable[[], DetectWorker], archive: Archive, board: StatusBoard
+    new_worker: Callable[[], DetectWorker], archive: Archive, board: StatusRegistry
 ) -> None:
     worker = new_worker()
     assert all(worker.look_at(frame_at(seconds)).accepted for seconds in (0.0, 30.0, 60.0))
@@ -116,7 +116,7 @@ def test_a_camera_that_alternates_between_two_images_is_frozen_too(new_worker: C
 
 
 def test_a_single_repeated_image_is_rejected_and_is_no_condition(
-    new_worker: Callable[[], DetectWorker], board: StatusBoard
+    new_worker: Callable[[], DetectWorker], board: StatusRegistry
 ) -> None:
     worker = new_worker()
     assert worker.look_at(frame_at(0.0)).accepted
@@ -126,7 +126,7 @@ def test_a_single_repeated_image_is_rejected_and_is_no_condition(
 
 
 def test_a_sun_that_hardly_moves_between_frames_is_not_taken_for_frozen(
-    new_worker: Callable[[], DetectWorker], board: StatusBoard
+    new_worker: Callable[[], DetectWorker], board: StatusRegistry
 ) -> None:
     worker = new_worker()
     assert all(worker.look_at(frame_at(0.1 * n)).accepted for n in range(10))
@@ -141,7 +141,7 @@ def seen(x_px: float, *, accepted: bool = True) -> Detection:
 
 @pytest.mark.parametrize(("apart_s", "frozen"), [(3.0, False), (30.0, True)])
 def test_exactly_the_same_place_is_frozen_only_once_the_sun_has_moved(
-    archive: Archive, board: StatusBoard, *, apart_s: float, frozen: bool
+    archive: Archive, board: StatusRegistry, *, apart_s: float, frozen: bool
 ) -> None:
     checker = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
     blank = np.zeros((6, 8), dtype=np.uint16)
@@ -152,7 +152,7 @@ def test_exactly_the_same_place_is_frozen_only_once_the_sun_has_moved(
     assert checker.checked(replace(second, time=second.time + timedelta(seconds=30)), seen(50.0001)).accepted
 
 
-def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board: StatusBoard) -> None:
+def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board: StatusRegistry) -> None:
     checker = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
     black = np.zeros((600, 600), dtype=np.uint8)
     black[3, :90] = 255  # hot pixels
@@ -163,7 +163,7 @@ def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board:
     assert codes(board) == set()
 
 
-def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, board: StatusBoard) -> None:
+def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, board: StatusRegistry) -> None:
     epoch = archive.epoch_at("roof", START, reason="first frame")
     point = SunPoint(
         camera="roof",
@@ -201,7 +201,7 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
 
 
 def test_a_copy_of_a_frame_that_was_never_searched_for_the_sun_is_rejected(
-    archive: Archive, board: StatusBoard
+    archive: Archive, board: StatusRegistry
 ) -> None:
     frozen = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
     probe, first = frame_at(0.0), frame_at(30.0)

@@ -23,10 +23,10 @@ from sunarc.workers import (
     ComposeWorker,
     DetectWorker,
     DiskWorker,
+    DropOldestQueue,
     FrozenFrames,
-    Handover,
     SensorOptions,
-    SightingKeeper,
+    SightingWriteBuffer,
     SunPredictor,
 )
 
@@ -34,7 +34,7 @@ from .conftest import NOON
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 OPTIONS = DiskOptions(keep_free_mb=6.0, reserve_mb=2.0)
@@ -81,23 +81,23 @@ def frame(number: int, exposure_us: float) -> Frame:
 class Chain:
     """The parts of the service that write to the disk."""
 
-    def __init__(self, state: Path, clock: VirtualClock, board: StatusBoard) -> None:
+    def __init__(self, state: Path, clock: VirtualClock, board: StatusRegistry) -> None:
         upgrade(state / "sunarc.sqlite")
         self.archive = open_archive(state / "sunarc.sqlite")
         record = CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=600, height=600)
         self.archive.save_camera(record)
         self.store = ImageStore(state / "images", options=OPTIONS)
         predictor = SunPredictor(self.archive, camera="roof", site=SGP)
-        self.keeper = SightingKeeper(self.archive, board=board)
+        self.keeper = SightingWriteBuffer(self.archive, board=board)
         self.compose = ComposeWorker(
-            Handover(capacity=4),
+            DropOldestQueue(capacity=4),
             store=self.store,
             options=SensorOptions(),
             describe=lambda frames, _: {"schema": "sunarc.image/1", "time_utc": frames[0].time.isoformat()},
             board=board,
         )
         self.detect = DetectWorker(
-            Handover(capacity=4),
+            DropOldestQueue(capacity=4),
             keeper=self.keeper,
             camera="roof",
             predictor=predictor,
@@ -136,12 +136,12 @@ def fill(path: Path) -> None:
                 return
 
 
-def codes(board: StatusBoard) -> set[str]:
+def codes(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
 def test_images_make_room_and_the_database_is_never_the_victim(
-    state: Path, clock: VirtualClock, board: StatusBoard
+    state: Path, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     chain = Chain(state, clock, board)
     for number in range(40):
@@ -158,7 +158,7 @@ def test_images_make_room_and_the_database_is_never_the_victim(
 
 
 def test_a_disk_filled_by_a_stranger_costs_images_and_no_sighting(
-    state: Path, clock: VirtualClock, board: StatusBoard
+    state: Path, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     chain = Chain(state, clock, board)
     for number in range(10):

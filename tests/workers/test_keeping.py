@@ -11,7 +11,7 @@ import pytest
 
 from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.errors import OutsideError
-from sunarc.workers import SightingKeeper
+from sunarc.workers import SightingWriteBuffer
 from sunarc.workers.sightings import write_buffer as keeping
 
 from .conftest import NOON
@@ -19,7 +19,7 @@ from .conftest import NOON
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 
 class Refusing(Archive):
@@ -54,22 +54,22 @@ def sighting(number: int) -> SunPoint:
     )
 
 
-def reasons(board: StatusBoard) -> dict[str, str]:
+def reasons(board: StatusRegistry) -> dict[str, str]:
     return {reason.code: reason.text for reason in board.snapshot().reasons}
 
 
-def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board: StatusBoard) -> None:
-    SightingKeeper(archive, board=board).keep(sighting(1))
+def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board: StatusRegistry) -> None:
+    SightingWriteBuffer(archive, board=board).keep(sighting(1))
     (stored,) = archive.sun_points("roof")
     assert (stored.x_px, stored.pose_epoch) == (1.0, "roof-1")
     assert reasons(board) == {}
 
 
 def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
-    archive: Refusing, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+    archive: Refusing, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keeping, "_AT_A_TIME", 20)  # three transactions
-    keeper = SightingKeeper(archive, board=board)
+    keeper = SightingWriteBuffer(archive, board=board)
     archive.full = True
     for number in range(45):
         keeper.keep(sighting(number))
@@ -84,8 +84,8 @@ def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
     assert keeper.stored == 46
 
 
-def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing, board: StatusBoard) -> None:
-    keeper = SightingKeeper(archive, board=board, capacity=3)
+def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing, board: StatusRegistry) -> None:
+    keeper = SightingWriteBuffer(archive, board=board, capacity=3)
     archive.full = True
     for number in range(5):
         keeper.keep(sighting(number))
@@ -96,9 +96,9 @@ def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing,
 
 
 def test_what_is_lost_at_the_end_is_said(
-    archive: Refusing, board: StatusBoard, caplog: pytest.LogCaptureFixture
+    archive: Refusing, board: StatusRegistry, caplog: pytest.LogCaptureFixture
 ) -> None:
-    keeper = SightingKeeper(archive, board=board)
+    keeper = SightingWriteBuffer(archive, board=board)
     archive.full = True
     keeper.keep(sighting(1))
     with caplog.at_level(logging.ERROR):

@@ -8,7 +8,7 @@ from datetime import timedelta
 import pytest
 
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import FrameTime
 from sunarc.workers.capture.overdue_sightings import OverdueSightings
 
@@ -21,7 +21,9 @@ class Sky:
     zenith: float = 40.0
 
 
-def overdue(clock: VirtualClock, board: StatusBoard, sky: Sky, frame_time: FrameTime | None = None) -> OverdueSightings:
+def overdue(
+    clock: VirtualClock, board: StatusRegistry, sky: Sky, frame_time: FrameTime | None = None
+) -> OverdueSightings:
     return OverdueSightings(
         stored=lambda: sky.stored,
         apparent_zenith=lambda: sky.zenith,
@@ -32,11 +34,11 @@ def overdue(clock: VirtualClock, board: StatusBoard, sky: Sky, frame_time: Frame
     )
 
 
-def codes(board: StatusBoard) -> list[str]:
+def codes(board: StatusRegistry) -> list[str]:
     return [reason.code for reason in board.snapshot().reasons]
 
 
-def test_ten_slots_without_a_sighting_are_degraded_and_one_ends_it(clock: VirtualClock, board: StatusBoard) -> None:
+def test_ten_slots_without_a_sighting_are_degraded_and_one_ends_it(clock: VirtualClock, board: StatusRegistry) -> None:
     sky = Sky()
     check = overdue(clock, board, sky).check
     check()
@@ -55,7 +57,7 @@ def test_ten_slots_without_a_sighting_are_degraded_and_one_ends_it(clock: Virtua
 
 @pytest.mark.parametrize(("zenith", "expected"), [(79.0, ["no_sightings"]), (81.0, [])])
 def test_only_slots_with_the_sun_up_count(
-    clock: VirtualClock, board: StatusBoard, zenith: float, expected: list[str]
+    clock: VirtualClock, board: StatusRegistry, zenith: float, expected: list[str]
 ) -> None:
     sky = Sky(zenith=zenith)
     check = overdue(clock, board, sky).check
@@ -68,7 +70,7 @@ def test_only_slots_with_the_sun_up_count(
     assert codes(board) == []  # nothing is due any more
 
 
-def test_a_stepped_wall_clock_says_nothing(clock: VirtualClock, board: StatusBoard) -> None:
+def test_a_stepped_wall_clock_says_nothing(clock: VirtualClock, board: StatusRegistry) -> None:
     check = overdue(clock, board, Sky()).check
     check()
     clock.step(7200.0)
@@ -76,7 +78,7 @@ def test_a_stepped_wall_clock_says_nothing(clock: VirtualClock, board: StatusBoa
     assert codes(board) == []
 
 
-def test_nothing_is_due_before_a_camera_has_told_its_time(clock: VirtualClock, board: StatusBoard) -> None:
+def test_nothing_is_due_before_a_camera_has_told_its_time(clock: VirtualClock, board: StatusRegistry) -> None:
     frame_time = FrameTime(clock, follows_camera=True, speed=10.0)
     check = overdue(clock, board, Sky(), frame_time).check
     clock.advance(3600.0)

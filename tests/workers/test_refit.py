@@ -15,7 +15,7 @@ from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive,
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
 from sunarc.optics import project
 from sunarc.runtime.clock import SystemClock, VirtualClock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker
@@ -63,7 +63,7 @@ def archive(tmp_path: Path) -> Archive:
 
 
 @pytest.fixture
-def worker(archive: Archive, board: StatusBoard, clock: VirtualClock) -> RefitWorker:
+def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
         archive=archive,
         camera="roof",
@@ -100,7 +100,7 @@ def carry_out(worker: RefitWorker, archive: Archive, monkeypatch: pytest.MonkeyP
 
 
 def test_the_first_accepted_fit_becomes_current_from_the_epochs_beginning(
-    carry_out: Carry, archive: Archive, good: Calibration, board: StatusBoard
+    carry_out: Carry, archive: Archive, good: Calibration, board: StatusRegistry
 ) -> None:
     refit = carry_out("a", good)
     current = archive.current_calibration("roof")

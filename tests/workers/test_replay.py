@@ -9,21 +9,21 @@ import numpy as np
 
 from sunarc.cameras import Frame, ReplayOptions, open_replay
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers import FrameTime, Handover, ReplayWorker
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import DropOldestQueue, FrameTime, ReplayWorker
 
 from .conftest import NOON
 
 
 def test_the_sun_exposures_of_a_folder_are_handed_on_in_their_order_and_none_is_dropped(
-    tmp_path: Path, clock: VirtualClock, board: StatusBoard
+    tmp_path: Path, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     for number in range(5):
         for exposure_us in (20, 3000):
             stamp = NOON + timedelta(minutes=number)
             name = f"{stamp:%Y%m%dT%H%M%SZ}_{exposure_us}us.png"
             cv2.imwrite(str(tmp_path / name), np.full((6, 8), number, dtype=np.uint8))
-    frames: Handover[Frame] = Handover(capacity=2)
+    frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=2)
     frame_time = FrameTime(clock, follows_camera=True)
     worker = ReplayWorker(
         open_camera=lambda: open_replay(ReplayOptions(folder=tmp_path)),

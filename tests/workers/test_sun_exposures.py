@@ -14,7 +14,7 @@ from .conftest import INFO
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
     from .conftest import FakeCamera
 
@@ -58,7 +58,7 @@ def test_a_cycle_that_was_not_looked_at_yet_changes_nothing(camera: FakeCamera, 
 
 @pytest.mark.parametrize("fitted", [None, 0.016])  # what a disc fitted to a streak says of its peak
 def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
-    camera: FakeCamera, board: StatusBoard, fitted: float | None
+    camera: FakeCamera, board: StatusRegistry, fitted: float | None
 ) -> None:
     exposures = SunExposures(SunExposureOptions(spoiled_after=5), board=board)
     burnt = np.zeros((60, 80), np.uint16)
@@ -79,7 +79,7 @@ def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
     assert cycle(accepted=True) == []
 
 
-def test_clouds_are_no_burnt_sun(camera: FakeCamera, board: StatusBoard) -> None:
+def test_clouds_are_no_burnt_sun(camera: FakeCamera, board: StatusRegistry) -> None:
     exposures = SunExposures(SunExposureOptions(spoiled_after=5, first_us=5.0), board=board)
     for _ in range(50):
         for exposure_us in exposures.choose(INFO):

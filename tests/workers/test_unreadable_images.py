@@ -12,7 +12,7 @@ from sunarc.archive import DiskOptions, ImageStore, Reserve
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.runtime.preflight import prepare_state
-from sunarc.workers import ComposeWorker, DiskWorker, Handover, SensorOptions
+from sunarc.workers import ComposeWorker, DiskWorker, DropOldestQueue, SensorOptions
 
 from .conftest import NOON
 from .test_database import as_nobody
@@ -20,21 +20,21 @@ from .test_full_disk import mounted
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock
-    from sunarc.runtime.status import StatusBoard
+    from sunarc.runtime.status import StatusRegistry
 
 __all__ = ["as_nobody"]
 OPTIONS = DiskOptions(keep_free_mb=2.0, reserve_mb=1.0)
 
 
-def worker_of(state: Path, clock: VirtualClock, board: StatusBoard) -> DiskWorker:
+def worker_of(state: Path, clock: VirtualClock, board: StatusRegistry) -> DiskWorker:
     store = ImageStore(state / "images", options=OPTIONS)
     reserve = Reserve(state / "reserve", size_bytes=1_000_000)
     return DiskWorker(store=store, reserve=reserve, options=OPTIONS, clock=clock, age_from=clock.now, board=board)
 
 
-def compose(worker: DiskWorker, board: StatusBoard) -> None:
+def compose(worker: DiskWorker, board: StatusRegistry) -> None:
     composer = ComposeWorker(
-        Handover(capacity=1),
+        DropOldestQueue(capacity=1),
         store=worker._store,
         options=SensorOptions(),
         describe=lambda *_: {"time_utc": "2013-05-13T18:30:10Z"},
@@ -48,14 +48,14 @@ def compose(worker: DiskWorker, board: StatusBoard) -> None:
     composer.compose(frames)
 
 
-def codes(board: StatusBoard) -> set[str]:
+def codes(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
 
 
 @pytest.mark.usefixtures("as_nobody")
 @pytest.mark.parametrize("which", ["images", "."])
 def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
-    tmp_path: Path, clock: VirtualClock, board: StatusBoard, which: str
+    tmp_path: Path, clock: VirtualClock, board: StatusRegistry, which: str
 ) -> None:
     state = tmp_path / "state"
     (state / "images").mkdir(parents=True)
@@ -76,7 +76,7 @@ def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
 
 
 def test_a_file_system_without_inodes_is_said_to_be_one(
-    tmp_path: Path, clock: VirtualClock, board: StatusBoard
+    tmp_path: Path, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     state = tmp_path / "state"
     state.mkdir()

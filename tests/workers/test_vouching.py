@@ -12,9 +12,9 @@ import pytest
 from sunarc.cameras import Frame
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers import CaptureOptions, CaptureWorker, FrameTime, Handover, SunExposures
-from sunarc.workers.capture.cycle_consistency import Taken, Vouching
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
+from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
 
 from .conftest import INFO, NOON, FakeCamera, StopAfter
 
@@ -34,67 +34,67 @@ def frame(exposure_us: float, *, at_s: float = 0.0, factor: float = 1.0) -> Fram
     )
 
 
-def cycle(*, at_s: float, factor: float = 1.0) -> Taken:
-    return Taken(
+def cycle(*, at_s: float, factor: float = 1.0) -> Cycle:
+    return Cycle(
         normal=tuple(frame(e, at_s=at_s, factor=factor) for e in HDR_US), sun=(frame(20.0, at_s=at_s, factor=factor),)
     )
 
 
 @pytest.fixture
-def settled() -> Vouching:
-    vouching = Vouching(cadence_s=30.0)
-    assert vouching.vouched(cycle(at_s=-30.0)) == []
-    assert len(vouching.vouched(cycle(at_s=0.0))) == 2
+def settled() -> CycleConsistencyFilter:
+    vouching = CycleConsistencyFilter(cadence_s=30.0)
+    assert vouching.accepted_cycles(cycle(at_s=-30.0)) == []
+    assert len(vouching.accepted_cycles(cycle(at_s=0.0))) == 2
     return vouching
 
 
 def test_the_first_cycle_is_handed_on_together_with_the_second_that_agrees() -> None:
-    vouching, first, second = Vouching(cadence_s=30.0), cycle(at_s=0.0), cycle(at_s=30.0, factor=1.4)
-    assert vouching.vouched(first) == []
-    assert vouching.vouched(second) == [first, second]
+    vouching, first, second = CycleConsistencyFilter(cadence_s=30.0), cycle(at_s=0.0), cycle(at_s=30.0, factor=1.4)
+    assert vouching.accepted_cycles(first) == []
+    assert vouching.accepted_cycles(second) == [first, second]
     third = cycle(at_s=60.0)
     assert vouching.contradiction(third.good) is None
-    assert vouching.vouched(third) == [third]
+    assert vouching.accepted_cycles(third) == [third]
 
 
 def test_two_that_contradict_are_both_not_believed() -> None:
-    vouching, third = Vouching(cadence_s=30.0), cycle(at_s=60.0)
-    assert vouching.vouched(cycle(at_s=0.0, factor=4.0)) == []
+    vouching, third = CycleConsistencyFilter(cadence_s=30.0), cycle(at_s=60.0)
+    assert vouching.accepted_cycles(cycle(at_s=0.0, factor=4.0)) == []
     second = cycle(at_s=30.0)
-    assert vouching.vouched(second) == []
-    assert vouching.vouched(third) == [second, third]
+    assert vouching.accepted_cycles(second) == []
+    assert vouching.accepted_cycles(third) == [second, third]
 
 
 @pytest.mark.parametrize("factor", [0.25, 4.0, 16.0])
-def test_a_factor_that_all_exposures_share_is_a_contradiction(settled: Vouching, factor: float) -> None:
+def test_a_factor_that_all_exposures_share_is_a_contradiction(settled: CycleConsistencyFilter, factor: float) -> None:
     told = settled.contradiction(cycle(at_s=30.0, factor=factor).good)
     assert told is not None
     assert "times the light of the cycle before" in told
 
 
-def test_a_light_that_stays_changed_is_believed_after_two_minutes(settled: Vouching) -> None:
+def test_a_light_that_stays_changed_is_believed_after_two_minutes(settled: CycleConsistencyFilter) -> None:
     assert settled.contradiction(cycle(at_s=120.0, factor=0.1).good) is not None
     later = [cycle(at_s=at_s, factor=0.1) for at_s in (150.0, 180.0)]
     assert settled.contradiction(later[0].good) is None
-    assert settled.vouched(later[0]) == []
-    assert settled.vouched(later[1]) == later
+    assert settled.accepted_cycles(later[0]) == []
+    assert settled.accepted_cycles(later[1]) == later
 
 
 def test_cycles_that_became_too_far_apart_to_be_compared_are_not_lost() -> None:
-    vouching, cycles = Vouching(cadence_s=60.0), [cycle(at_s=at_s) for at_s in (0.0, 180.0, 360.0, 540.0)]
-    let_go = [one for each in cycles for one in vouching.vouched(each)]
+    vouching, cycles = CycleConsistencyFilter(cadence_s=60.0), [cycle(at_s=at_s) for at_s in (0.0, 180.0, 360.0, 540.0)]
+    let_go = [one for each in cycles for one in vouching.accepted_cycles(each)]
     assert let_go == cycles
 
 
-def test_where_brightness_tells_nothing_no_cycle_waits(settled: Vouching) -> None:
-    dark = Taken(normal=tuple(frame(e, at_s=600.0, factor=0.0) for e in HDR_US), sun=())
-    assert settled.vouched(dark) == [dark]
-    slow = Vouching(cadence_s=61.0)
+def test_where_brightness_tells_nothing_no_cycle_waits(settled: CycleConsistencyFilter) -> None:
+    dark = Cycle(normal=tuple(frame(e, at_s=600.0, factor=0.0) for e in HDR_US), sun=())
+    assert settled.accepted_cycles(dark) == [dark]
+    slow = CycleConsistencyFilter(cadence_s=61.0)
     only = cycle(at_s=0.0)
-    assert slow.vouched(only) == [only]
+    assert slow.accepted_cycles(only) == [only]
 
 
-def test_an_exposure_that_failed_does_not_keep_the_others_from_being_judged(settled: Vouching) -> None:
+def test_an_exposure_that_failed_does_not_keep_the_others_from_being_judged(settled: CycleConsistencyFilter) -> None:
     wrong = replace(cycle(at_s=30.0, factor=4.0), normal=(None, None, frame(HDR_US[2], at_s=30.0, factor=0.25)))
     assert settled.contradiction(wrong.good) is not None
 
@@ -114,11 +114,11 @@ class Sky(FakeCamera):
 
 @pytest.mark.parametrize(("length", "openings"), [(3, 1), (8, 2), (20, 4)])
 def test_nothing_of_a_cycle_with_a_shared_factor_is_handed_on(
-    clock: VirtualClock, board: StatusBoard, length: int, openings: int
+    clock: VirtualClock, board: StatusRegistry, length: int, openings: int
 ) -> None:
     camera = Sky(clock, info=INFO, wrong=(range(15, 15 + length), 4.0))
-    cycles: Handover[Sequence[Frame]] = Handover(capacity=100)
-    sun_frames: Handover[Frame] = Handover(capacity=100)
+    cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=100)
+    sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=100)
     worker = CaptureWorker(
         open_camera=lambda: camera,
         clock=clock,

@@ -23,13 +23,13 @@ from sunarc.calibration import (
     project_with_covariance,
     to_document,
 )
-from sunarc.calibration.change_detection import Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
 from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import Site, sun_angles, sun_directions
-from sunarc.workers import Reposer, WatchWorker
+from sunarc.workers import ProvisionalPoseEstimator, WatchWorker
 from sunarc.workers.calibrating import monitor as watch
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +56,7 @@ def good() -> Calibration:
 class Imager:
     """A watch over an archive, shown sightings of a camera that may move."""
 
-    def __init__(self, folder: Path, calibration: Calibration, board: StatusBoard) -> None:
+    def __init__(self, folder: Path, calibration: Calibration, board: StatusRegistry) -> None:
         upgrade(folder / "sunarc.sqlite")
         self.archive = open_archive(folder / "sunarc.sqlite")
         self.board = board
@@ -81,7 +81,7 @@ class Imager:
         self.watch = self.new_watch()
 
     def new_watch(self) -> WatchWorker:
-        reposer = Reposer(
+        reposer = ProvisionalPoseEstimator(
             archive=self.archive,
             camera="roof",
             site=SGP,
@@ -141,7 +141,7 @@ class Imager:
 
 
 @pytest.fixture
-def imager(tmp_path: Path, good: Calibration, board: StatusBoard) -> Imager:
+def imager(tmp_path: Path, good: Calibration, board: StatusRegistry) -> Imager:
     return Imager(tmp_path, good, board)
 
 
@@ -278,14 +278,16 @@ def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
 def test_what_is_set_aside_keeps_its_place_in_the_record(imager: Imager) -> None:
     imager.see_many(TRUTH, range(-5, 5))
     since, until = (datetime.fromtimestamp(NOON + s, UTC) for s in (-60.0, 90.0))
-    assert imager.archive.set_aside("roof", since=since, until=until, reason="test") == 3
+    assert imager.archive.exclude("roof", since=since, until=until, reason="test") == 3
     assert imager.archive.sun_point_columns("roof").unix_s.size == 7
     aside = [point for point in imager.archive.sun_points("roof") if point.verdict == "set_aside"]
     assert [point.reason for point in aside] == ["test"] * 3
 
 
 def test_a_closed_pose_epoch_ends_the_conditions_of_its_move(imager: Imager, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Reposer, "improve", lambda _: False)  # as while the sightings are too few for a pose
+    monkeypatch.setattr(
+        ProvisionalPoseEstimator, "improve", lambda _: False
+    )  # as while the sightings are too few for a pose
     imager.see_many(TRUTH, range(-20, 0))
     imager.see_many(turned(TRUTH, (0.12, -0.1, 0.12)), range(10))
     assert imager.codes() == {"changed_bump"}
@@ -317,22 +319,22 @@ def test_an_epoch_that_another_part_opens_is_followed_though_there_was_none_at_t
 
 
 def test_sightings_are_compared_with_the_sun_in_the_measured_air(
-    tmp_path: Path, good: Calibration, board: StatusBoard, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, good: Calibration, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     imager = Imager(tmp_path, good, board)
     air = replace(SGP, temperature=40.0, pressure=90_000.0)
     compared: list[tuple[float, ...]] = []
 
     def noting(
-        watched: Watch,
-        seen: Watched,
+        watched: SightingWindow,
+        seen: Sighting,
         *,
         site: Site,
         **how: Any,  # noqa: ANN401 - of observe
-    ) -> tuple[Watch, Change | None]:
+    ) -> tuple[SightingWindow, Change | None]:
         compared.append(seen.direction)
         assert site == (air if len(compared) == 2 else SGP)
-        return observe(watched, seen, site=site, **how)
+        return update_window(watched, seen, site=site, **how)
 
     monkeypatch.setattr(watch, "observe", noting)
     low = datetime(2013, 5, 14, 12, 0, tzinfo=UTC).timestamp()

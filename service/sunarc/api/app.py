@@ -17,10 +17,10 @@ from starlette.staticfiles import StaticFiles
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import CurrentRecords, DaySites, Served
+from sunarc.api.context import ApiContext, CurrentRecords, DaySites
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
-from sunarc.api.middleware.authentication import ReadingNeeds, read_token
+from sunarc.api.middleware.authentication import ReadTokenMiddleware, read_token
 from sunarc.api.middleware.holdings import Holdings
 from sunarc.api.middleware.rate_limit import ConcurrencyLimit, RateLimit
 from sunarc.api.middleware.request_bodies import BodyReader
@@ -79,7 +79,7 @@ def create_app(
     options : limits and the token.
     registry : where Prometheus's numbers are registered; a new one by default.
     """
-    served = Served(
+    served = ApiContext(
         archive=archive,
         current=CurrentRecords(archive),
         sites=DaySites(archive),
@@ -106,7 +106,7 @@ def create_app(
     return app
 
 
-def _add_guards(app: FastAPI, served: Served, faults: FaultLog) -> None:
+def _add_guards(app: FastAPI, served: ApiContext, faults: FaultLog) -> None:
     """Put what every request passes before the application, the innermost first."""
     options = served.options
     app.add_middleware(
@@ -126,7 +126,7 @@ def _add_guards(app: FastAPI, served: Served, faults: FaultLog) -> None:
     reading = read_token(options.read_token_file, setting="api.read_token_file")
     tokens = tuple(token for token in (reading, served.token) if token is not None)
     if reading is not None:
-        app.add_middleware(ReadingNeeds, tokens=tokens)
+        app.add_middleware(ReadTokenMiddleware, tokens=tokens)
     app.add_middleware(RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
     if options.cors_origins:
         app.add_middleware(
@@ -141,7 +141,7 @@ def _add_guards(app: FastAPI, served: Served, faults: FaultLog) -> None:
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 
 
-def _add_camera_routes(app: FastAPI, served: Served) -> None:
+def _add_camera_routes(app: FastAPI, served: ApiContext) -> None:
     """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
     places = Places(served.options.max_large_at_once)
     for of_camera in (
@@ -166,7 +166,7 @@ def _add_camera_routes(app: FastAPI, served: Served) -> None:
 async def _named(
     camera: Annotated[str, Path(description="Name of a camera, as /v1/cameras lists them.", examples=["imager"])],
 ) -> None:
-    """Describe the path's parameter; `Served.of` reads it."""
+    """Describe the path's parameter; `ApiContext.of` reads it."""
 
 
 def _add_dashboard(app: FastAPI) -> None:

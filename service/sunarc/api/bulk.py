@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive import CalibrationRecord
@@ -47,7 +47,7 @@ class Answering:
     moment : that was asked for; now by the frames' time where none was.
     """
 
-    served: Served
+    served: ApiContext
     record: CalibrationRecord
     ready: Lookup
     moment: datetime
@@ -70,13 +70,13 @@ class Computation:
     read: Callable[[bytes, int], FloatArray]
     columns: tuple[int, ...]
     answer: Callable[[Answering, Rows], Rows]
-    told: tuple[str, ...]
+    answer_columns: tuple[str, ...]
     tell: Callable[[Answering, Rows], dict[str, Any]]
     double: bool = False
 
 
 async def compute(
-    computation: Computation, served: Served, places: Places, request: Request, at: datetime | None
+    computation: Computation, served: ApiContext, places: Places, request: Request, at: datetime | None
 ) -> Response:
     """Answer a request in kind: JSON with JSON, .npy with .npy."""
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
@@ -114,7 +114,7 @@ def body_of(schema: str, rows: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content, "description": f"JSON, or as .npy: {rows}"}}
 
 
-def rows_told(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     """Return the description of an answer that may be rows."""
     text = f"What was asked; as .npy, (n, {len(columns)}) in the precision of the question: {', '.join(columns)}."
     headers = {
@@ -124,34 +124,36 @@ def rows_told(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
 
 
-def _json(computation: Computation, served: Served, request: Request, body: bytes, at: datetime | None) -> Response:
+def _json(computation: Computation, served: ApiContext, request: Request, body: bytes, at: datetime | None) -> Response:
     rows = computation.read(body, served.options.max_points)
     answering = _answering(served, request, at)
-    told = {"calibration": answering.record.id} | computation.tell(answering, computation.answer(answering, rows))
-    content = to_json(told, inf_nan_mode="null")
+    answer_columns = {"calibration": answering.record.id} | computation.tell(
+        answering, computation.answer(answering, rows)
+    )
+    content = to_json(answer_columns, inf_nan_mode="null")
     return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
 
 
 async def _rows(
-    computation: Computation, served: Served, places: Places, request: Request, at: datetime | None
+    computation: Computation, served: ApiContext, places: Places, request: Request, at: datetime | None
 ) -> Response:
     client = client_network(request.scope)
     places.require_room(client)
     rows = read_rows(await request.body(), columns=computation.columns, most=served.options.max_rows)
     rows = rows.astype(np.float64) if computation.double else rows
-    width = len(computation.told)
+    width = len(computation.answer_columns)
     request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
     answering = await run_in_threadpool(_answering, served, request, at)
     return rows_response(
         rows,
         partial(computation.answer, answering),
         width=width,
-        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.told)},
+        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.answer_columns)},
         place=partial(places.place, client),
     )
 
 
-def _answering(served: Served, request: Request, at: datetime | None) -> Answering:
+def _answering(served: ApiContext, request: Request, at: datetime | None) -> Answering:
     chosen = served.of(request)
     record = chosen.record(at)
     return Answering(served=chosen, record=record, ready=chosen.ready.get(record), moment=at or chosen.frame_clock())

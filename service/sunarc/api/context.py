@@ -29,7 +29,7 @@ def _id(record: CalibrationRecord) -> str:
     return record.id  # a model never changes under one id
 
 
-class Kept(Generic[Asked, Value]):
+class SingleFlightCache(Generic[Asked, Value]):
     """What was made of what was asked for lately: made once, however many ask at the same time.
 
     Parameters
@@ -112,7 +112,7 @@ def _make_ready(record: CalibrationRecord) -> Lookup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Served:
+class ApiContext:
     """The collaborators of one application (see `create_app`)."""
 
     archive: Archive
@@ -126,15 +126,19 @@ class Served:
     token: bytes | None = field(repr=False)
     current: CurrentRecords
     sites: DaySites
-    parsed: Kept[CalibrationRecord, Calibration] = field(default_factory=lambda: Kept(_parse, key=_id))
-    ready: Kept[CalibrationRecord, Lookup] = field(default_factory=lambda: Kept(_make_ready, key=_id))
+    parsed: SingleFlightCache[CalibrationRecord, Calibration] = field(
+        default_factory=lambda: SingleFlightCache(_parse, key=_id)
+    )
+    ready: SingleFlightCache[CalibrationRecord, Lookup] = field(
+        default_factory=lambda: SingleFlightCache(_make_ready, key=_id)
+    )
 
-    def of(self, request: Request) -> Served:
+    def of(self, request: Request) -> ApiContext:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""
         name = request.path_params.get("camera", self.camera)
         return self if name == self.camera else self._of_another(name)
 
-    def _of_another(self, name: str) -> Served:
+    def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
         known = next((camera for camera in self.archive.cameras() if camera.name == name), None)
         if known is None:

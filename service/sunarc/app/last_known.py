@@ -8,7 +8,7 @@ from typing import TypedDict
 
 from sunarc.archive import Archive, ImageStore
 from sunarc.errors import OutsideError
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 
 _log = logging.getLogger(__name__)
 
@@ -21,7 +21,7 @@ class _Wanted(TypedDict):
 
 
 def restore_last_known(
-    board: StatusBoard,
+    board: StatusRegistry,
     *,
     archive: Archive,
     images: ImageStore,

@@ -17,7 +17,7 @@ from sunarc.cameras import Frame, SkyCamera
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Worker
 from sunarc.settings import Settings
 from sunarc.workers import (
@@ -28,14 +28,14 @@ from sunarc.workers import (
     DayJudge,
     DetectWorker,
     DiskWorker,
+    DropOldestQueue,
     FrameTime,
     FrozenFrames,
-    Handover,
     OverdueSightings,
+    ProvisionalPoseEstimator,
     RefitWorker,
     ReplayWorker,
-    Reposer,
-    SightingKeeper,
+    SightingWriteBuffer,
     SunExposures,
     SunPredictor,
     WatchWorker,
@@ -73,7 +73,7 @@ class Service:
         self.archive = archive
         self.clock = clock
         self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
-        self.board = StatusBoard(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
+        self.board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = self._new_clock_watch()
         self.predictor = SunPredictor(
@@ -85,7 +85,7 @@ class Service:
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self._restore_last_known()
-        self.keeper = SightingKeeper(archive, board=self.board)
+        self.keeper = SightingWriteBuffer(archive, board=self.board)
         self.overdue = self._overdue_sightings()
         self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
         self.exposures = SunExposures(
@@ -95,8 +95,8 @@ class Service:
             board=self.board,
         )
         self.watch = self.watch_worker()
-        self.cycles: Handover[Sequence[Frame]] = Handover(capacity=_WAITING_CYCLES)
-        self.sun_frames: Handover[Frame] = Handover(capacity=_WAITING_SUN_FRAMES)
+        self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=_WAITING_CYCLES)
+        self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=_WAITING_SUN_FRAMES)
         self.days = DayJudge(
             archive=archive,
             camera=settings.name,
@@ -302,8 +302,8 @@ class Service:
     def report(self, frame: Frame, detection: Detection) -> None:
         """Tell the exposure controller and the watch what a sun exposure showed."""
         self.exposures.report(frame, detection)
-        told = detection.accepted or detection.verdict == ELSEWHERE
-        if told and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
+        is_sun = detection.accepted or detection.verdict == ELSEWHERE
+        if is_sun and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():
             self.watch.notice(
                 frame.time,
                 x_px=detection.x_px,
@@ -320,7 +320,7 @@ class Service:
             camera=settings.name,
             site=settings.site,
             options=settings.watch,
-            reposer=Reposer(
+            reposer=ProvisionalPoseEstimator(
                 archive=self.archive,
                 camera=settings.name,
                 site=settings.site,

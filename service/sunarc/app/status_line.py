@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sunarc.runtime.status import Reason, StatusBoard, StatusSnapshot
+from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
 from sunarc.runtime.systemd import Notifier
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
@@ -27,7 +27,7 @@ class FirstFrame:
     board : which may have the time of the last frame before the start (see `restore_last_known`).
     """
 
-    def __init__(self, board: StatusBoard) -> None:
+    def __init__(self, board: StatusRegistry) -> None:
         self._board = board
         self._before = board.snapshot().last_frame_at
         board.set_reason(NO_FRAME_YET)

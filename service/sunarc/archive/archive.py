@@ -17,12 +17,12 @@ from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import require_file, require_head
-from sunarc.archive.sighting_revisions import Doubts
+from sunarc.archive.sighting_revisions import SightingRevisions
 from sunarc.archive.sightings import Sightings
 from sunarc.errors import OutsideError
 
 
-class Archive(Sightings, Doubts, EpochClosing, UsedSightings, Journal, MeasuredAir):
+class Archive(Sightings, SightingRevisions, EpochClosing, UsedSightings, Journal, MeasuredAir):
     """What we remember: values in, values out; one object serves all threads."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:

@@ -118,10 +118,10 @@ def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
 
 def _digest(columns: SunPointColumns) -> str:
     """Return what changes when a sighting that counted is changed."""
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for column in (columns.unix_s, columns.pixels, columns.sigma_px, columns.clock_error_s):
-        told.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
-    return told.hexdigest()
+        digest.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
+    return digest.hexdigest()
 
 
 def _changed(calibration_id: str, problem: str) -> InputError:

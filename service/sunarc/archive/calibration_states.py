@@ -14,7 +14,7 @@ from sunarc.archive.calibration_inputs import copy_used
 from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.documents import row_of
 from sunarc.archive.tables import calibration, event
-from sunarc.archive.validity import SERVED, end_others, set_columns, told, written, wrong_state
+from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, written, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
 
 _COPY = re.compile(r"-r\d+$")
@@ -47,7 +47,7 @@ class History(Calibrations):
                 chosen = replace(record, **decided, reasons=reasons)
             details = {"calibration": chosen.id, "copied": chosen.parent if record.state in SERVED else None}
             _tell(connection, chosen, "reinstated", at=at, text=f"{chosen.id} is current by hand: {reason}", **details)
-        return told(chosen)
+        return with_interval(chosen)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is reinstated."""
@@ -65,7 +65,7 @@ class History(Calibrations):
             chosen = replace(record, pinned=what == "pinned")
             set_columns(connection, record.id, pinned=chosen.pinned)
             _tell(connection, chosen, what, at=at, text=f"{record.id} was {what}: {reason}", calibration=record.id)
-        return told(chosen)
+        return with_interval(chosen)
 
 
 def add_copy(
@@ -109,9 +109,9 @@ def _tell(
     text: str,
     **details: str | None,
 ) -> None:
-    told_ = Event(
+    decision = Event(
         time=at, kind=f"calibration_{what}", severity="info", text=text, camera=record.camera, details=details
     )
-    row = asdict(told_)
+    row = asdict(decision)
     row.pop("id")
     connection.execute(insert(event).values(row))

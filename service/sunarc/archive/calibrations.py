@@ -16,7 +16,7 @@ from sunarc.archive.sighting_revisions import LENS_CHANGED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
-from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, told, wrong_state
+from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, with_interval, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.errors import InputError, NotFoundError
 
@@ -48,7 +48,7 @@ class Calibrations(Store):
             connection.execute(insert(calibration).values(row_of(record)))
             if used is not None:
                 keep_used(connection, record.id, used)
-        return told(record)
+        return with_interval(record)
 
     def activate(self, calibration_id: str, *, at: datetime | None = None) -> CalibrationRecord:
         """Make a candidate the current calibration of its camera, in one step, unless the current one is pinned.
@@ -73,12 +73,12 @@ class Calibrations(Store):
                 )
             pinned = self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
             if any(not held.damaged for held in pinned):
-                return told(record)
+                return with_interval(record)
             start = at or record.valid_from
             end_others(connection, record.camera, start)
             chosen = replace(record, state="current", valid_from=start, valid_until=None)
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
-        return told(chosen)
+        return with_interval(chosen)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
         """Let a candidate answer for times past, `since` <= t < `until`, in place of what answered for them.
@@ -95,10 +95,10 @@ class Calibrations(Store):
             pinned = (c.pinned, c.valid_from < until)
             held = or_(and_(*around), and_(*pinned))
             if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), held):
-                return told(record)
+                return with_interval(record)
             clear_interval(connection, record.camera, since, until)
             set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
-            return told(self._required(connection, calibration_id))
+            return with_interval(self._required(connection, calibration_id))
 
     def retire(self, calibration_id: str, *, at: datetime) -> CalibrationRecord:
         """End the current calibration with nothing in its place."""
@@ -108,7 +108,7 @@ class Calibrations(Store):
             if answering is None or answering.id != calibration_id:
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="retire the current one")
             end_others(connection, record.camera, at)
-            return told(self._required(connection, calibration_id))
+            return with_interval(self._required(connection, calibration_id))
 
     def refuse(self, calibration_id: str, *, reasons: tuple[str, ...]) -> CalibrationRecord:
         """Mark a candidate as refused, with the reasons; it is kept."""
@@ -117,7 +117,7 @@ class Calibrations(Store):
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
             set_columns(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
-            return told(self._required(connection, calibration_id))
+            return with_interval(self._required(connection, calibration_id))
 
     def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one.
@@ -127,7 +127,7 @@ class Calibrations(Store):
         """
         with self._reading() as connection:
             found = self._answering(connection, camera, at)
-        return None if found is None else told(found)
+        return None if found is None else with_interval(found)
 
     def damaged_calibration(self, camera: str) -> str | None:
         """Return the id of the current calibration of a camera when it is damaged, read from the database anew."""
@@ -185,7 +185,7 @@ class Calibrations(Store):
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""
         with self._reading() as connection:
-            return told(self._required(connection, calibration_id))
+            return with_interval(self._required(connection, calibration_id))
 
     def calibrations(
         self,
@@ -199,7 +199,7 @@ class Calibrations(Store):
         c = calibration.c
         wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
         with self._reading() as connection:
-            return tuple(told(record) for record in self._records(connection, *wanted, limit=limit))
+            return tuple(with_interval(record) for record in self._records(connection, *wanted, limit=limit))
 
     def _records(
         self, connection: Connection, *wanted: ColumnElement[bool], limit: int | None = None

@@ -20,10 +20,10 @@ LENS_CHANGED = "lens"
 """Reason of a pose epoch that also has another lens: nothing from before says anything of it."""
 
 
-class Doubts(Store):
+class SightingRevisions(Store):
     """The part of the archive that changes its mind on sightings; where the sun was seen is kept as it was."""
 
-    def set_aside(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
+    def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
         """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
         c = sun_point.c
         wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
@@ -31,9 +31,7 @@ class Doubts(Store):
         with self._writing() as connection:
             return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
 
-    def admit_elsewhere(
-        self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED
-    ) -> int:
+    def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
         """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
         c = sun_point.c
         wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))

@@ -16,7 +16,7 @@ from sunarc.errors import ConflictError
 SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 
 
-def told(record: CalibrationRecord) -> CalibrationRecord:
+def with_interval(record: CalibrationRecord) -> CalibrationRecord:
     """Let the document say what the archive decided since it was written."""
     decided = {
         "state": record.state,

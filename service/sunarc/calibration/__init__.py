@@ -26,9 +26,9 @@ from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.model.metrics import Metrics, measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Evidence, Move, Verdict
+from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.pose import PoseOffset, daily_pose_offset, repose
+from sunarc.calibration.pose import PoseOffset, daily_pose_offset, estimate_pose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.quality.acceptance import accept, disagreement, distance_px, unseen_points
@@ -42,7 +42,7 @@ from sunarc.calibration.quality.day_quality import (
     smooth_arc,
 )
 from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
-from sunarc.calibration.reproduce import calibrate_again
+from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
 
 __all__ = [
@@ -56,7 +56,6 @@ __all__ = [
     "DayMeasure",
     "DayOptions",
     "DayVerdict",
-    "Evidence",
     "Field",
     "ImageCircle",
     "LensTolerances",
@@ -68,6 +67,7 @@ __all__ = [
     "PaperOptions",
     "PoseOffset",
     "PoseStep",
+    "Provenance",
     "Selection",
     "SelectionOptions",
     "SunPoints",
@@ -77,7 +77,6 @@ __all__ = [
     "back_project",
     "back_projection_map",
     "calibrate",
-    "calibrate_again",
     "calibrate_moved",
     "camera_sees",
     "daily_pose_offset",
@@ -85,6 +84,7 @@ __all__ = [
     "decide_day",
     "disagreement",
     "distance_px",
+    "estimate_pose",
     "find_image_circle",
     "find_pose_steps",
     "fit_backward",
@@ -96,7 +96,7 @@ __all__ = [
     "pose_spread_deg",
     "prior_knowledge",
     "project_with_covariance",
-    "repose",
+    "reproduce_calibration",
     "select_sightings",
     "sigma_deg",
     "sigma_px",

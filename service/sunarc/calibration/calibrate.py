@@ -6,14 +6,14 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
+from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
 from sunarc.calibration.fit.robust_fit import fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
 from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
 from sunarc.calibration.least_squares.problem import Observations, observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, usable_points
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.fit_checks import Handedness, before_fit
 from sunarc.errors import InputError
@@ -61,7 +61,7 @@ def calibrate(
     chosen = CalibrationOptions() if options is None else options
     if start is not None:
         chosen = replace(chosen, projection=start.projection)
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     job = Job(
         points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle, start=start
     )
@@ -72,7 +72,7 @@ def calibrate(
     picked = _choose_hand(seen, job, start)
     if picked is None:
         return refused(job, ("no camera of this projection fits",))
-    return finished(_fitted(job, seen, picked.cameras), job, picked.handedness)
+    return calibration_from_fit(_fitted(job, seen, picked.cameras), job, picked.handedness)
 
 
 def _fitted(job: Job, seen: Observations, cameras: list[Camera]) -> Fitted:
@@ -96,15 +96,15 @@ def _choose_hand(
     hands: tuple[Mirrored, ...] = both if options.mirrored == "auto" else (options.mirrored,)
     found = []
     for hand in hands:
-        told = replace(options, mirrored=hand)
+        hand_options = replace(options, mirrored=hand)
         from_start = None if start is None or start.mirrored != (hand == "yes") else start
         cameras, cost = first_cameras(
-            seen, image_size=job.image_size, options=told, circle=job.circle, start=from_start
+            seen, image_size=job.image_size, options=hand_options, circle=job.circle, start=from_start
         )
-        found.append((cost, told, cameras))
+        found.append((cost, hand_options, cameras))
     found.sort(key=lambda item: item[0])
-    cost, told, cameras = found[0]
+    cost, hand_options, cameras = found[0]
     if not math.isfinite(cost):
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return _Chosen(cameras, Handedness(mirrored=told.mirrored == "yes", ambiguous=ambiguous))
+    return _Chosen(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose_step_evidence import log_bayes_factor
-from sunarc.calibration.robust_loss import core_sigma, tukey_loss
+from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site
 
@@ -93,17 +93,17 @@ def calibrate_moved(
     solved = fit(points, start)
     if np.any(points.epoch != points.epoch[:1]) or chosen.method != "robust" or chosen.free != "all":
         return Moved(solved, points)
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     for _ in range(_MOST):
         found = _with_one_more(points, usable, solved, fit)
         if found is None:
             break
         solved, points = found
         usable = replace(usable, epoch=points.epoch[usable.index])
-    return Moved(_told(solved, usable), points)
+    return Moved(_with_moves(solved, usable), points)
 
 
-def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: _Fit) -> Moved | None:
+def _with_one_more(points: SunPoints, usable: FilteredSightings, solved: Calibration, fit: _Fit) -> Moved | None:
     """Return the fit with one move more, or None where none makes it clearly better."""
     residual = _residuals(solved, usable)
     tried: list[tuple[float, Moved]] = []
@@ -123,7 +123,7 @@ def _with_one_more(points: SunPoints, usable: Usable, solved: Calibration, fit: 
     return None
 
 
-def _log_bayes_factor(solved: Calibration, found: Moved, usable: Usable) -> float:
+def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightings) -> float:
     """Return by how many powers of e the added move explains the sightings better than episodes of cloud do."""
     numbered = replace(usable, epoch=found.points.epoch[usable.index])
     row = int(np.flatnonzero(numbered.epoch != usable.epoch)[0])
@@ -138,7 +138,7 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: Usable) -> floa
     )
 
 
-def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: _Fit) -> Moved | None:
+def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Camera, fit: _Fit) -> Moved | None:
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         apart = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
@@ -156,7 +156,7 @@ def _parted_at(row: int, points: SunPoints, usable: Usable, begin: Camera, fit: 
     return Moved(fitted, apart)
 
 
-def best_row(near: slice, usable: Usable, cameras: Sequence[Camera]) -> int:
+def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) -> int:
     """Return which row a move came before, by the cameras before and after it.
 
     Parameters
@@ -166,13 +166,13 @@ def best_row(near: slice, usable: Usable, cameras: Sequence[Camera]) -> int:
     cameras : the first two are looked at.
     """
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
-    scale = core_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
+    scale = robust_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
     before, after = (tukey_loss(np.nan_to_num(distance, nan=1e4), sigma=scale) for distance in off)
     wrong = np.r_[0.0, np.cumsum(before - after)]
     return int(near.start + np.argmin(wrong))
 
 
-def _residuals(solved: Calibration, usable: Usable) -> FloatArray:
+def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
     """Return observed minus predicted, (n, 2) px; what the camera cannot see is far off."""
     predicted = np.full(usable.pixels.shape, np.nan)
     for epoch, pose in enumerate(solved.poses):
@@ -181,15 +181,15 @@ def _residuals(solved: Calibration, usable: Usable) -> FloatArray:
     return np.asarray(np.nan_to_num(usable.pixels - predicted, nan=1e4))
 
 
-def _gain(before: FloatArray, after: FloatArray, usable: Usable, solved: Calibration) -> float:
+def _gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solved: Calibration) -> float:
     """Return what the robust squares lost, in variances of a sighting whose neighbours err like it."""
     distances = [np.hypot(residual[:, 0], residual[:, 1]) / usable.sigma_px for residual in (before, after)]
-    sigma = core_sigma(distances[1], floor=_FLOOR_PX)
+    sigma = robust_sigma(distances[1], floor=_FLOOR_PX)
     one, other = (float(np.sum(tukey_loss(distance, sigma=sigma))) for distance in distances)
     return 2.0 * (one - other) / max(solved.evidence.inflation, 1.0)
 
 
-def _jumps(residual: FloatArray, usable: Usable) -> list[_Parted]:
+def _jumps(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     """Return where the residuals jump within a day and a pose, against how they scatter there and wander elsewhere."""
     if len(usable) < 2 * _SIDE:
         return []
@@ -227,7 +227,7 @@ def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
     return np.linalg.norm(ends[1] - ends[0], axis=-1), np.minimum(*scatter)
 
 
-def _nights(residual: FloatArray, usable: Usable) -> list[_Parted]:
+def _nights(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     """Return the night over which the residuals of the same hours differ most, where it stands out from the others."""
     rows = [np.flatnonzero(usable.day == day) for day in np.unique(usable.day)]
     nights = [(late[0], _same_hours(residual, usable, early, late)) for early, late in pairwise(rows)]
@@ -240,11 +240,13 @@ def _nights(residual: FloatArray, usable: Usable) -> list[_Parted]:
     return [_Parted(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
 
 
-def _one_pose(usable: Usable, row: int) -> bool:
+def _one_pose(usable: FilteredSightings, row: int) -> bool:
     return bool(usable.epoch[row] == usable.epoch[row - 1])
 
 
-def _same_hours(residual: FloatArray, usable: Usable, early: NDArray[np.int64], late: NDArray[np.int64]) -> float:
+def _same_hours(
+    residual: FloatArray, usable: FilteredSightings, early: NDArray[np.int64], late: NDArray[np.int64]
+) -> float:
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
     hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], _DAY_S)
     before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], _DAY_S)
@@ -265,7 +267,7 @@ def _turn_deg(one: tuple[float, float, float], other: tuple[float, float, float]
     return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
 
 
-def _told(solved: Calibration, usable: Usable) -> Calibration:
+def _with_moves(solved: Calibration, usable: FilteredSightings) -> Calibration:
     """Return the calibration with its moves in its evidence, and in words."""
     moves = []
     for row in np.flatnonzero(np.diff(usable.epoch)):

@@ -20,8 +20,8 @@ from scipy.linalg import cholesky, solve_triangular
 
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, lens_prior, precisions
 from sunarc.calibration.model.options import LensTolerances
-from sunarc.calibration.model.sightings import Usable
-from sunarc.calibration.robust_loss import core_sigma
+from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, project_with_rows_fast
 
 FloatArray = NDArray[np.float64]
@@ -125,7 +125,12 @@ class _Model:
 
 
 def log_bayes_factor(
-    row: int, usable: Usable, *, one: tuple[Camera, FloatArray], two: tuple[Camera, FloatArray], turn_rad: float
+    row: int,
+    usable: FilteredSightings,
+    *,
+    one: tuple[Camera, FloatArray],
+    two: tuple[Camera, FloatArray],
+    turn_rad: float,
 ) -> float:
     """Return by how many powers of e a turn before a sighting explains the residuals better than one pose does.
 
@@ -154,7 +159,7 @@ def log_bayes_factor(
     return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
 
 
-def _members(picked: IntArray, row: int, usable: Usable) -> IntArray:
+def _members(picked: IntArray, row: int, usable: FilteredSightings) -> IntArray:
     """Return (n,): the group of consecutive sightings, of one day and side of the step, that each belongs to."""
     size = -(-picked.size // _MOST_ROWS)
     run = np.r_[0, np.cumsum((np.diff(usable.day[picked]) != 0) | (np.diff(picked >= row) != 0))]
@@ -169,13 +174,13 @@ def _medians(values: FloatArray, member: IntArray) -> FloatArray:
     return np.array([np.median(part, axis=0) for part in np.split(values, starts[1:])])
 
 
-def _rows(picked: IntArray, member: IntArray, row: int, usable: Usable, residual: FloatArray) -> _Rows:
+def _rows(picked: IntArray, member: IntArray, row: int, usable: FilteredSightings, residual: FloatArray) -> _Rows:
     """Return what both hypotheses share; the noise's scale and gross errors are those of the residuals about two."""
     count = np.bincount(member)
     middle = np.searchsorted(member, np.arange(count.size)) + count // 2
     times, directions = usable.unix_s[picked][middle], usable.directions[picked][middle]
     left = _medians(residual[picked], member)
-    sigma = core_sigma(np.linalg.norm(left, axis=-1), share=0.5, floor=_FLOOR_PX)
+    sigma = robust_sigma(np.linalg.norm(left, axis=-1), share=0.5, floor=_FLOOR_PX)
     relative = usable.sigma_px[picked][middle]
     gross = np.linalg.norm(left - _running_median(left), axis=-1) / (sigma * relative)
     variance = (

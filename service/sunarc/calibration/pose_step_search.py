@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
-from sunarc.calibration.model.sightings import SunPoints, usable_points
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.pose import daily_pose_offset
 from sunarc.calibration.pose_change_points import best_row, calibrate_moved
 from sunarc.sky import Site
@@ -140,7 +140,7 @@ class _Search(NamedTuple):
     def _dated(self, move: Move, points: SunPoints, solved: Calibration) -> PoseStep:
         """Return the step between the sightings of the whole record that it came between."""
         near = (points.unix_s >= move.before_unix_s) & (points.unix_s <= move.after_unix_s)
-        usable = usable_points(points.select(near), site=self.site)
+        usable = filter_sightings(points.select(near), site=self.site)
         cameras = [replace(solved.camera, rotation_cam_enu=pose) for pose in solved.poses]
         row = min(max(best_row(slice(0, len(usable)), usable, cameras), 1), len(usable) - 1)
         return PoseStep(float(usable.unix_s[row - 1]), float(usable.unix_s[row]), move.turn_deg)
@@ -148,7 +148,7 @@ class _Search(NamedTuple):
 
 def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
     """Return some of each day's usable sightings, in the order of time, and the solar day of each."""
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     kept = []
     for day in np.unique(usable.day):
         rows = np.flatnonzero(usable.day == day)

@@ -15,7 +15,7 @@ from sunarc.errors import InputError
 from sunarc.optics import Camera
 
 
-def calibrate_again(past: Calibration, points: SunPoints) -> Calibration:
+def reproduce_calibration(past: Calibration, points: SunPoints) -> Calibration:
     """Return the calibration that the evidence of a past one leads to.
 
     Parameters
@@ -46,10 +46,10 @@ def calibrate_again(past: Calibration, points: SunPoints) -> Calibration:
     return with_pose_spread(solved, evidence.pose_spread_deg or (0.0, 0.0, 0.0))
 
 
-def _options(told: Mapping[str, object]) -> CalibrationOptions:
-    if not told:
+def _options(stored: Mapping[str, object]) -> CalibrationOptions:
+    if not stored:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
-    named = _named(told)
+    named = _named(stored)
     if named.get("free") == "pose":
         raise InputError(
             field="evidence.options.free",
@@ -60,6 +60,6 @@ def _options(told: Mapping[str, object]) -> CalibrationOptions:
     return CalibrationOptions(**named, tolerances=lens, paper=paper)
 
 
-def _named(told: Mapping[str, object]) -> dict[str, Any]:
+def _named(stored: Mapping[str, object]) -> dict[str, Any]:
     """Return arguments by name; JSON has lists where values have tuples."""
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}

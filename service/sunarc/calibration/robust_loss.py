@@ -28,7 +28,7 @@ def tukey_loss(distance: FloatArray, *, sigma: float, cut: float = CUT) -> Float
     return np.asarray(cut**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
 
 
-def core_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-9) -> float:
+def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-9) -> float:
     """Return the 1-sigma per axis of the well-behaved sightings among others.
 
     Starts at the quantile `share` of the 2-D distances and then takes, again and again, those within 2.5 sigma,

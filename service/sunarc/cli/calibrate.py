@@ -99,14 +99,14 @@ def calibrate(
 
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
-    told = solve_again(load_settings(config), calibration_id)
+    result = solve_again(load_settings(config), calibration_id)
     if as_json:
-        print_json(told)
+        print_json(result)
     else:
-        _print_calibration(told["calibration"])
-        outcome = "the same camera" if told["same"] else "another camera"
-        print(f"{outcome}: {told['apart_px']:.1e} px from {calibration_id} at most, {told['sightings']} sightings")
-    if not told["same"]:
+        _print_calibration(result["calibration"])
+        outcome = "the same camera" if result["same"] else "another camera"
+        print(f"{outcome}: {result['apart_px']:.1e} px from {calibration_id} at most, {result['sightings']} sightings")
+    if not result["same"]:
         raise typer.Exit(1)
 
 

@@ -13,7 +13,7 @@ _NAME_CHARACTERS = 40  # half of a terminal's usual width
 
 def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
     """Print a value as JSON; NaN is a bug."""
-    print(json.dumps(value, indent=1, allow_nan=False))  # noqa: T201 - printing is its work
+    print(json.dumps(value, indent=1, allow_nan=False))
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:

@@ -99,8 +99,8 @@ class Imager:
         rows, calibration, shape = self._rows("/back-project", pixels, 2, at)
         zenith, azimuth, east, north, up, sigma, inside = np.moveaxis(rows, -1, 0)
         direction = np.stack([east, north, up], axis=-1).reshape(*shape, 3)
-        told = (column.reshape(shape) for column in (zenith, azimuth, sigma, inside == 1.0))
-        first, second, third, fourth = told
+        columns = (column.reshape(shape) for column in (zenith, azimuth, sigma, inside == 1.0))
+        first, second, third, fourth = columns
         return BackProjection(first, second, direction, third, fourth, calibration)
 
     def project(self, direction: ArrayLike, *, at: datetime | None = None) -> Projection:
@@ -153,8 +153,8 @@ class Imager:
 
     def _json(self, path: str, at: datetime | None) -> dict[str, Any]:
         content, _ = self._transport.ask(f"{self._prefix}{path}", {"at": _time(at)})
-        told: dict[str, Any] = json.loads(content)
-        return told
+        columns: dict[str, Any] = json.loads(content)
+        return columns
 
     def _rows(
         self, path: str, values: ArrayLike, width: int, at: datetime | None

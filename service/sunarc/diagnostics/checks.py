@@ -82,8 +82,8 @@ def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:
 def _state(settings: Settings) -> tuple[Outcome, str]:
     prepare_state(settings.state)
     free = shutil.disk_usage(settings.state).free
-    told = f"{free / 1e9:.1f} GB free"
-    return ("ok", told) if free > _LEAST_FREE_BYTES else ("warn", f"only {told}; free some space")
+    text = f"{free / 1e9:.1f} GB free"
+    return ("ok", text) if free > _LEAST_FREE_BYTES else ("warn", f"only {text}; free some space")
 
 
 def _database(settings: Settings) -> tuple[Outcome, str]:
@@ -110,9 +110,9 @@ def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
     if not copies:
         return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"
     made = datetime.fromtimestamp(copies[-1].stat().st_mtime, UTC)
-    told = f"{len(copies)}, the newest of {made:%Y-%m-%d %H:%M} UTC"
+    text = f"{len(copies)}, the newest of {made:%Y-%m-%d %H:%M} UTC"
     recent = clock.now() - made < _OLDEST_BACKUP
-    return ("ok", told) if recent else ("warn", f"{told}; see systemctl status sunarc-backup.timer")
+    return ("ok", text) if recent else ("warn", f"{text}; see systemctl status sunarc-backup.timer")
 
 
 def _versions() -> tuple[Outcome, str]:
@@ -142,16 +142,16 @@ def _camera_in_use(running: Mapping[str, Any]) -> tuple[Outcome, str]:
     camera = running.get("camera") or {}
     if camera.get("connected"):
         return "ok", f"the running service holds {camera['model']} at {camera['address']}"
-    told = [reason["text"] for reason in running["reasons"] if reason["code"] == "camera_lost"]
-    return "fail", f"the running service has lost it: {'; '.join(told) or 'no reason told'}; power, cable, address"
+    text = [reason["text"] for reason in running["reasons"] if reason["code"] == "camera_lost"]
+    return "fail", f"the running service has lost it: {'; '.join(text) or 'no reason text'}; power, cable, address"
 
 
 def _clock() -> tuple[Outcome, str]:
     state = host_clock_state()
     if not state.synchronised:
         return "warn", "not synchronised; start systemd-timesyncd or chrony and let it reach its servers"
-    told = f"synchronised to within {state.error_bound_s:.3f} s"
-    return ("ok", told) if state.error_bound_s < _LARGEST_CLOCK_ERROR_S else ("warn", f"{told}; wait for it to settle")
+    text = f"synchronised to within {state.error_bound_s:.3f} s"
+    return ("ok", text) if state.error_bound_s < _LARGEST_CLOCK_ERROR_S else ("warn", f"{text}; wait for it to settle")
 
 
 def _camera(settings: Settings, clock: Clock) -> tuple[Outcome, str]:

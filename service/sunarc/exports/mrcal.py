@@ -55,11 +55,11 @@ def splined_model(camera: Camera) -> SplinedModel:
     bending = _bending()
     normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
     control = spsolve(normal, design.T @ wanted)
-    told = (u + design @ control) * focal + center
+    row_column = (u + design @ control) * focal + center
     return SplinedModel(
         name=f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={_KNOTS}_Ny={_KNOTS}_fov_x_deg={fov_deg}",
         intrinsics=np.r_[focal, center, control.ravel()],
-        error=fit_error(camera, sky, told),
+        error=fit_error(camera, sky, row_column),
     )
 
 

@@ -164,9 +164,9 @@ def _backward(
         polynomial = np.zeros(orders[-1] + 1)
         polynomial[list(orders)] = fitted / _SCALE ** np.array(orders)
         z = Polynomial(polynomial)(radius)
-        told = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
-        told /= np.linalg.norm(told, axis=-1, keepdims=True)
-        error = fit_error(camera, sky, 2.0 * sky.pixels - _landing(camera, told))
+        rays = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        error = fit_error(camera, sky, 2.0 * sky.pixels - _landing(camera, rays))
         if error.max_px < good_px:
             break
     return polynomial, error

@@ -107,11 +107,11 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     camera = calibration.camera
     x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
     grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-    told = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
-    error = _bilinear_error(camera, x, y, np.asarray(told[..., 2:5], dtype=np.float64))
+    looked_up = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
+    error = _bilinear_error(camera, x, y, np.asarray(looked_up[..., 2:5], dtype=np.float64))
     names = np.array(calibration.parameter_names)
     variables = _axes(x, y) | {"camera": _camera(document)}
-    variables |= _views(told[..., 0], told[..., 1], told[..., 2:5], told[..., 5])
+    variables |= _views(looked_up[..., 0], looked_up[..., 1], looked_up[..., 2:5], looked_up[..., 5])
     variables |= {
         "parameter_name": Variable(
             dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter of a row"}

@@ -15,8 +15,8 @@ from sunarc.calibration import (
     ImageCircle,
     SunPoints,
     calibrate_moved,
+    estimate_pose,
     find_image_circle,
-    repose,
     to_document,
 )
 from sunarc.errors import InputError
@@ -49,7 +49,7 @@ def calibrate_file(
     )
     known = None if start is None else read_calibration(start)
     if known is not None and options.free == "pose":
-        solved = repose(points, start=_of_size(known, image_size), site=site, options=options)
+        solved = estimate_pose(points, start=_of_size(known, image_size), site=site, options=options)
     else:
         begin = None if known is None else known.camera
         solved, points = calibrate_moved(

@@ -163,9 +163,9 @@ def _from_name(name: str, offset: timedelta) -> datetime | None:
 
 def _from_sidecar(path: Path, exposure_us: float | None) -> tuple[datetime, float | None]:
     try:
-        told: dict[str, Any] = json.loads(path.read_text())
-        exposure = told.get("exposure_us", exposure_us)
-        return parse_time(str(told["time_utc"]), where=f"{path.name}, time_utc"), exposure
+        sidecar: dict[str, Any] = json.loads(path.read_text())
+        exposure = sidecar.get("exposure_us", exposure_us)
+        return parse_time(str(sidecar["time_utc"]), where=f"{path.name}, time_utc"), exposure
     except (ValueError, KeyError, AttributeError, OSError):
         raise InputError(
             field=path.name, problem="no sidecar that could be read", remedy='write {"time_utc": "…Z"}'

@@ -6,7 +6,7 @@ from typing import Any
 
 import sunarc
 from sunarc.archive import open_archive
-from sunarc.calibration import calibrate_again, distance_px, from_document, to_document
+from sunarc.calibration import distance_px, from_document, reproduce_calibration, to_document
 from sunarc.settings import Settings
 from sunarc.workers import points_of
 
@@ -28,7 +28,7 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     finally:
         archive.close()
     past = from_document(record.document)
-    solved = calibrate_again(past, points)
+    solved = reproduce_calibration(past, points)
     apart_px = distance_px(past, solved)
     document = to_document(
         solved,

@@ -13,7 +13,7 @@ from apscheduler.triggers.base import BaseTrigger
 
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +67,7 @@ class Schedule:
     board : where a failure is written.
     """
 
-    def __init__(self, job: Callable[[], None], *, every_s: float, clock: Clock, board: StatusBoard) -> None:
+    def __init__(self, job: Callable[[], None], *, every_s: float, clock: Clock, board: StatusRegistry) -> None:
         self.heartbeat = Heartbeat(clock.monotonic)
         self._job = job
         self._every_s = every_s

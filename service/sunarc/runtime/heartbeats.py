@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sunarc.runtime.status import Reason, StatusBoard, WorkerStatus
+from sunarc.runtime.status import Reason, StatusRegistry, WorkerStatus
 
 _log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class Monitor:
     board : where it is shown.
     """
 
-    def __init__(self, loop: Monitored, *, board: StatusBoard) -> None:
+    def __init__(self, loop: Monitored, *, board: StatusRegistry) -> None:
         self._loop = loop
         self._board = board
         self._staleness = Staleness(loop.name, stale_after_s=loop.stale_after_s, board=board)
@@ -79,7 +79,7 @@ class Staleness:
     board : where the condition is shown.
     """
 
-    def __init__(self, name: str, *, stale_after_s: float, board: StatusBoard) -> None:
+    def __init__(self, name: str, *, stale_after_s: float, board: StatusRegistry) -> None:
         self._name = name
         self._stale_after_s = stale_after_s
         self._board = board

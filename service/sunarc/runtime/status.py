@@ -113,7 +113,7 @@ class DiskStatus:
 
 
 class Notes(TypedDict, total=False):
-    """What `StatusBoard.note` takes."""
+    """What `StatusRegistry.note` takes."""
 
     camera: CameraStatus
     capture: CaptureStatus
@@ -147,7 +147,7 @@ class StatusSnapshot:
         return "degraded" if severities else "ready"
 
 
-class StatusBoard:
+class StatusRegistry:
     """The one place where the service's state is written down; any thread may write or read.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import Protocol
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat, Monitor, Monitored, Staleness
-from sunarc.runtime.status import Reason, Severity, StatusBoard, WorkerState, WorkerStatus
+from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
 
 _log = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ class Supervisor:
         workers: Sequence[Supervised],
         *,
         clock: Clock,
-        board: StatusBoard,
+        board: StatusRegistry,
         feed: Callable[[], None] | None = None,
         check_every_s: float = 5.0,
         on_failed: Callable[[], None] | None = None,
@@ -184,7 +184,7 @@ class Supervisor:
 class _Life:
     """One worker's births and deaths; `keep` runs in the worker's thread, `check` in any."""
 
-    def __init__(self, worker: Supervised, *, clock: Clock, board: StatusBoard, stop: threading.Event) -> None:
+    def __init__(self, worker: Supervised, *, clock: Clock, board: StatusRegistry, stop: threading.Event) -> None:
         self.name = worker.name
         self.failed = False
         self._worker = worker
@@ -197,7 +197,7 @@ class _Life:
         self._restarts = 0
         self._last_error: str | None = None
         self._staleness = Staleness(worker.name, stale_after_s=worker.options.stale_after_s, board=board)
-        self._hindered = False
+        self._blocked = False
         self._died_too_often = False
         self._born_at = clock.monotonic()
         self._lock = threading.Lock()
@@ -227,14 +227,14 @@ class _Life:
     def _back_off(self) -> bool:
         """Wait until the next life; return False when there is none, the worker being essential and having failed."""
         deaths = self._count_death()
-        if not self._hindered and (self._died_too_often or deaths > self._worker.options.max_restarts):
+        if not self._blocked and (self._died_too_often or deaths > self._worker.options.max_restarts):
             self._fail(deaths)
             if self.failed:
                 return False
             self._clock.wait(self._stop, _RETRY_FAILED_S)
             return True
         self._enter("restarting")
-        if not self._hindered and deaths > 1:
+        if not self._blocked and deaths > 1:
             self._board.set_reason(_restarting_reason(self._worker, deaths, self._last_error))
         self._clock.wait(self._stop, _back_off_s(deaths))
         return True
@@ -247,27 +247,27 @@ class _Life:
             self._worker.make_worker().run(self._stop, self._beat.beat)
         except OutsideError as error:
             _log.error("worker %s is blocked: %s", self.name, error)
-            self._hindered = True
-            self._board.set_reason(_hindered_reason(self.name, error))
+            self._blocked = True
+            self._board.set_reason(_blocked_reason(self.name, error))
             return str(error)
         except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
             _log.exception("%s died", self.name)
-            self._go_unhindered()
+            self._clear_blocked()
             return f"{type(error).__name__}: {error}"
         if self._stop.is_set():
             return None
         _log.error("%s returned without being asked to stop", self.name)
         return "returned without being asked to stop"
 
-    def _go_unhindered(self) -> None:
-        if self._hindered:
-            self._hindered = False
+    def _clear_blocked(self) -> None:
+        if self._blocked:
+            self._blocked = False
             self._deaths.clear()
-            self._board.clear_reason(_hindered_code(self.name))
+            self._board.clear_reason(_blocked_code(self.name))
 
     def _recover(self) -> None:
         """Take back what was said of a worker that died, once it has run for longer than the longest back-off."""
-        self._go_unhindered()
+        self._clear_blocked()
         self._died_too_often = False
         self._board.clear_reason(_restarting_code(self.name))
         self._board.clear_reason(_failed_code(self.name))
@@ -310,13 +310,13 @@ def _back_off_s(deaths: int) -> float:
     return float(min(_FIRST_BACK_OFF_S * 2.0 ** (deaths - 1), _LONGEST_BACK_OFF_S))
 
 
-def _hindered_code(name: str) -> str:
+def _blocked_code(name: str) -> str:
     return f"worker_hindered_{name}"
 
 
-def _hindered_reason(name: str, error: OutsideError) -> Reason:
+def _blocked_reason(name: str, error: OutsideError) -> Reason:
     return Reason(
-        code=_hindered_code(name),
+        code=_blocked_code(name),
         severity="degraded",
         text=f"worker {name} is blocked: {error}",
         remedy="fix the cause; it is retried automatically",

@@ -11,9 +11,9 @@ import numpy as np
 
 from sunarc.calibration import (
     Calibration,
-    Evidence,
     Field,
     Metrics,
+    Provenance,
     Verdict,
     WaveBasis,
     fit_backward,
@@ -73,8 +73,8 @@ def _no_metrics() -> Metrics:
     )
 
 
-def _no_evidence() -> Evidence:
-    return Evidence(
+def _no_evidence() -> Provenance:
+    return Provenance(
         days=(),
         n_supplied=0,
         n_used=0,

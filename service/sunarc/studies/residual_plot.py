@@ -95,8 +95,8 @@ def _draw_rejected(axes: Axes, across: FloatArray, off: FloatArray, limit: float
     if off.size:
         held = np.clip(off, -0.97 * limit, 0.97 * limit)
         beyond = int(np.sum(held != off))
-        told = f"{label} ({beyond} beyond the edge)" if beyond else label
-        axes.plot(across, held, mark, ms=5, color=VERMILLION, label=told, zorder=3)
+        label_text = f"{label} ({beyond} beyond the edge)" if beyond else label
+        axes.plot(across, held, mark, ms=5, color=VERMILLION, label=label_text, zorder=3)
 
 
 def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:

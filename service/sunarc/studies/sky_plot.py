@@ -45,8 +45,8 @@ def sky_figure(calibration: Calibration, residuals: Residuals) -> Figure:
         ".", ms=2.5, color=VERMILLION, label="the sun, where it was used",
     )  # fmt: skip
     axes.legend(loc="lower left", bbox_to_anchor=(-0.06, -0.06), fontsize=LETTERING_PT, markerscale=3.0)
-    told = f"{calibration.sky_rms_deg:.4f}° RMS, {calibration.sky_max_deg:.4f}° at most"
-    figure.suptitle(f"1-sigma per axis of a pixel's direction: {told}", fontsize=TITLE_PT)
+    extent = f"{calibration.sky_rms_deg:.4f}° RMS, {calibration.sky_max_deg:.4f}° at most"
+    figure.suptitle(f"1-sigma per axis of a pixel's direction: {extent}", fontsize=TITLE_PT)
     return figure
 
 

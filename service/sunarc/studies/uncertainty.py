@@ -67,7 +67,7 @@ def study_uncertainty(
         for level, sigma in enumerate(sigmas)
         for number in range(trials)
     ]
-    told = run_trials(todo, jobs=jobs, after_each=after_each).reshape(len(methods), levels, trials, len(QUANTITIES))
+    results = run_trials(todo, jobs=jobs, after_each=after_each).reshape(len(methods), levels, trials, len(QUANTITIES))
     truth, arc = true_camera(0), synthetic_arc()
     bound = {
         method: np.array(
@@ -76,7 +76,7 @@ def study_uncertainty(
         for method in methods
     }
     return Uncertainty(
-        methods=tuple(methods), sigma_px=sigmas, seed=seed, trials=dict(zip(methods, told, strict=True)), bound=bound
+        methods=tuple(methods), sigma_px=sigmas, seed=seed, trials=dict(zip(methods, results, strict=True)), bound=bound
     )
 
 

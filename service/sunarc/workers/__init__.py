@@ -1,9 +1,9 @@
 """The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
 
-from sunarc.workers.bounded_queue import Handover
+from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge
 from sunarc.workers.calibrating.monitor import WatchWorker
-from sunarc.workers.calibrating.provisional_pose import Reposer
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
 from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.capture.overdue_sightings import OverdueSightings
@@ -18,7 +18,7 @@ from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sightings.detect import DetectWorker
 from sunarc.workers.sightings.frozen_frames import FrozenFrames
 from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingKeeper
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 from sunarc.workers.timing.clock_watch import UNKNOWN_ERROR_S, ClockOptions, ClockWatch
 from sunarc.workers.timing.frame_time import FrameTime
 
@@ -33,16 +33,16 @@ __all__ = [
     "DayJudge",
     "DetectWorker",
     "DiskWorker",
+    "DropOldestQueue",
     "FrameTime",
     "FrozenFrames",
-    "Handover",
     "OverdueSightings",
+    "ProvisionalPoseEstimator",
     "RefitOptions",
     "RefitWorker",
     "ReplayWorker",
-    "Reposer",
     "SensorOptions",
-    "SightingKeeper",
+    "SightingWriteBuffer",
     "SunExposures",
     "SunPredictor",
     "WatchWorker",

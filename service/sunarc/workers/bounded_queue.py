@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Handover(Generic[T]):
+class DropOldestQueue(Generic[T]):
     """Hands things from one thread to another; when full, the oldest is dropped and counted.
 
     Parameters

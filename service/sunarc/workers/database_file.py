@@ -10,7 +10,7 @@ from datetime import datetime
 from sunarc.archive import Archive, Event, Recovery
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 2.0
@@ -35,7 +35,7 @@ class DatabaseWorker:
         archive: Archive,
         clock: Clock,
         now: Callable[[], datetime],
-        board: StatusBoard,
+        board: StatusRegistry,
         recovered: Recovery | None = None,
     ) -> None:
         self._archive = archive
@@ -91,7 +91,7 @@ class DatabaseWorker:
             _log.error("%s; %s", error, remedy)
 
 
-def _show(board: StatusBoard, done: Recovery) -> None:
+def _show(board: StatusRegistry, done: Recovery) -> None:
     remedies = {
         "written_back": "find out what removed it; a restart ends this notice",
         "restored": "find out what removed it, see `sunarc calibrations list`; a restart ends this notice",

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from sunarc.archive import DiskOptions, DiskUsage, ImageStore, Reserve
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import DiskStatus, Reason, StatusBoard
+from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
 _POLL_S = 1.0
@@ -38,7 +38,7 @@ class DiskWorker:
         options: DiskOptions,
         clock: Clock,
         age_from: Callable[[], datetime | None],
-        board: StatusBoard,
+        board: StatusRegistry,
     ) -> None:
         self._store = store
         self._reserve = reserve

@@ -43,7 +43,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
     return _digest(token)
 
 
-def changing_needs(token: bytes | None) -> Callable[..., Awaitable[None]]:
+def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
     """Return a dependency that lets only those pass who bear the token of a digest; nobody where there is none."""
 
     async def with_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
@@ -56,7 +56,7 @@ def changing_needs(token: bytes | None) -> Callable[..., Awaitable[None]]:
     return with_token
 
 
-class ReadingNeeds:
+class ReadTokenMiddleware:
     """Lets only those read who bear one of the tokens; the empty page and the probes stay open.
 
     Parameters

@@ -25,7 +25,7 @@ def is_always_answered(scope: Scope) -> bool:
     return bool(scope["path"] == _ALWAYS_ANSWERED and scope["method"] in {"GET", "HEAD"})
 
 
-class Allowances:
+class TokenBuckets:
     """What each client may still ask: a bucket that fills steadily and holds a burst.
 
     Parameters
@@ -69,13 +69,13 @@ class RateLimit:
     Parameters
     ----------
     app : what is behind it.
-    per_s, burst : see `Allowances`; no limit where `per_s` is 0.
+    per_s, burst : see `TokenBuckets`; no limit where `per_s` is 0.
     tokens : digests of those that are right; a request that bears another one and is refused costs 20.
     """
 
     def __init__(self, app: ASGIApp, *, per_s: float, burst: int, tokens: tuple[bytes, ...]) -> None:
         self._app = app
-        self._allowances = Allowances(per_s=per_s, burst=burst) if per_s > 0.0 else None
+        self._allowances = TokenBuckets(per_s=per_s, burst=burst) if per_s > 0.0 else None
         self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -100,7 +100,7 @@ class RateLimit:
             await self._app(scope, receive, priced)
 
     @staticmethod
-    def _refunding(allowances: Allowances, client: str, price: float, send: Send) -> Send:
+    def _refunding(allowances: TokenBuckets, client: str, price: float, send: Send) -> Send:
         """Give the price back where the token was not needed: a proxy's own, or a page's where reading is open."""
 
         async def sending(message: Message) -> None:

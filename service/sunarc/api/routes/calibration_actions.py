@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request
 
-from sunarc.api.context import Served
-from sunarc.api.middleware.authentication import changing_needs
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.schemas.record import CalibrationSummary, Decision
@@ -13,12 +13,12 @@ from sunarc.api.schemas.record import CalibrationSummary, Decision
 _REFUSALS = answers(400, 403, 404, 408, 409, 413, 415, 422)
 
 
-def decision_routes(served: Served) -> APIRouter:
+def decision_routes(served: ApiContext) -> APIRouter:
     """Return the routes that let a person decide which calibration answers."""
     routes = APIRouter(
         prefix="/calibrations/{calibration_id}",
         tags=["calibrations"],
-        dependencies=[Depends(changing_needs(served.token))],
+        dependencies=[Depends(require_write_token(served.token))],
         responses=_REFUSALS,
     )
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
-from sunarc.api.context import Kept, Served
+from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.problems import answers
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import Time
@@ -44,11 +44,11 @@ _EXPORTED: dict[int | str, dict[str, Any]] = {
 }
 
 
-def calibration_routes(served: Served) -> APIRouter:
+def calibration_routes(served: ApiContext) -> APIRouter:
     """Return the routes that tell calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
-    made = {name: Kept(partial(_exported, name), key=tag_of) for name in FORMATS}
+    made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in FORMATS}
     written = _Written()
 
     @routes.get("/calibration", responses=_EXPORTED | answers(404, 422))
@@ -74,8 +74,8 @@ def calibration_routes(served: Served) -> APIRouter:
         """Return the history, the newest first, refused candidates with their reasons."""
         chosen, page = served.of(request), page_at(cursor, limit)
         found = chosen.archive.calibrations(chosen.camera, state=state, until=page.until(None), limit=page.rows)
-        told, following = page.cut(found, request, time=lambda record: record.created_at)
-        return Calibrations(calibrations=[summary(record) for record in told], next=following)
+        rows, following = page.cut(found, request, time=lambda record: record.created_at)
+        return Calibrations(calibrations=[summary(record) for record in rows], next=following)
 
     @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
     def one(request: Request, calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
@@ -152,7 +152,7 @@ def _exported(wanted: Format, record: CalibrationRecord) -> Exported:
 
 def _export(
     record: CalibrationRecord,
-    made: dict[Format, Kept[CalibrationRecord, Exported]],
+    made: dict[Format, SingleFlightCache[CalibrationRecord, Exported]],
     wanted: Format,
     if_none_match: str | None,
 ) -> Response:

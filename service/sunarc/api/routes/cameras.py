@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.schemas.record import CameraRecordOut, Cameras
 
 
-def camera_routes(served: Served) -> APIRouter:
+def camera_routes(served: ApiContext) -> APIRouter:
     """Return the routes that tell which cameras there are."""
     routes = APIRouter(tags=["cameras"])
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request
 
-from sunarc.api.context import Served
-from sunarc.api.middleware.authentication import changing_needs
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.schemas.parameters import SolarDate
 from sunarc.api.schemas.record import DayAirIn, DayAirOut
@@ -17,7 +17,7 @@ from sunarc.archive import DayAir
 Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
 
 
-def day_air_routes(served: Served) -> APIRouter:
+def day_air_routes(served: ApiContext) -> APIRouter:
     """Return the routes that take and answer the measured air of days."""
     routes = APIRouter(prefix="/days/{date}/air", tags=["record"])
 
@@ -30,7 +30,7 @@ def day_air_routes(served: Served) -> APIRouter:
 
     @routes.put(
         "",
-        dependencies=[Depends(changing_needs(served.token))],
+        dependencies=[Depends(require_write_token(served.token))],
         responses=answers(400, 403, 404, 408, 413, 415, 422),
     )
     def set_day_air(request: Request, date: Day, air: DayAirIn) -> DayAirOut:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.day_air import air_out
@@ -30,7 +30,7 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
 }
 
 
-def record_routes(served: Served) -> APIRouter:
+def record_routes(served: ApiContext) -> APIRouter:
     """Return the routes that tell what was."""
     routes = APIRouter(tags=["record"])
 
@@ -46,8 +46,8 @@ def record_routes(served: Served) -> APIRouter:
         """Tell the verdicts of the solar days with since <= date < until, the newest first."""
         chosen, page = served.of(request), page_at(cursor, limit)
         found = chosen.archive.days(chosen.camera, since=since, until=page.until_date(until), limit=page.rows)
-        told, following = page.cut(found, request, time=lambda day: day.date)
-        return Days(days=days_out(chosen, told), next=following)
+        rows, following = page.cut(found, request, time=lambda day: day.date)
+        return Days(days=days_out(chosen, rows), next=following)
 
     @routes.get("/events", responses=answers(422))
     def events(
@@ -64,8 +64,8 @@ def record_routes(served: Served) -> APIRouter:
         found = chosen.archive.events(
             chosen.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
         )
-        told, following = page.cut(found, request, time=lambda event: event.time)
-        return Events(events=[EventOut(**asdict(event)) for event in told], next=following)
+        rows, following = page.cut(found, request, time=lambda event: event.time)
+        return Events(events=[EventOut(**asdict(event)) for event in rows], next=following)
 
     @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
     def latest_image(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
@@ -75,7 +75,7 @@ def record_routes(served: Served) -> APIRouter:
     return routes
 
 
-def days_out(served: Served, days: Sequence[Day]) -> list[DayOut]:
+def days_out(served: ApiContext, days: Sequence[Day]) -> list[DayOut]:
     """Return days, with their measured air where there is one, as an answer."""
     if not days:
         return []
@@ -91,7 +91,7 @@ def _row(day: Day) -> dict[str, Any]:
     return row
 
 
-def _image(served: Served, if_none_match: str | None) -> Response:
+def _image(served: ApiContext, if_none_match: str | None) -> Response:
     path = served.latest_image()
     if path is None:
         raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")

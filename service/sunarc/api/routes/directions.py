@@ -10,9 +10,9 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, rows_told
+from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, row_responses
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.schemas.parameters import Time
@@ -22,7 +22,7 @@ from sunarc.sky import direction_from_angles
 FloatArray = NDArray[np.float64]
 
 
-def direction_routes(served: Served, places: Places) -> APIRouter:
+def direction_routes(served: ApiContext, places: Places) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
     failures = answers(404, 408, 413, 415, 422)
@@ -30,7 +30,7 @@ def direction_routes(served: Served, places: Places) -> APIRouter:
     @routes.post(
         "/back-project",
         response_model=BackProjectAnswer,
-        responses=rows_told(BACK_PROJECTED) | failures,
+        responses=row_responses(BACK_PROJECTED) | failures,
         openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
     )
     async def back_project(request: Request, at: Time | None = None) -> Response:
@@ -40,7 +40,7 @@ def direction_routes(served: Served, places: Places) -> APIRouter:
     @routes.post(
         "/project",
         response_model=ProjectAnswer,
-        responses=rows_told(PROJECTED) | failures,
+        responses=row_responses(PROJECTED) | failures,
         openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
     )
     async def project(request: Request, at: Time | None = None) -> Response:
@@ -105,6 +105,8 @@ def _tell_pixels(_answering: Answering, rows: Rows) -> dict[str, Any]:
 
 
 _BACK_PROJECTION = Computation(
-    read=read_pixels, columns=(2,), answer=_back_project, told=BACK_PROJECTED, tell=_tell_directions
+    read=read_pixels, columns=(2,), answer=_back_project, answer_columns=BACK_PROJECTED, tell=_tell_directions
 )
-_PROJECTION = Computation(read=_read_directions, columns=(3,), answer=_project, told=PROJECTED, tell=_tell_pixels)
+_PROJECTION = Computation(
+    read=_read_directions, columns=(3,), answer=_project, answer_columns=PROJECTED, tell=_tell_pixels
+)

@@ -10,9 +10,9 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, rows_told
+from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, row_responses
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import known_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
@@ -38,14 +38,14 @@ LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 """Columns of what is told of a cloud and its shadow."""
 
 
-def geolocation_routes(served: Served, places: Places) -> APIRouter:
+def geolocation_routes(served: ApiContext, places: Places) -> APIRouter:
     """Return the route that tells where clouds are."""
     routes = APIRouter(tags=["directions"])
 
     @routes.post(
         "/geolocate",
         response_model=GeolocateAnswer,
-        responses=rows_told(LOCATED) | answers(404, 408, 413, 415, 422),
+        responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of("GeolocateRequest", "(n, 3) x, y in px and the cloud base's height in m."),
     )
     async def geolocate(request: Request, at: Time | None = None) -> Response:
@@ -98,15 +98,15 @@ def _tell(answering: Answering, rows: Rows) -> dict[str, Any]:
     return {
         "time": answering.moment,
         "sun": {"apparent_zenith": float(sun.apparent_zenith), "azimuth": float(sun.azimuth)},
-        "cloud": _told(rows[:, :10]),
-        "shadow": _told(rows[:, 10:]),
+        "cloud": _columns_by_name(rows[:, :10]),
+        "shadow": _columns_by_name(rows[:, 10:]),
     }
 
 
-def _told(rows: Rows) -> dict[str, Any]:
+def _columns_by_name(rows: Rows) -> dict[str, Any]:
     singles = {name: rows[:, k].tolist() for k, name in enumerate(_OF_ONE[:7])}
     spread = [None if row is None else [row[:2], row[1:]] for row in known_rows(rows[:, 7:])]
     return singles | {"covariance_m2": spread}
 
 
-_GEOLOCATION = Computation(read=_read, columns=(3,), answer=_locate, told=LOCATED, tell=_tell, double=True)
+_GEOLOCATION = Computation(read=_read, columns=(3,), answer=_locate, answer_columns=LOCATED, tell=_tell, double=True)

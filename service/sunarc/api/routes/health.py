@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import Fault, answers, problem_response
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.routes.days_and_events import days_out
@@ -27,7 +27,7 @@ from sunarc.api.schemas.calibration import (
 from sunarc.runtime.status import StatusSnapshot
 
 
-def health_routes(served: Served, registry: CollectorRegistry) -> APIRouter:
+def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
     """Return the routes that tell how the service is."""
     routes = APIRouter(tags=["health"])
 
@@ -73,7 +73,7 @@ def _reasons(snapshot: StatusSnapshot) -> list[ReasonOut]:
     return [ReasonOut(**asdict(reason)) for reason in snapshot.reasons]
 
 
-def _status(served: Served) -> Status:
+def _status(served: ApiContext) -> Status:
     snapshot = served.status()
     record = served.current.get(served.camera)
     days = days_out(served, served.archive.days(served.camera, limit=1))

@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 import sunarc
 from sunarc.api.arrays import BytesResponse
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import Kept, Served
+from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
@@ -48,11 +48,11 @@ Radius = Annotated[
 ]
 
 
-def map_routes(served: Served) -> APIRouter:
+def map_routes(served: ApiContext) -> APIRouter:
     """Return the route that tells what every pixel sees."""
     routes = APIRouter(tags=["directions"])
     making, sending = Places(1), Holdings(_MOST_SENT)
-    kept = Kept(_file, key=_tag, most=_MOST_FILES)
+    kept = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
 
     @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
     async def back_projection_map(
@@ -78,14 +78,14 @@ def map_routes(served: Served) -> APIRouter:
     return routes
 
 
-async def _made(kept: Kept[_Map, _MapFile], asked: _Map, making: Places, client: str | None) -> _MapFile:
+async def _made(kept: SingleFlightCache[_Map, _MapFile], asked: _Map, making: Places, client: str | None) -> _MapFile:
     """Return a map's file, which may have to be made: one at a time."""
     making.require_room(client)
     async with making.place(client):
         return await run_in_threadpool(kept.get, asked)
 
 
-def _chosen(served: Served, request: Request, at: datetime | None) -> tuple[Served, CalibrationRecord]:
+def _chosen(served: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
     chosen = served.of(request)
     return chosen, chosen.record(at)
 
@@ -103,7 +103,7 @@ class _Map:
     site : in the air of that moment, which refracts the sun; None: without a mask.
     """
 
-    served: Served
+    served: ApiContext
     record: CalibrationRecord
     format: MapFormat
     sun: tuple[datetime, float] | None
@@ -162,7 +162,7 @@ def _sun_mask(site: Site, moment: datetime, radius_deg: float, found: BackProjec
     return {"sun_mask": Variable(dimensions=("y", "x"), values=near.astype(np.uint8), attributes=attributes)}
 
 
-def _obstructions(served: Served, record: CalibrationRecord, found: BackProjectionMap) -> dict[str, Variable]:
+def _obstructions(served: ApiContext, record: CalibrationRecord, found: BackProjectionMap) -> dict[str, Variable]:
     path = served.options.obstruction_mask
     if path is None or record.camera != served.camera:
         return {}

@@ -9,7 +9,7 @@ from typing import get_args
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
 from sunarc.runtime.status import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
 
@@ -38,7 +38,7 @@ class StatusCollector(Collector):
     served : its collaborators.
     """
 
-    def __init__(self, served: Served) -> None:
+    def __init__(self, served: ApiContext) -> None:
         self._served = served
         self._stored_step_at = _stored_step_at(served)
 
@@ -70,12 +70,14 @@ class StatusCollector(Collector):
 
     def _calibration(self) -> Iterator[Metric]:
         record = self._served.archive.current_calibration(self._served.camera)
-        told = None if record is None else summary(record)
-        yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(told is not None))
-        if told is not None:
-            yield _single("sunarc_calibration_rmse_px", "Of the sightings used, in distance.", told.rmse_px)
-            yield _single("sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", told.sky_rms_deg)
-            yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(told.valid_from))
+        summary_now = None if record is None else summary(record)
+        yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(summary_now is not None))
+        if summary_now is not None:
+            yield _single("sunarc_calibration_rmse_px", "Of the sightings used, in distance.", summary_now.rmse_px)
+            yield _single(
+                "sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", summary_now.sky_rms_deg
+            )
+            yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(summary_now.valid_from))
 
 
 def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
@@ -100,7 +102,7 @@ def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
     )
 
 
-def _stored_step_at(served: Served) -> datetime | None:
+def _stored_step_at(served: ApiContext) -> datetime | None:
     """Return when the frames' clock was last set before the service started, as its events have it."""
     events = served.archive.events(served.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
     return next((event.time for event in events if event.kind == "clock_step"), None)

@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import tagged
 from sunarc.api.routes.sun import track_of
@@ -39,7 +39,7 @@ def _described(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def overlay_routes(served: Served) -> APIRouter:
+def overlay_routes(served: ApiContext) -> APIRouter:
     """Return the routes that help pages draw."""
     routes = APIRouter(tags=["drawing"])
 
@@ -66,11 +66,11 @@ def overlay_routes(served: Served) -> APIRouter:
     return routes
 
 
-def _sent(told: BaseModel, if_none_match: str | None) -> Response:
-    return tagged(told.model_dump_json().encode(), if_none_match)
+def _sent(answer: BaseModel, if_none_match: str | None) -> Response:
+    return tagged(answer.model_dump_json().encode(), if_none_match)
 
 
-def _overlay(served: Served, moment: datetime, *, past: datetime | None) -> Overlay:
+def _overlay(served: ApiContext, moment: datetime, *, past: datetime | None) -> Overlay:
     answering = served.calibration_or_none(past)
     camera = None if answering is None else answering[1].camera
     today = solar_date(moment.timestamp(), longitude=served.site.longitude)

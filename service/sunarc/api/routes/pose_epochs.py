@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request
 
-from sunarc.api.context import Served
-from sunarc.api.middleware.authentication import changing_needs
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.schemas.record import ClosedEpoch, Decision
 from sunarc.errors import NotFoundError
@@ -13,12 +13,12 @@ from sunarc.errors import NotFoundError
 _REFUSALS = answers(400, 403, 404, 408, 413, 415, 422)
 
 
-def epoch_routes(served: Served) -> APIRouter:
+def epoch_routes(served: ApiContext) -> APIRouter:
     """Return the route that undoes a pose epoch."""
     routes = APIRouter(
         prefix="/epochs/{epoch_id}",
         tags=["epochs"],
-        dependencies=[Depends(changing_needs(served.token))],
+        dependencies=[Depends(require_write_token(served.token))],
         responses=_REFUSALS,
     )
 

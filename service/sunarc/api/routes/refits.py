@@ -7,8 +7,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from sunarc.api.context import Served
-from sunarc.api.middleware.authentication import changing_needs
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import MOST_ROWS
@@ -17,14 +17,14 @@ from sunarc.archive import Refit
 from sunarc.errors import NotFoundError
 
 
-def refit_routes(served: Served) -> APIRouter:
+def refit_routes(served: ApiContext) -> APIRouter:
     """Return the routes that ask for refits and follow them."""
     routes = APIRouter(tags=["refits"])
 
     @routes.post(
         "/refits",
         status_code=202,
-        dependencies=[Depends(changing_needs(served.token))],
+        dependencies=[Depends(require_write_token(served.token))],
         responses=answers(400, 403, 408, 413, 415, 422),
     )
     def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> RefitOut:
@@ -40,8 +40,8 @@ def refit_routes(served: Served) -> APIRouter:
         """Tell the refits, the newest first, those that wait and those that ended."""
         chosen, page = served.of(request), page_at(cursor, limit)
         found = chosen.archive.refits(chosen.camera, until=page.until(None), limit=page.rows)
-        told, following = page.cut(found, request, time=lambda refit: refit.requested_at)
-        return Refits(refits=[_out(refit) for refit in told], next=following)
+        rows, following = page.cut(found, request, time=lambda refit: refit.requested_at)
+        return Refits(refits=[_out(refit) for refit in rows], next=following)
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
     def one(request: Request, refit_id: str) -> RefitOut:

@@ -12,7 +12,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from numpy.typing import NDArray
 
-from sunarc.api.context import Served
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import Residual, Sun, SunPointOut, SunPoints, SunTrack
 from sunarc.api.schemas.paging import Cursor, page_at
@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 _HORIZON_DEG = 90.0
 
 
-def sun_routes(served: Served) -> APIRouter:
+def sun_routes(served: ApiContext) -> APIRouter:
     """Return the routes that speak of the sun."""
     routes = APIRouter(tags=["sun"])
 
@@ -69,13 +69,13 @@ def sun_routes(served: Served) -> APIRouter:
             newest_first=True,
             limit=page.rows,
         )
-        told, following = page.cut(found, request, time=lambda point: point.time)
-        return _sun_points(chosen, told, residuals=residuals, following=following)
+        residual_rows, following = page.cut(found, request, time=lambda point: point.time)
+        return _sun_points(chosen, residual_rows, residuals=residuals, following=following)
 
     return routes
 
 
-def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
+def _sun(served: ApiContext, moment: datetime, *, past: datetime | None) -> Sun:
     angles = sun_angles(moment.timestamp(), served.site_at(moment))
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
     answering = served.calibration_or_none(past)
@@ -98,7 +98,7 @@ def _sun(served: Served, moment: datetime, *, past: datetime | None) -> Sun:
     )
 
 
-def track_of(served: Served, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
+def track_of(served: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
     """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
     start, end = day_bounds_unix_s(day, longitude=served.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
@@ -120,21 +120,22 @@ def track_of(served: Served, day: date, *, step_s: int, past: datetime | None = 
     )
 
 
-def _sun_points(served: Served, found: Sequence[SunPoint], *, residuals: bool, following: str | None) -> SunPoints:
+def _sun_points(served: ApiContext, found: Sequence[SunPoint], *, residuals: bool, following: str | None) -> SunPoints:
     answering = served.calibration_or_none(None) if residuals else None
-    told: list[Residual | None] = [None] * len(found)
+    residual_rows: list[Residual | None] = [None] * len(found)
     if answering is not None:
-        told = _residuals(answering[1], served, found)
+        residual_rows = _residuals(answering[1], served, found)
     return SunPoints(
         sun_points=[
-            SunPointOut(**asdict(point), residual=residual) for point, residual in zip(found, told, strict=True)
+            SunPointOut(**asdict(point), residual=residual)
+            for point, residual in zip(found, residual_rows, strict=True)
         ],
         next=following,
         calibration=None if answering is None else answering[0].id,
     )
 
 
-def _residuals(calibration: Calibration, served: Served, points: Sequence[SunPoint]) -> list[Residual | None]:
+def _residuals(calibration: Calibration, served: ApiContext, points: Sequence[SunPoint]) -> list[Residual | None]:
     """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
     seen = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)

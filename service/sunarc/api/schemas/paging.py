@@ -63,13 +63,13 @@ class Page:
         request : the question, which the link repeats.
         time : tells a row's time, or date.
         """
-        told = found[self.skip : self.skip + self.limit]
+        rows = found[self.skip : self.skip + self.limit]
         if len(found) < self.rows:
-            return told, None
-        last = time(told[-1])
+            return rows, None
+        last = time(rows[-1])
         seen = sum(time(row) == last for row in found[: self.skip + self.limit])
         asked = [(name, value) for name, value in parse_qsl(request.url.query) if name != "cursor"]
-        return told, f"{request.url.path}?{urlencode([*asked, ('cursor', _written(last, seen))])}"
+        return rows, f"{request.url.path}?{urlencode([*asked, ('cursor', _written(last, seen))])}"
 
 
 def page_at(cursor: str | None, limit: int) -> Page:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from sunarc.calibration.change_detection.residual_model import Window
-from sunarc.calibration.pose.gaussian_conditioning import held_to, log_evidence
+from sunarc.calibration.change_detection.residual_model import ResidualModel
+from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _ONSETS_BACK = (0, 2, 6, 14)
 """Sightings before the change at which the episode may have begun; a slow one is trusted at first."""
 
 
-def drift_evidence(window: Window, first: int) -> float:
+def drift_evidence(window: ResidualModel, first: int) -> float:
     """Return the log evidence of the last sightings under an episode of cloud, averaged over its unknown numbers.
 
     Parameters
@@ -46,11 +46,11 @@ def drift_evidence(window: Window, first: int) -> float:
             best, likeliest = reached[-1], (begin, amplitude_px, time_s)
     # the likeliest one once more, with false sightings among the episode's
     inliers = _inliers(window, likeliest[0])
-    among_false = held_to(_with_drift(window, *likeliest), window.seen, inliers).log_evidence
+    among_false = fit_inlier_mixture(_with_drift(window, *likeliest), window.seen, inliers).log_evidence
     return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
-def _inliers(window: Window, begin: int) -> NDArray[np.bool_]:
+def _inliers(window: ResidualModel, begin: int) -> NDArray[np.bool_]:
     return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
 
 
@@ -60,7 +60,7 @@ def _begin_of_last_run(rows: NDArray[np.int64]) -> int:
     return int(rows[breaks[-1] + 1] if breaks.size else rows[0])
 
 
-def _with_drift(window: Window, begin: int, amplitude_px: float, time_s: float) -> FloatArray:
+def _with_drift(window: ResidualModel, begin: int, amplitude_px: float, time_s: float) -> FloatArray:
     """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
     times = window.watch.unix_s[begin:]
     apart = math.sqrt(5.0) * np.abs(times[:, None] - times) / time_s

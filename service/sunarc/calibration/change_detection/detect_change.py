@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from sunarc.calibration.change_detection.hypotheses import explain
-from sunarc.calibration.change_detection.residual_model import Window, window_of
-from sunarc.calibration.change_detection.values import Change, Watch, Watched, WatchOptions
+from sunarc.calibration.change_detection.hypotheses import best_hypothesis
+from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
+from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.sky import Site
 
@@ -28,16 +28,16 @@ _SPANS = (4, 8, 16, 32)
 _BIASED = 25.0
 
 
-def observe(
-    watch: Watch,
-    seen: Watched,
+def update_window(
+    watch: SightingWindow,
+    seen: Sighting,
     *,
     calibration: Calibration,
     site: Site,
     options: WatchOptions,
     clock_stepped: bool = False,
     posed_from_few: bool = False,
-) -> tuple[Watch, Change | None]:
+) -> tuple[SightingWindow, Change | None]:
     """Return what is remembered after one more sighting, and the change that it makes plain, if any.
 
     Parameters
@@ -58,7 +58,7 @@ def observe(
     one_sided = biased(grown)
     if not (one_sided or distrusted(grown)):
         return grown, None
-    change = explain(
+    change = best_hypothesis(
         window_of(grown, calibration, options),
         site=site,
         options=options,
@@ -69,20 +69,20 @@ def observe(
     return grown, change
 
 
-def biased(watch: Watch) -> bool:
+def biased(watch: SightingWindow) -> bool:
     """Return whether the trusted sightings of late lie off all to one side."""
     agreeing = watch.surprise[watch.trusted]
     spans = [agreeing[-span:] for span in _SPANS if agreeing.shape[0] >= span]
     return any(float(np.sum(part.sum(axis=0) ** 2)) / part.shape[0] > _BIASED for part in spans)
 
 
-def distrusted(watch: Watch) -> bool:
+def distrusted(watch: SightingWindow) -> bool:
     """Return whether half of the last sightings disagree with those before them, the last one too."""
     late = watch.trusted[-_LOOKED_BACK:]
     return not watch.trusted[-1] and int(np.sum(~late)) >= _DISTRUSTED
 
 
-def _surprise(window: Window) -> FloatArray:
+def _surprise(window: ResidualModel) -> FloatArray:
     """Return (2,): how far the last sighting lies from what the trusted ones before let one expect, whitened."""
     known = np.repeat(window.watch.trusted, 2)
     known[-2:] = False

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.change_detection.cloud_drift import drift_evidence
-from sunarc.calibration.change_detection.report import told
-from sunarc.calibration.change_detection.residual_model import Window, errors_at
+from sunarc.calibration.change_detection.report import describe_change
+from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
 from sunarc.calibration.change_detection.values import Change, ChangeKind, WatchOptions
 from sunarc.calibration.pose.error_model import joined, predicted, turned
-from sunarc.calibration.pose.gaussian_conditioning import Held, Sightings, held_to
+from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
 from sunarc.calibration.pose.residuals import finite
-from sunarc.calibration.pose.rotation_consensus import likely_turn
+from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site, sun_directions
 
@@ -48,7 +48,7 @@ _OF_LENS: dict[ChangeKind, tuple[int, ...]] = {"refocus": (0,), "shift": (3, 4),
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Explanation:
+class Hypothesis:
     """What the sightings from one on would be if something had changed.
 
     Attributes
@@ -71,11 +71,11 @@ class Explanation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Weighed:
+class ScoredHypothesis:
     """An explanation with what the sightings say of it."""
 
-    of: Explanation
-    held: Held
+    of: Hypothesis
+    held: MixtureFit
 
     @property
     def evidence(self) -> float:
@@ -85,21 +85,21 @@ class Weighed:
     @property
     def agreeing(self) -> int:
         """How many sightings after the change agree with it."""
-        return int(self.held.believed[self.of.first :].sum())
+        return int(self.held.inlier[self.of.first :].sum())
 
 
-def explain(
-    window: Window, *, site: Site, options: WatchOptions, small: bool, clock_stepped: bool, posed_from_few: bool
+def best_hypothesis(
+    window: ResidualModel, *, site: Site, options: WatchOptions, small: bool, clock_stepped: bool, posed_from_few: bool
 ) -> Change | None:
     """Return the change that explains the last sightings far better than none does; None where there is none.
 
     Parameters
     ----------
-    window, site, options : see `observe`.
+    window, site, options : see `update_window`.
     small : whether to look for changes so small that sightings were trusted in spite of them.
-    clock_stepped, posed_from_few : see `observe`.
+    clock_stepped, posed_from_few : see `update_window`.
     """
-    nothing = held_to(window.covariance, window.seen, window.watch.trusted)
+    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted)
     best = _best_turn(window, small=small, least=options.least_agreeing)
     best = best or _lens_alone(window)
     if not best:
@@ -109,7 +109,7 @@ def explain(
     gain = chosen.evidence - nothing.log_evidence
     if gain < options.least_gain or chosen.agreeing < options.least_agreeing:
         return None
-    if chosen.agreeing < int(nothing.believed[chosen.of.first :].sum()):
+    if chosen.agreeing < int(nothing.inlier[chosen.of.first :].sum()):
         return None
     clearer = _LENS_CLEARER_THAN_CLOUD if chosen.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
     if chosen.evidence - drift_evidence(window, chosen.of.first) < clearer:
@@ -117,10 +117,10 @@ def explain(
     alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
     near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > chosen.evidence - _CLEARER}
     perhaps = tuple(sorted(near)) if chosen.of.kind == "bump" else ()
-    return told(window, chosen.of, chosen.held, gain=gain, alike=alike, perhaps=perhaps)
+    return describe_change(window, chosen.of, chosen.held, gain=gain, alike=alike, perhaps=perhaps)
 
 
-def _best_turn(window: Window, *, small: bool, least: int) -> list[Weighed]:
+def _best_turn(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
     """Return the turns from one sighting on that may be, the best first; a change begins with what was not trusted."""
     n = len(window.watch)
     recent = range(max(n - _RECENT, 0), n - least + 1)
@@ -134,15 +134,15 @@ def _best_turn(window: Window, *, small: bool, least: int) -> list[Weighed]:
     return sorted(turns, key=lambda turn: -turn.evidence)
 
 
-def _turns(window: Window, places: list[int], *, least: int) -> list[Weighed]:
+def _turns(window: ResidualModel, places: list[int], *, least: int) -> list[ScoredHypothesis]:
     found = [_turn_from(window, first, least=least) for first in places]
     return sorted((turn for turn in found if turn is not None), key=lambda turn: -turn.evidence)
 
 
-def _weigh(window: Window, explanation: Explanation) -> Weighed:
+def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     """Return an explanation with its evidence."""
     before = np.arange(explanation.first)
-    after = predicted(window.belief, explanation.camera, explanation.directions)
+    after = predicted(window.error_model, explanation.camera, explanation.directions)
     at = joined(window.at.select(before), after)
     residual = np.concatenate([window.seen.residual[before], finite(explanation.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
@@ -154,21 +154,21 @@ def _weigh(window: Window, explanation: Explanation) -> Weighed:
     off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
     rough = _FAR_PX if explanation.kind in _OF_LENS else _CLOSE_PX
     close = off < _CLOSE * np.sqrt(seen.variance[explanation.first :]) + rough
-    believed = np.concatenate([window.watch.trusted[before], close])
-    return Weighed(of=explanation, held=held_to(covariance, seen, believed))
+    inlier = np.concatenate([window.watch.trusted[before], close])
+    return ScoredHypothesis(of=explanation, held=fit_inlier_mixture(covariance, seen, inlier))
 
 
 def _flat(rows: FloatArray) -> FloatArray:
     return rows.reshape(-1, rows.shape[-1])
 
 
-def _turn_from(window: Window, first: int, *, least: int) -> Weighed | None:
+def _turn_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
     """Return the turn that most sightings from one on agree with; None where fewer than `least` do."""
     watch = window.watch
     directions, pixels = watch.directions[first:], watch.pixels[first:]
     spread = np.diag(window.covariance).reshape(-1, 2).mean(axis=1)[first:]
     tolerance = np.sqrt(window.seen.variance[first:] + np.minimum(spread, _LARGEST_SPREAD_PX2))
-    turn = likely_turn(window.camera, directions, pixels, tolerance)
+    turn = ransac_rotation(window.camera, directions, pixels, tolerance)
     apart = finite(pixels - project_fast(turned(window.camera, turn), directions))
     if np.sum(np.linalg.norm(apart, axis=-1) < _CLOSE * tolerance) < least:
         return None
@@ -176,11 +176,13 @@ def _turn_from(window: Window, first: int, *, least: int) -> Weighed | None:
     return _weigh(window, _turning(window, first, turn, size * np.eye(3), kind="bump"))
 
 
-def _turning(window: Window, first: int, turn: FloatArray, freedom: FloatArray, *, kind: ChangeKind) -> Explanation:
-    size = window.belief.mean.size
+def _turning(
+    window: ResidualModel, first: int, turn: FloatArray, freedom: FloatArray, *, kind: ChangeKind
+) -> Hypothesis:
+    size = window.error_model.mean.size
     free, mean = np.zeros((size, freedom.shape[1])), np.zeros(size)
-    free[window.belief.turn], mean[window.belief.turn] = freedom, -turn
-    return Explanation(
+    free[window.error_model.turn], mean[window.error_model.turn] = freedom, -turn
+    return Hypothesis(
         kind=kind,
         first=first,
         camera=turned(window.camera, turn),
@@ -191,7 +193,9 @@ def _turning(window: Window, first: int, turn: FloatArray, freedom: FloatArray, 
     )
 
 
-def _rivals(window: Window, best: Weighed, site: Site, *, posed_from_few: bool) -> list[Weighed]:
+def _rivals(
+    window: ResidualModel, best: ScoredHypothesis, site: Site, *, posed_from_few: bool
+) -> list[ScoredHypothesis]:
     """Return the other explanations of what the best turn explains."""
     still = _turning(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
     others = [_clock(window, best, site), *_flips(window, site, best.of.first), _other_lens(window, best.of)]
@@ -202,10 +206,10 @@ def _rivals(window: Window, best: Weighed, site: Site, *, posed_from_few: bool) 
     return [_weigh(window, other) for other in others]
 
 
-def _clock(window: Window, best: Weighed, site: Site) -> Explanation:
+def _clock(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
     """Return the turn about the celestial pole alone that comes nearest to a turn."""
     pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_of(site)
-    nearest = float(-best.of.mean[window.belief.turn] @ pole)
+    nearest = float(-best.of.mean[window.error_model.turn] @ pole)
     size = max(abs(nearest), _SMALLEST_TURN_RAD)
     turn = nearest * pole
     return _turning(window, best.of.first, turn, size * pole[:, None], kind="clock")
@@ -217,10 +221,10 @@ def pole_of(site: Site) -> FloatArray:
     return np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
-def _flips(window: Window, site: Site, first: int) -> list[Explanation]:
+def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
     """Return the explanations without any free number: a mirrored image, a site with a wrong sign."""
-    watch, size = window.watch, window.belief.mean.size
-    plain = Explanation(
+    watch, size = window.watch, window.error_model.mean.size
+    plain = Hypothesis(
         kind="mirrored",
         first=first,
         camera=window.camera,
@@ -241,10 +245,10 @@ def _flips(window: Window, site: Site, first: int) -> list[Explanation]:
     ]
 
 
-def _other_lens(window: Window, turn: Explanation, *, kind: ChangeKind = "lens") -> Explanation:
+def _other_lens(window: ResidualModel, turn: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
     """Return a turn with a lens of which little is known, or of which only the focus or the place is another."""
-    names = list(window.belief.chosen)
-    camera, size = window.camera, window.belief.mean.size
+    names = list(window.error_model.chosen)
+    camera, size = window.camera, window.error_model.mean.size
     spread = {
         0: _FOCAL_SHARE * camera.focal_length_px[0],
         3: _CENTER_SHARE * camera.width,
@@ -261,22 +265,22 @@ def _other_lens(window: Window, turn: Explanation, *, kind: ChangeKind = "lens")
     return replace(turn, kind=kind, free=np.concatenate([turn.free, columns], axis=1))
 
 
-def _lens_alone(window: Window) -> list[Weighed]:
+def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
     """Return a change of the lens where nothing has agreed for long, and no turn explains it."""
     late = window.watch.trusted[-_LONG:]
     if late.size < _LONG or np.any(late):
         return []
     first = int(np.flatnonzero(window.watch.trusted)[-1]) + 1 if np.any(window.watch.trusted) else 0
     directions, pixels = window.watch.directions[first:], window.watch.pixels[first:]
-    turn = likely_turn(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
+    turn = ransac_rotation(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
     size = max(float(np.linalg.norm(turn)), _SMALLEST_TURN_RAD)
     return [_weigh(window, _other_lens(window, _turning(window, first, turn, size * np.eye(3), kind="bump")))]
 
 
-def _chosen(best: Weighed, rivals: list[Weighed], *, clock_stepped: bool) -> Weighed:
+def _chosen(best: ScoredHypothesis, rivals: list[ScoredHypothesis], *, clock_stepped: bool) -> ScoredHypothesis:
     """Return the explanation to name: a turn, unless a rarer one is clearly better, or the host's clock was set."""
 
-    def handicap(weighed: Weighed) -> float:
+    def handicap(weighed: ScoredHypothesis) -> float:
         if weighed.of.kind == "clock":
             return -_CLEARER if clock_stepped else _CLOCK_PRIOR
         return _CLEARER

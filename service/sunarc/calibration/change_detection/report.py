@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.change_detection.residual_model import Window
+from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.change_detection.values import Change, ChangeKind
-from sunarc.calibration.pose.error_model import Stated, predicted
-from sunarc.calibration.pose.gaussian_conditioning import Held, Sightings, conditioned
+from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
+from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
 from sunarc.calibration.pose.residuals import finite
 
 if TYPE_CHECKING:
-    from sunarc.calibration.change_detection.hypotheses import Explanation
+    from sunarc.calibration.change_detection.hypotheses import Hypothesis
 
 FloatArray = NDArray[np.float64]
 
@@ -52,10 +52,10 @@ _WHAT: dict[ChangeKind, str] = {
 }
 
 
-def told(
-    window: Window,
-    explanation: Explanation,
-    held: Held,
+def describe_change(
+    window: ResidualModel,
+    explanation: Hypothesis,
+    held: MixtureFit,
     *,
     gain: float,
     alike: list[int],
@@ -71,10 +71,10 @@ def told(
     perhaps : other kinds that do.
     """
     first, times = explanation.first, window.watch.unix_s
-    sure = first + int(np.argmax(held.believed[first:]))
+    sure = first + int(np.argmax(held.inlier[first:]))
     early, late = min([first, *alike]), max([sure, *alike])
     size, sigma = _size(window, explanation, held)
-    agreeing = int(held.believed[first:].sum())
+    agreeing = int(held.inlier[first:].sum())
     what = _WHAT[explanation.kind].format(size=size, sigma=sigma)
     of = len(window.watch) - first
     return Change(
@@ -98,9 +98,9 @@ def _or(perhaps: tuple[ChangeKind, ...]) -> str:
     return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: it looks alike so far)" if perhaps else ""
 
 
-def _size(window: Window, explanation: Explanation, held: Held) -> tuple[float, float]:
+def _size(window: ResidualModel, explanation: Hypothesis, held: MixtureFit) -> tuple[float, float]:
     """Return how large a change is, in its unit, with its 1-sigma; 0 where that has no meaning."""
-    names, turn = list(window.belief.chosen), window.belief.turn
+    names, turn = list(window.error_model.chosen), window.error_model.turn
     if explanation.kind not in ("bump", "clock", "refocus", "shift") or not {_FOCAL, *_CENTER} <= set(names):
         return 0.0, 0.0
     after = _after(window, explanation, held)
@@ -119,14 +119,14 @@ def _size(window: Window, explanation: Explanation, held: Held) -> tuple[float, 
     return unit * float(axis @ change), abs(unit) * sigma
 
 
-def _after(window: Window, explanation: Explanation, held: Held) -> Stated:
+def _after(window: ResidualModel, explanation: Hypothesis, held: MixtureFit) -> CameraErrorModel:
     """Return what is believed of the explanation's camera after the sightings that agree with it."""
     free = explanation.free
-    before = replace(window.belief, mean=explanation.mean, covariance=window.belief.covariance + free @ free.T)
-    at = predicted(window.belief, explanation.camera, explanation.directions)
-    believed = held.believed[explanation.first :]
-    noise = window.seen.variance[explanation.first :][believed]
-    seen = Sightings(
-        residual=finite(explanation.pixels - at.pixels)[believed], variance=noise, false_density=0.0 * noise
+    before = replace(
+        window.error_model, mean=explanation.mean, covariance=window.error_model.covariance + free @ free.T
     )
-    return conditioned(before, at.select(believed), seen)
+    at = predicted(window.error_model, explanation.camera, explanation.directions)
+    inlier = held.inlier[explanation.first :]
+    noise = window.seen.variance[explanation.first :][inlier]
+    seen = Sightings(residual=finite(explanation.pixels - at.pixels)[inlier], variance=noise, false_density=0.0 * noise)
+    return conditioned(before, at.select(inlier), seen)

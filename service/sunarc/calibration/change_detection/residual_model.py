@@ -8,10 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.change_detection.values import Watch, WatchOptions
+from sunarc.calibration.change_detection.values import SightingWindow, WatchOptions
 from sunarc.calibration.least_squares.problem import by_elevation
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import Predicted, Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.error_model import (
+    CameraErrorModel,
+    Predicted,
+    at_every_angle,
+    joint_covariance,
+    predicted,
+    stated,
+)
 from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density
 from sunarc.calibration.pose.residuals import finite, noise_px
 from sunarc.optics import Camera, project_with_rows_fast
@@ -24,7 +31,7 @@ _AIR_SD = math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Window:
+class ResidualModel:
     """Sightings, a calibration, and how far the two may lie apart when nothing has changed.
 
     Attributes
@@ -38,9 +45,9 @@ class Window:
     air : (2n, 2n) covariance of the sun's places, their air being the assumed one, px².
     """
 
-    watch: Watch
+    watch: SightingWindow
     camera: Camera
-    belief: Stated
+    error_model: CameraErrorModel
     at: Predicted
     covariance: FloatArray
     seen: Sightings
@@ -48,10 +55,10 @@ class Window:
     air: FloatArray
 
 
-def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> Window:
+def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
     """Return the sightings held to a calibration."""
-    belief, camera = stated(calibration), at_every_angle(calibration.camera)
-    at = predicted(belief, camera, watch.directions)
+    error_model, camera = stated(calibration), at_every_angle(calibration.camera)
+    at = predicted(error_model, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)
     wander = wandering(watch.unix_s, options)
     air = _of_air(camera, watch.directions, calibration.site)
@@ -60,21 +67,21 @@ def window_of(watch: Watch, calibration: Calibration, options: WatchOptions) -> 
         variance=noise_px(calibration, watch.sigma_px) ** 2,
         false_density=false_density(residual, area_px2=float(camera.width * camera.height)),
     )
-    return Window(
+    return ResidualModel(
         watch=watch,
         camera=camera,
-        belief=belief,
+        error_model=error_model,
         at=at,
-        covariance=joint_covariance(belief, at) + _of_turns(belief, at, wander) + air,
+        covariance=joint_covariance(error_model, at) + _of_turns(error_model, at, wander) + air,
         seen=seen,
         wander=wander,
         air=air,
     )
 
 
-def errors_at(window: Window, at: Predicted) -> FloatArray:
+def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the calibration's errors where another camera sees the sun."""
-    return joint_covariance(window.belief, at) + _of_turns(window.belief, at, window.wander) + window.air
+    return joint_covariance(window.error_model, at) + _of_turns(window.error_model, at, window.wander) + window.air
 
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
@@ -91,6 +98,6 @@ def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
     return np.outer(shift, shift)
 
 
-def _of_turns(belief: Stated, at: Predicted, wander: FloatArray) -> FloatArray:
-    flat = at.rows[..., belief.turn].reshape(-1, 3)
+def _of_turns(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) -> FloatArray:
+    flat = at.rows[..., error_model.turn].reshape(-1, 3)
     return (flat @ flat.T) * np.kron(wander, np.ones((2, 2)))

@@ -48,7 +48,7 @@ class WatchOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Watched:
+class Sighting:
     """One sighting as the watch sees it.
 
     Attributes
@@ -74,7 +74,7 @@ def _mask() -> BoolArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Watch:
+class SightingWindow:
     """The last sightings, the oldest first; a value: every look makes a new one.
 
     Attributes
@@ -95,17 +95,17 @@ class Watch:
     def __len__(self) -> int:
         return int(self.unix_s.size)
 
-    def since(self, unix_s: float) -> Watch:
+    def since(self, unix_s: float) -> SightingWindow:
         """Return what is remembered from a moment on."""
         return self._picked(self.unix_s >= unix_s)
 
-    def last(self, count: int) -> Watch:
+    def last(self, count: int) -> SightingWindow:
         """Return the last ones."""
         return self._picked(np.arange(len(self)) >= len(self) - count)
 
-    def with_one(self, seen: Watched, *, trusted: bool, surprise: FloatArray) -> Watch:
+    def with_one(self, seen: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
         """Return this with one more sighting."""
-        return Watch(
+        return SightingWindow(
             unix_s=np.append(self.unix_s, seen.unix_s),
             pixels=np.vstack([self.pixels, seen.pixel]),
             directions=np.vstack([self.directions, seen.direction]),
@@ -114,8 +114,8 @@ class Watch:
             surprise=np.vstack([self.surprise, surprise]),
         )
 
-    def _picked(self, which: BoolArray) -> Watch:
-        return Watch(
+    def _picked(self, which: BoolArray) -> SightingWindow:
+        return SightingWindow(
             unix_s=self.unix_s[which],
             pixels=self.pixels[which],
             directions=self.directions[which],

@@ -18,8 +18,8 @@ from sunarc.calibration.model.covariance import last_angle, pose_error, sky_sigm
 from sunarc.calibration.model.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
-from sunarc.calibration.model.result import Calibration, Evidence, Verdict
-from sunarc.calibration.model.sightings import SunPoints, Usable
+from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, own_verdict
 from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector
 from sunarc.sky import Site
@@ -33,7 +33,7 @@ class Job(NamedTuple):
     """What a calibration was asked for, and the sightings that it can use."""
 
     points: SunPoints
-    usable: Usable
+    usable: FilteredSightings
     site: Site
     image_size: tuple[int, int]
     options: CalibrationOptions
@@ -60,7 +60,7 @@ class Fitted(NamedTuple):
     held_out: HeldOut | None
 
 
-def finished(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
+def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
     """Return the calibration that a fit makes."""
     usable, options = job.usable, job.options
     cameras = [tidied(camera, options) for camera in fitted.cameras]
@@ -108,7 +108,7 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     )
 
 
-def _metrics(fitted: Fitted, usable: Usable, cameras: list[Camera]) -> Metrics:
+def _metrics(fitted: Fitted, usable: FilteredSightings, cameras: list[Camera]) -> Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
         mine = usable.epoch == epoch
@@ -134,8 +134,8 @@ def _clock_error(points: SunPoints) -> float:
     return float(np.max(np.abs(stated), initial=0.0))
 
 
-def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Evidence:
-    return Evidence(
+def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Provenance:
+    return Provenance(
         days=_dates(job.usable),
         n_supplied=len(job.points),
         n_used=n_used,
@@ -150,7 +150,7 @@ def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radia
     )
 
 
-def _dates(usable: Usable) -> tuple[str, ...]:
+def _dates(usable: FilteredSightings) -> tuple[str, ...]:
     first = datetime(1970, 1, 1, tzinfo=UTC)
     return tuple((first + timedelta(days=int(day))).date().isoformat() for day in np.unique(usable.day))
 

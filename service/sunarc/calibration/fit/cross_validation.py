@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.marginal_likelihood import Marginal, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class HeldOut(NamedTuple):
     expected_px: float
 
 
-def held_out(fit: RobustFit, usable: Usable) -> HeldOut | None:
+def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
     """Return how well whole days are foretold by the others; None with fewer than two days a pose.
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
@@ -44,15 +44,15 @@ def held_out(fit: RobustFit, usable: Usable) -> HeldOut | None:
         without = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales)
         counted = mine & (fit.weight > 0.0)
         place = system.member[counted]
-        foretold = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[place]
-        found += float(np.sum(foretold**2))
+        left_out_residual = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[place]
+        found += float(np.sum(left_out_residual**2))
         noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
         expected += float(np.sum(_variance(fit, without)[place] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
 
-def _variance(fit: RobustFit, without: Marginal) -> FloatArray:
+def _variance(fit: RobustFit, without: MarginalFit) -> FloatArray:
     """Return (bins,): trace of the covariance of what a fit without some days foretells, px²."""
     rows, waves = fit.system.rows, fit.system.waves
     own = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)

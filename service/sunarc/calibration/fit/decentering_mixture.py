@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
-from sunarc.calibration.fit.normal_equations import LinearSystem, settled
+from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged
 from sunarc.calibration.initial_guess.decentering_starts import P3, P4
 from sunarc.calibration.least_squares.problem import Problem
 
@@ -42,8 +42,8 @@ class _Conditional(NamedTuple):
 
 
 def mixed_over_decentering(
-    doubt: Doubt, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
-) -> Doubt:
+    doubt: PosteriorCovariance, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
+) -> PosteriorCovariance:
     """Return the covariance with p3 and p4 integrated out.
 
     Parameters
@@ -86,7 +86,7 @@ def _conditional(
     there = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
     start[_HIGHER] = 0.0
-    found, _ = settled(there, system.moved(there, start), scales)
+    found, _ = irls_converged(there, system.moved(there, start), scales)
     about = system.moved(there, found)
     covariance = marginal_fit(about.normal(), about.basis, scales).covariance.copy()
     covariance[_HIGHER] = covariance[:, _HIGHER] = 0.0

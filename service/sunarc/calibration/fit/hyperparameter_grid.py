@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.marginal_likelihood import Normal, Scales, log_evidences
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ _NO_FIELD = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grid:
+class HyperparameterGrid:
     """The scales that are tried.
 
     Attributes
@@ -49,13 +49,15 @@ class Grid:
     log_prior: FloatArray
     basis: WaveBasis
 
-    def up_to(self, amplitude_px: float) -> Grid:
+    def up_to(self, amplitude_px: float) -> HyperparameterGrid:
         """Return the grid without larger fields than this; the smallest one always stays."""
         count = max(int(np.sum(self.amplitudes <= amplitude_px)), 1)
         return replace(self, amplitudes=self.amplitudes[:count], log_prior=self.log_prior[:count])
 
 
-def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float) -> Grid:
+def scale_grid(
+    *, width: int, height: int, floor_px: float, radial_px: float, decentering_px: float
+) -> HyperparameterGrid:
     """Return the grid of scales for an image size.
 
     Parameters
@@ -73,7 +75,7 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
     of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
     of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))
-    return Grid(
+    return HyperparameterGrid(
         amplitudes=amplitudes,
         lengths=lengths,
         lens_scales=np.stack([radial_px * radial.ravel(), decentering_px * decentering.ravel()], axis=-1),
@@ -82,7 +84,7 @@ def scale_grid(*, width: int, height: int, floor_px: float, radial_px: float, de
     )
 
 
-def likely_scales(normal: Normal, grid: Grid) -> Scales:
+def likely_scales(normal: NormalEquations, grid: HyperparameterGrid) -> Scales:
     """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others."""
     weight = scale_weights(normal, grid)
     radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
@@ -91,18 +93,18 @@ def likely_scales(normal: Normal, grid: Grid) -> Scales:
     return Scales(float(moment.sum()), length, float(radial), float(decentering))
 
 
-def log_evidence(normal: Normal, grid: Grid) -> float:
+def log_evidence(normal: NormalEquations, grid: HyperparameterGrid) -> float:
     """Return the log evidence over all scales together, but for a constant that depends on the sightings alone."""
     return float(np.logaddexp.reduce(_log_weights(normal, grid), axis=None))
 
 
-def _log_weights(normal: Normal, grid: Grid) -> FloatArray:
+def _log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
     return grid.log_prior + log_evidences(
         normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
     )
 
 
-def scale_weights(normal: Normal, grid: Grid) -> FloatArray:
+def scale_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
     """Return how probable each choice of scales is, (i, j, k)."""
     log_weight = _log_weights(normal, grid)
     weight = np.exp(log_weight - np.max(log_weight))

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.hyperparameter_grid import Grid, scale_weights
-from sunarc.calibration.fit.marginal_likelihood import Marginal, Normal, Scales, marginal_fits
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_weights
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales, marginal_fits
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -35,7 +35,7 @@ _COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Doubt:
+class PosteriorCovariance:
     """How far a fit may be off, the scales not being known.
 
     Attributes
@@ -58,7 +58,7 @@ class _Choices:
     share: FloatArray
     amplitude: FloatArray
     length: FloatArray
-    fits: list[Marginal]
+    fits: list[MarginalFit]
     shift: FloatArray
 
     def tilted(self, tilt: float) -> FloatArray:
@@ -67,7 +67,9 @@ class _Choices:
         return np.asarray(weight / weight.sum())
 
 
-def doubt(normal: Normal, grid: Grid, problem: Problem, unknowns: FloatArray) -> Doubt:
+def marginalised_covariance(
+    normal: NormalEquations, grid: HyperparameterGrid, problem: Problem, unknowns: FloatArray
+) -> PosteriorCovariance:
     """Return how far the unknowns may be off, whatever the scales are."""
     choices = _plausible(normal, grid, unknowns)
     weight = choices.tilted(_honest_tilt(choices, _at_probes(choices, grid.basis, problem, unknowns)))
@@ -77,7 +79,7 @@ def doubt(normal: Normal, grid: Grid, problem: Problem, unknowns: FloatArray) ->
         covariance += part * fit.covariance
         cross += part * fit.cross
     power = weight * choices.amplitude**2
-    return Doubt(
+    return PosteriorCovariance(
         covariance=covariance,
         cross=cross,
         amplitude_px=math.sqrt(float(power.sum())),
@@ -85,7 +87,7 @@ def doubt(normal: Normal, grid: Grid, problem: Problem, unknowns: FloatArray) ->
     )
 
 
-def _plausible(normal: Normal, grid: Grid, unknowns: FloatArray) -> _Choices:
+def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
     weight = scale_weights(normal, grid)
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
@@ -119,7 +121,7 @@ def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: 
     return np.asarray(np.stack(found) + moved[..., :, None] * moved[..., None, :])
 
 
-def _moments(rows: FloatArray, waves: FloatArray, fit: Marginal, amplitude_px: float) -> FloatArray:
+def _moments(rows: FloatArray, waves: FloatArray, fit: MarginalFit, amplitude_px: float) -> FloatArray:
     """Return (n, 2, 2): camera and field together, see `covariance`."""
     mixed = rows @ np.stack([waves @ part.T for part in fit.cross], axis=-1)
     own = (rows @ fit.covariance) @ np.swapaxes(rows, -1, -2)

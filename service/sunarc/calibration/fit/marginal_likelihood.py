@@ -1,7 +1,7 @@
 """The fit with the field marginalised, and how probable the data are under each choice of scales.
 
 With the lens and pose as θ (prior precision P about 0) and the field's coefficients as c, the sightings are
-r = J dθ + Φ c + noise. Everything needed is a few sums over the sightings (`Normal`), so that the amplitude and the
+r = J dθ + Φ c + noise. Everything needed is a few sums over the sightings (`NormalEquations`), so that the amplitude and the
 length of the field and the scale of the residual radial distortion can be tried at the price of one small
 factorisation each (generalised least squares, Laplace's approximation of the marginal likelihood).
 """
@@ -37,7 +37,7 @@ class Scales(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Normal:
+class NormalEquations:
     """Sums over the sightings: all that a fit needs of them.
 
     Attributes
@@ -63,7 +63,7 @@ class Normal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Marginal:
+class MarginalFit:
     """The fit under one choice of scales.
 
     Attributes
@@ -90,7 +90,7 @@ def normal_sums(
     at: FloatArray,
     ff: FloatArray | None = None,
     n_air: int = 0,
-) -> Normal:
+) -> NormalEquations:
     """Return the sums over sightings: rows (n, 2, p), waves (n, m), residual (n, 2), information (n,).
 
     `ff` does not change with the camera: who has it already gives it.
@@ -100,7 +100,7 @@ def normal_sums(
     f = waves * root[:, None]
     r = residual * root[:, None]
     flat = j.reshape(-1, j.shape[-1])
-    return Normal(
+    return NormalEquations(
         jj=flat.T @ flat,
         jf=np.stack([j[:, a].T @ f for a in (0, 1)]),
         ff=f.T @ f if ff is None else ff,
@@ -118,18 +118,18 @@ def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_air
     return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_air)])
 
 
-def marginal_fit(normal: Normal, basis: WaveBasis, scales: Scales) -> Marginal:
+def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> MarginalFit:
     """Return the fit under one choice of scales."""
     return marginal_fits(normal, basis, [scales])[0]
 
 
-def marginal_fits(normal: Normal, basis: WaveBasis, choices: Sequence[Scales]) -> list[Marginal]:
+def marginal_fits(normal: NormalEquations, basis: WaveBasis, choices: Sequence[Scales]) -> list[MarginalFit]:
     """Return the fits under several choices of scales."""
     reduced = {length: _Reduced.of(normal, basis, length) for length in {scales.length_px for scales in choices}}
     return [_fit(normal, reduced[scales.length_px], scales) for scales in choices]
 
 
-def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
+def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> MarginalFit:
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
     matrix = normal.jj - reduced.taken(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
@@ -140,7 +140,7 @@ def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
     covariance = 0.5 * (covariance + covariance.T)
     step = covariance @ vector
     left = reduced.residual - step @ reduced.rows
-    return Marginal(
+    return MarginalFit(
         unknowns=normal.at + step,
         gain=float(step @ vector),
         waves=(shrink * left) @ reduced.turn.T,
@@ -149,12 +149,14 @@ def _fit(normal: Normal, reduced: _Reduced, scales: Scales) -> Marginal:
     )
 
 
-def responses(normal: Normal, basis: WaveBasis, scales: Scales, *, jr: FloatArray, fr: FloatArray) -> FloatArray:
+def responses(
+    normal: NormalEquations, basis: WaveBasis, scales: Scales, *, jr: FloatArray, fr: FloatArray
+) -> FloatArray:
     """Return (k, p): by how much the fit moves where the sightings are displaced in k ways.
 
     Parameters
     ----------
-    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see `Normal`.
+    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see `NormalEquations`.
     """
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
@@ -162,7 +164,7 @@ def responses(normal: Normal, basis: WaveBasis, scales: Scales, *, jr: FloatArra
     return np.asarray((jr - explained) @ marginal_fit(normal, basis, scales).covariance)
 
 
-def penalty(normal: Normal, basis: WaveBasis, scales: Scales) -> float:
+def penalty(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
     """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
@@ -172,7 +174,7 @@ def penalty(normal: Normal, basis: WaveBasis, scales: Scales) -> float:
 
 
 def log_evidences(
-    normal: Normal, basis: WaveBasis, *, amplitudes: FloatArray, lengths: FloatArray, lens_scales: FloatArray
+    normal: NormalEquations, basis: WaveBasis, *, amplitudes: FloatArray, lengths: FloatArray, lens_scales: FloatArray
 ) -> FloatArray:
     """Return the log evidence on a grid, (amplitudes, lengths, lens_scales), but for a constant.
 
@@ -183,7 +185,9 @@ def log_evidences(
     return np.stack(each, axis=1)
 
 
-def _log_evidence(normal: Normal, reduced: _Reduced, amplitudes: FloatArray, precision: FloatArray) -> FloatArray:
+def _log_evidence(
+    normal: NormalEquations, reduced: _Reduced, amplitudes: FloatArray, precision: FloatArray
+) -> FloatArray:
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
     shrink = reduced.shrinkage(amplitudes)
     taken = np.stack([reduced.taken(row) for row in shrink])
@@ -216,7 +220,7 @@ class _Reduced:
     residual: FloatArray
 
     @classmethod
-    def of(cls, normal: Normal, basis: WaveBasis, length_px: float) -> _Reduced:
+    def of(cls, normal: NormalEquations, basis: WaveBasis, length_px: float) -> _Reduced:
         spread = np.sqrt(basis.variances(length_px=length_px))
         power, vectors = np.linalg.eigh(normal.ff * spread[:, None] * spread)
         turn = spread[:, None] * vectors

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.marginal_likelihood import Normal, Scales, marginal_fit, normal_sums, penalty
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -45,7 +45,7 @@ class LinearSystem:
     member: IntArray
     n_air: int
 
-    def normal(self) -> Normal:
+    def normal(self) -> NormalEquations:
         """Return the sums over all bins."""
         return normal_sums(
             self.rows,
@@ -57,7 +57,7 @@ class LinearSystem:
             n_air=self.n_air,
         )
 
-    def normal_of(self, which: NDArray[np.bool_]) -> Normal:
+    def normal_of(self, which: NDArray[np.bool_]) -> NormalEquations:
         """Return the sums over the bins that are picked."""
         picked = self.rows[which], self.waves[which], self.residual[which], self.seen.information[which]
         return normal_sums(*picked, at=self.at, n_air=self.n_air)
@@ -98,7 +98,7 @@ def linear_system(
     )
 
 
-def settled(problem: Problem, system: LinearSystem, scales: Scales) -> tuple[FloatArray, FloatArray]:
+def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> tuple[FloatArray, FloatArray]:
     """Return the most probable unknowns (p,) and field coefficients (2, m): Gauss-Newton with halved steps."""
     normal = system.normal()
     now = penalty(normal, system.basis, scales)

@@ -18,20 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
-from sunarc.calibration.fit.hyperparameter_grid import Grid, likely_scales, log_evidence, scale_grid
-from sunarc.calibration.fit.hyperparameter_marginalisation import Doubt, doubt
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, likely_scales, log_evidence, scale_grid
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, doubt
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
-from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system, settled
-from sunarc.calibration.initial_guess.decentering_starts import deepest_valley
+from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
+from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import information
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import Usable
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, core_sigma, tukey_loss, tukey_weights
+from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
 from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
@@ -70,9 +70,9 @@ class RobustFit:
     problem: Problem
     system: LinearSystem
     unknowns: FloatArray
-    doubt: Doubt
+    doubt: PosteriorCovariance
     scales: Scales
-    grid: Grid
+    grid: HyperparameterGrid
     residual: FloatArray
     weight: FloatArray
     sigma_px: float
@@ -107,7 +107,7 @@ class _Noise:
 
 
 def fit_robustly(
-    problem: Problem, seen: Observations, usable: Usable, start: FloatArray, *, options: CalibrationOptions
+    problem: Problem, seen: Observations, usable: FilteredSightings, start: FloatArray, *, options: CalibrationOptions
 ) -> RobustFit:
     """Return the fit of all sightings from the answer of the coarse search.
 
@@ -144,7 +144,7 @@ def fit_robustly(
     )
 
 
-def _grid(template: Camera, options: CalibrationOptions) -> Grid:
+def _grid(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
     return scale_grid(
         width=template.width,
         height=template.height,
@@ -155,8 +155,8 @@ def _grid(template: Camera, options: CalibrationOptions) -> Grid:
 
 
 def _with_field(
-    problem: Problem, seen: Observations, plain: FloatArray, grid: Grid, course: _Course
-) -> tuple[_State, _Noise, Grid]:
+    problem: Problem, seen: Observations, plain: FloatArray, grid: HyperparameterGrid, course: _Course
+) -> tuple[_State, _Noise, HyperparameterGrid]:
     """Return the rounds' answer, and the grid of scales that it took.
 
     A field is there to widen the uncertainty, and does not enter the prediction. One that lets the camera itself miss
@@ -174,7 +174,7 @@ def _with_field(
 
 
 def _rounds(
-    problem: Problem, seen: Observations, unknowns: FloatArray, grid: Grid, course: _Course
+    problem: Problem, seen: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: _Course
 ) -> tuple[_State, _Noise]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
     state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
@@ -190,7 +190,7 @@ def _rounds(
 
 def _robust_cost(problem: Problem, seen: Observations, unknowns: FloatArray, plain: FloatArray) -> float:
     """Return the data part of the robust cost, at the scale of the fit without a field."""
-    sigma = core_sigma(distance_sigmas(problem, seen, plain), floor=SMALLEST_SIGMA_PX)
+    sigma = robust_sigma(distance_sigmas(problem, seen, plain), floor=SMALLEST_SIGMA_PX)
     return float(np.sum(tukey_loss(distance_sigmas(problem, seen, unknowns), sigma=sigma)))
 
 
@@ -211,15 +211,17 @@ def _judged(problem: Problem, seen: Observations, system: LinearSystem, state: _
     return replace(state, left=problem.residuals(state.unknowns, seen) - explained[system.member])
 
 
-def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: Grid) -> _State:
+def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: HyperparameterGrid) -> _State:
     """Return the state after a solve with the scales that the data speak for."""
     scales = likely_scales(system.normal(), grid)
-    unknowns, waves = settled(problem, system, scales)
+    unknowns, waves = irls_converged(problem, system, scales)
     smooth = (system.waves @ waves.T)[system.member]
     return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales)
 
 
-def _in_assumed_air(problem: Problem, seen: Observations, bins: Bins, state: _State, grid: Grid) -> _State:
+def _in_assumed_air(
+    problem: Problem, seen: Observations, bins: Bins, state: _State, grid: HyperparameterGrid
+) -> _State:
     """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
     assumed = replace(problem, n_air=0)
     system, known = (
@@ -229,7 +231,7 @@ def _in_assumed_air(problem: Problem, seen: Observations, bins: Bins, state: _St
     if log_evidence(system.normal(), grid) - log_evidence(known.normal(), grid) > _PROOF_OF_AIR:
         return state
     scales = likely_scales(known.normal(), grid)
-    unknowns, _ = settled(assumed, known, scales)
+    unknowns, _ = irls_converged(assumed, known, scales)
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
 
@@ -238,16 +240,16 @@ def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins
     precision = prior_precision(problem.size, _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
     at = best_start(problem, seen, start, precision=precision)
     left = problem.residuals(at, seen)
-    sigma = core_sigma(distance_sigmas(problem, seen, at), floor=SMALLEST_SIGMA_PX)
+    sigma = robust_sigma(distance_sigmas(problem, seen, at), floor=SMALLEST_SIGMA_PX)
     gathered, residual = bins.gathered(seen, left, information(left, seen, sigma))
     pixels = gathered.pixels + residual - problem.residuals(at, gathered)
-    deepest = deepest_valley(problem, replace(gathered, pixels=pixels), at, precision=precision)
+    deepest = best_of_starts(problem, replace(gathered, pixels=pixels), at, precision=precision)
     return lowest(problem, seen, [at, deepest], precision=precision)
 
 
 def _noise(left: FloatArray, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
     """Return the noise as it shows beside model and field."""
     distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
-    sigma = core_sigma(distance, floor=SMALLEST_SIGMA_PX)
+    sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)
     weight = tukey_weights(distance, sigma=sigma)
     return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(left, weight, follows, run))

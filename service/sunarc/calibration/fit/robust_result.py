@@ -13,14 +13,14 @@ from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS, POSE
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import Field
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.optics import Camera
 from sunarc.optics.pose import right_jacobian
 
 FloatArray = NDArray[np.float64]
 
 
-def robust_outcome(fit: RobustFit, usable: Usable, options: CalibrationOptions) -> Fitted:
+def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions) -> Fitted:
     """Return the cameras of all epochs, and the covariance and field of the last one's."""
     last = fit.problem.n_epochs - 1
     cameras = [fit.problem.camera(fit.unknowns, epoch) for epoch in range(last + 1)]

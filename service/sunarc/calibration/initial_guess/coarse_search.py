@@ -21,7 +21,7 @@ from sunarc.calibration.least_squares.priors import N_LENS, lens_prior, precisio
 from sunarc.calibration.least_squares.problem import Observations, Problem, problem_for
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
-from sunarc.calibration.robust_loss import core_sigma
+from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, angle_limit, unproject
 
 FloatArray = NDArray[np.float64]
@@ -98,7 +98,7 @@ def _polished(
         free[[0, 3, 4]] = True
     for _ in range(3):
         distance = np.linalg.norm(problem.residuals(unknowns, seen), axis=-1)
-        sigma = core_sigma(distance, share=0.5, floor=0.3)
+        sigma = robust_sigma(distance, share=0.5, floor=0.3)
         unknowns = most_probable(
             problem, seen, unknowns, precision=precision, sigma=sigma, free=free, iterations=12, tolerance=1e-3
         ).unknowns
@@ -110,7 +110,7 @@ def _misfit(problem: Problem, unknowns: FloatArray, precision: FloatArray, seen:
     """Return how implausible a candidate is, in half squares: scatter, prior, tilt."""
     residual = problem.residuals(unknowns, seen)
     distance = np.linalg.norm(residual, axis=-1) * np.sqrt(seen.information)
-    scale = core_sigma(distance, share=0.5, floor=0.05)
+    scale = robust_sigma(distance, share=0.5, floor=0.05)
     scatter = 0.3 * len(seen) * math.log(scale**2 + float(np.median(distance)) ** 2 / 1.386)
     prior = 0.5 * float(np.sum(precision * unknowns**2))
     lean = tilt(camera)

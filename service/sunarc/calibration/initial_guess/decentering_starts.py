@@ -23,7 +23,7 @@ _PLACES = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
 
 
-def deepest_valley(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def best_of_starts(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns at the bottom of the deepest valley that was found.
 
     Parameters

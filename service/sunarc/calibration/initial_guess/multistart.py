@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.initial_guess.ransac import consensus_start
+from sunarc.calibration.initial_guess.ransac import ransac_start
 from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.robust_loss import core_sigma, tukey_loss
+from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def best_start(problem: Problem, seen: Observations, start: FloatArray, *, preci
     precision : (p,) prior precisions of the unknowns.
     """
     thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
-    starts = [consensus_start(problem, seen, start, precision=precision), *_plain_starts(problem, seen, start)]
+    starts = [ransac_start(problem, seen, start, precision=precision), *_plain_starts(problem, seen, start)]
     rested = [at_rest(problem, thin, at, precision=precision) for at in starts]
     return lowest(problem, thin, rested, precision=precision)
 
@@ -91,7 +91,7 @@ def lowest(
 ) -> FloatArray:
     """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
     distances = [distance_sigmas(problem, seen, at) for at in candidates]
-    sigma = min(core_sigma(d, share=_CENTRAL_SHARE, floor=SMALLEST_SIGMA_PX) for d in distances)
+    sigma = min(robust_sigma(d, share=_CENTRAL_SHARE, floor=SMALLEST_SIGMA_PX) for d in distances)
     costs = [
         float(np.sum(tukey_loss(distance, sigma=sigma))) + 0.5 * float(np.sum(precision * at**2))
         for distance, at in zip(distances, candidates, strict=True)
@@ -121,4 +121,4 @@ def _widest_core(left: FloatArray, seen: Observations) -> float:
     """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
     distance = np.linalg.norm(left, axis=-1) * np.sqrt(seen.information)
     epochs = np.unique(seen.epoch)
-    return max(core_sigma(distance[seen.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)
+    return max(robust_sigma(distance[seen.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)

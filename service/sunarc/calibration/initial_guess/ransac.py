@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.robust_loss import core_sigma
+from sunarc.calibration.robust_loss import robust_sigma
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _SEED = 20160830
 _TRUST_PX = 0.7
 
 
-def consensus_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def ransac_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
 
     Parameters
@@ -40,7 +40,7 @@ def consensus_start(problem: Problem, seen: Observations, start: FloatArray, *, 
     steps = np.concatenate([np.zeros((1, start.size)), steps])
     left = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
     distance = np.linalg.norm(left, axis=-1) * np.sqrt(thin.information)
-    close = max(min(core_sigma(d) for d in distance[:40]), 0.02)
+    close = max(min(robust_sigma(d) for d in distance[:40]), 0.02)
     agreed = np.sum(np.log1p((distance / close) ** 2), axis=1)
     best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]
     return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
@@ -65,7 +65,7 @@ def _tightened(
     flat = rows.reshape(-1, rows.shape[-1])
     for number in range(_ROUNDS):
         distance = np.linalg.norm(residual - rows @ step, axis=-1)
-        sigma = core_sigma(distance, floor=1e-3)
+        sigma = robust_sigma(distance, floor=1e-3)
         weight = 1.0 / (1.0 + (distance / (sigma * (3.0 if number < 4 else 1.5))) ** 2) ** 2 / sigma**2
         doubled = np.repeat(weight, 2)
         normal = (flat * doubled[:, None]).T @ flat + np.diag(precision)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, LensPrior
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
 from sunarc.sky import raised, upward
 
@@ -33,7 +33,7 @@ class Observations:
     pixels : (n, 2) px.
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     epoch : (n,) pose epochs, 0, 1, ….
-    refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `Usable`; 0 unless given.
+    refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `FilteredSightings`; 0 unless given.
     """
 
     directions: FloatArray
@@ -65,7 +65,7 @@ class Observations:
         return replace(self, information=information)
 
 
-def observations(usable: Usable) -> Observations:
+def observations(usable: FilteredSightings) -> Observations:
     """Return the usable sightings with their relative information."""
     return Observations(
         directions=usable.directions,

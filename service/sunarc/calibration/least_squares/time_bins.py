@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,7 +59,7 @@ class Bins:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
 
 
-def time_bins(usable: Usable) -> Bins:
+def time_bins(usable: FilteredSightings) -> Bins:
     """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each."""
     n = len(usable)
     if n == 0:

@@ -67,8 +67,8 @@ class Lookup:
 
     def direction_covariance(self, directions: FloatArray) -> FloatArray:
         """Return (n, 3, 3): covariances of unit vectors (n, 3), east-north-up; NaN beyond the camera's field."""
-        told = self._project(directions)
-        covariance = told[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+        projected = self._project(directions)
+        covariance = projected[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
         return direction_covariance(self.camera, directions, covariance)
 
     def _back_project(self, pixels: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Evidence, Move, Verdict
+from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
 from sunarc.sky import Site
@@ -75,7 +75,7 @@ def to_document(
         "pose": calibration.pose._asdict(),
         "uncertainty": _uncertainty(calibration),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
-        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Evidence)},
+        "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Provenance)},
         "verdict": {
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
@@ -242,11 +242,11 @@ def _or_none(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _read_evidence(read: _Reader) -> Evidence:
+def _read_evidence(read: _Reader) -> Provenance:
     counts = [read.number(f"evidence.{name}", needed=False) for name in ("n_supplied", "n_used", "n_rejected")]
     n_supplied, n_used, n_rejected = (int(c) if math.isfinite(c) else 0 for c in counts)
     options = read.value("evidence.options")
-    return Evidence(
+    return Provenance(
         days=tuple(str(d) for d in read.items("evidence.days")),
         n_supplied=n_supplied,
         n_used=n_used,

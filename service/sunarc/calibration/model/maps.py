@@ -39,10 +39,10 @@ def back_projection_map(ready: Lookup) -> BackProjectionMap:
     for top in range(0, height, _ROWS):
         rows = slice(top, min(top + _ROWS, height))
         y, x = np.mgrid[rows, 0:width]
-        told = ready.back_project(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
-        told = told.reshape(rows.stop - top, width, -1)
-        zenith[rows], azimuth[rows], sigma[rows] = told[..., 0], told[..., 1], told[..., 5]
-        directions[rows] = told[..., 2:5]
+        values = ready.back_project(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
+        values = values.reshape(rows.stop - top, width, -1)
+        zenith[rows], azimuth[rows], sigma[rows] = values[..., 0], values[..., 1], values[..., 5]
+        directions[rows] = values[..., 2:5]
     return BackProjectionMap(
         zenith_deg=zenith,
         azimuth_deg=azimuth,

@@ -48,7 +48,7 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class Provenance:
     """What a fit rests on, so that it can be made again.
 
     Attributes
@@ -109,7 +109,7 @@ class Calibration:
     metrics: Metrics
     pose: PoseAngles
     backward: BackwardModel
-    evidence: Evidence
+    evidence: Provenance
     verdict: Verdict
     method: Method
     site: Site

@@ -111,7 +111,7 @@ def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Usable:
+class FilteredSightings:
     """The sightings that a fit can use, in the order of time, with what the sky says of them.
 
     Attributes
@@ -142,7 +142,7 @@ class Usable:
         return int(self.unix_s.size)
 
 
-def usable_points(points: SunPoints, *, site: Site) -> Usable:
+def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     """Return what a fit can use: finite, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters
@@ -174,7 +174,7 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
     kept, day = kept[~still], day[~still]
     counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum(), still.sum())
     reasons = ("not finite", "below the horizon", "of a moment already seen", "that do not move with the sun")
-    return Usable(
+    return FilteredSightings(
         index=kept,
         unix_s=points.unix_s[kept],
         pixels=points.pixels[kept],
@@ -190,7 +190,7 @@ def usable_points(points: SunPoints, *, site: Site) -> Usable:
 
 
 def _refraction_sd(measured: NDArray[np.bool_], directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
-    """Return (n, k): see `Usable`."""
+    """Return (n, k): see `FilteredSightings`."""
     days = np.unique(day)
     runs = min(days.size, _AIR_RUNS)
     run = np.searchsorted(days, day) * runs // max(days.size, 1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.fit.assemble import Fitted, no_field
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.paper.constraints import penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
 from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast
@@ -30,7 +30,9 @@ _UNREACHED_PX = 1e4
 _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
-def fit_as_paper(seen: Observations, usable: Usable, cameras: list[Camera], *, options: CalibrationOptions) -> Fitted:
+def fit_as_paper(
+    seen: Observations, usable: FilteredSightings, cameras: list[Camera], *, options: CalibrationOptions
+) -> Fitted:
     """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
 
     Parameters

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, usable_points
-from sunarc.calibration.pose.error_model import Stated, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.calibration.pose.error_model import CameraErrorModel, at_every_angle, joint_covariance, predicted, stated
 from sunarc.calibration.pose.estimate_pose import fit_pose
-from sunarc.calibration.pose.residuals import Seen, finite, gathered, inflation, noise_px
+from sunarc.calibration.pose.residuals import PredictedSightings, finite, gathered, inflation, noise_px
 from sunarc.optics import Camera, rotation_matrix
 from sunarc.sky import Site
 
@@ -49,33 +49,33 @@ def daily_pose_offset(points: SunPoints, *, calibration: Calibration, site: Site
     calibration : what they are compared with.
     site : where the camera stands.
     """
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     if len(usable) < _FEWEST:
         return None
     sigma_px = noise_px(calibration, points.sigma_px[usable.index])
-    believed = fit_pose(calibration, usable.directions, usable.pixels, sigma_px).believed
-    if believed.sum() < _FEWEST:
+    inlier = fit_pose(calibration, usable.directions, usable.pixels, sigma_px).inlier
+    if inlier.sum() < _FEWEST:
         return None
-    seen = Seen(
+    seen = PredictedSightings(
         directions=usable.directions,
         pixels=usable.pixels,
         variance=sigma_px**2,
         false_density=np.zeros(len(usable)),
     )
     camera = at_every_angle(calibration.camera)
-    together = gathered(camera, seen, believed, inflation=inflation(calibration))
+    together = gathered(camera, seen, inlier, inflation=inflation(calibration))
     turn, covariance = _turn(stated(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
     sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))
     (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ turn).tolist(), np.degrees(sigma).tolist()
-    return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(believed.sum()))
+    return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(inlier.sum()))
 
 
-def _turn(belief: Stated, camera: Camera, seen: Seen) -> tuple[FloatArray, FloatArray]:
+def _turn(error_model: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> tuple[FloatArray, FloatArray]:
     """Return the turn (3,) about the camera's axes by generalised least squares, and its covariance (3, 3)."""
-    at = predicted(belief, camera, seen.directions)
-    rows = at.rows[..., belief.turn].reshape(-1, 3)
-    total = joint_covariance(belief, at) + np.diag(np.repeat(seen.variance, 2))
+    at = predicted(error_model, camera, seen.directions)
+    rows = at.rows[..., error_model.turn].reshape(-1, 3)
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(seen.variance, 2))
     weighed = cho_solve((cholesky(total, lower=True), True), rows)
     covariance = np.asarray(np.linalg.inv(rows.T @ weighed), dtype=np.float64)
     return covariance @ (weighed.T @ finite(seen.pixels - at.pixels).ravel()), covariance

@@ -27,7 +27,7 @@ _SHORTEST_LENGTH_PX = 16.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stated:
+class CameraErrorModel:
     """A belief about a camera's errors.
 
     Attributes
@@ -50,7 +50,7 @@ class Stated:
     basis: WaveBasis
     variances: FloatArray
 
-    def turned_freely(self, mean: FloatArray, *, sigma_rad: float) -> Stated:
+    def turned_freely(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
         """Return the belief after the camera turned: by `mean` (3,), radians, give or take an isotropic 1-sigma."""
         covariance, at = self.covariance.copy(), self.mean.copy()
         covariance[np.ix_(self.turn, self.turn)] += sigma_rad**2 * np.eye(3)
@@ -87,7 +87,7 @@ def joined(first: Predicted, second: Predicted) -> Predicted:
     )
 
 
-def stated(calibration: Calibration) -> Stated:
+def stated(calibration: Calibration) -> CameraErrorModel:
     """Return what a calibration says of its errors.
 
     Raises
@@ -106,7 +106,7 @@ def stated(calibration: Calibration) -> Stated:
     field = calibration.field
     length = max(field.length_px, _SHORTEST_LENGTH_PX)
     basis = field.basis.completed(length_px=length) if field.amplitude_px > 0.0 else _none(field.basis)
-    return Stated(
+    return CameraErrorModel(
         chosen=np.array([PARAMETER_NAMES.index(name) for name in names]),
         turn=turn,
         mean=np.zeros(len(names)),
@@ -134,46 +134,46 @@ def _spread(known: WaveBasis, cross: FloatArray, whole: WaveBasis) -> FloatArray
     return result
 
 
-def predicted(belief: Stated, camera: Camera, directions: FloatArray) -> Predicted:
+def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
     """Return where a camera sees directions (n, 3), and the derivatives that a belief needs."""
     pixels, rows = project_with_rows_fast(camera, directions)
     to_turn = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
-    chosen = np.ascontiguousarray(rows[..., belief.chosen])
-    chosen[..., belief.turn] = chosen[..., belief.turn] @ to_turn
-    return Predicted(pixels=pixels, rows=chosen, waves=belief.basis.values(np.nan_to_num(pixels)))
+    chosen = np.ascontiguousarray(rows[..., error_model.chosen])
+    chosen[..., error_model.turn] = chosen[..., error_model.turn] @ to_turn
+    return Predicted(pixels=pixels, rows=chosen, waves=error_model.basis.values(np.nan_to_num(pixels)))
 
 
-def joint_covariance(belief: Stated, seen: Predicted) -> FloatArray:
+def joint_covariance(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the prediction's errors at all places at once, px²; x, y of each in turn."""
     n = seen.rows.shape[0]
     flat = seen.rows.reshape(2 * n, seen.rows.shape[-1])
-    result = flat @ belief.covariance @ flat.T
-    if belief.amplitude_px > 0.0:
-        mixed = (flat @ _with_field(belief, seen)).reshape(2 * n, 2 * n)
+    result = flat @ error_model.covariance @ flat.T
+    if error_model.amplitude_px > 0.0:
+        mixed = (flat @ _with_field(error_model, seen)).reshape(2 * n, 2 * n)
         result += mixed + mixed.T
         apart = seen.pixels[:, None] - seen.pixels
-        smooth = belief.amplitude_px**2 * np.exp(-0.5 * np.sum(apart**2, axis=-1) / belief.length_px**2)
+        smooth = error_model.amplitude_px**2 * np.exp(-0.5 * np.sum(apart**2, axis=-1) / error_model.length_px**2)
         result += np.kron(smooth, np.eye(2))
     return np.asarray(result)
 
 
-def with_parameters(belief: Stated, seen: Predicted) -> FloatArray:
+def with_parameters(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the prediction's."""
     flat = seen.rows.reshape(-1, seen.rows.shape[-1])
-    result = belief.covariance @ flat.T
-    return np.asarray(result + _with_field(belief, seen) if belief.amplitude_px > 0.0 else result)
+    result = error_model.covariance @ flat.T
+    return np.asarray(result + _with_field(error_model, seen) if error_model.amplitude_px > 0.0 else result)
 
 
-def with_waves(belief: Stated, seen: Predicted, axis: int) -> FloatArray:
+def with_waves(error_model: CameraErrorModel, seen: Predicted, axis: int) -> FloatArray:
     """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
-    result = seen.rows.reshape(-1, seen.rows.shape[-1]) @ belief.cross[axis]
-    result[axis::2] += seen.waves * belief.variances
+    result = seen.rows.reshape(-1, seen.rows.shape[-1]) @ error_model.cross[axis]
+    result[axis::2] += seen.waves * error_model.variances
     return np.asarray(result)
 
 
-def _with_field(belief: Stated, seen: Predicted) -> FloatArray:
+def _with_field(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
-    both = np.stack([belief.cross[axis] @ seen.waves.T for axis in (0, 1)], axis=-1)
+    both = np.stack([error_model.cross[axis] @ seen.waves.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
 
 
@@ -182,11 +182,11 @@ def at_every_angle(camera: Camera) -> Camera:
     return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
 
 
-def moved(camera: Camera, belief: Stated, change: FloatArray) -> Camera:
+def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> Camera:
     """Return a camera changed by (p,): its parameters, and its turn about its own axes."""
     vector = camera.to_vector()
-    vector[belief.chosen] += change
-    vector[5:8] = turned(camera, change[belief.turn]).rotation_cam_enu
+    vector[error_model.chosen] += change
+    vector[5:8] = turned(camera, change[error_model.turn]).rotation_cam_enu
     return camera.with_parameters(vector)
 
 

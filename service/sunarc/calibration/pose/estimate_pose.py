@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.calibration.fit.assemble import Fitted, Job, finished, refused
+from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose.error_model import (
-    Stated,
+    CameraErrorModel,
     at_every_angle,
     joint_covariance,
     moved,
@@ -28,17 +28,17 @@ from sunarc.calibration.pose.error_model import (
     turned,
 )
 from sunarc.calibration.pose.gaussian_conditioning import (
-    Held,
+    MixtureFit,
     Sightings,
     conditioned,
     false_density,
-    held_to,
+    fit_inlier_mixture,
     log_normal,
 )
-from sunarc.calibration.pose.residuals import MOST, Seen, finite, gathered, inflation, noise_px
-from sunarc.calibration.pose.rotation_consensus import likely_turn
+from sunarc.calibration.pose.residuals import MOST, PredictedSightings, finite, gathered, inflation, noise_px
+from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.quality.fit_checks import Handedness
-from sunarc.calibration.robust_loss import core_sigma
+from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, project_fast
 from sunarc.optics.pose import right_jacobian
 from sunarc.sky import Site
@@ -56,7 +56,7 @@ _CLOSE = 6.0
 _WEIGHT_KEPT = 1e-4
 
 
-def repose(
+def estimate_pose(
     points: SunPoints,
     *,
     start: Calibration,
@@ -79,14 +79,14 @@ def repose(
     hand: Mirrored = "yes" if start.camera.mirrored else "no"
     chosen = CalibrationOptions() if options is None else options
     chosen = replace(chosen, free="pose", method="robust", projection=start.camera.projection, mirrored=hand)
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     size = (start.camera.width, start.camera.height)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None)
     if len(usable) < FEWEST:
         return refused(job, (f"only {len(usable)} usable sightings; at least {FEWEST} are needed for a pose",))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
     fitted = _fitted(fit, start, usable, wander_rad=math.radians(wander_deg))
-    return finished(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
+    return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,8 +102,8 @@ class PoseFit:
     """
 
     camera: Camera
-    belief: Stated
-    believed: BoolArray
+    error_model: CameraErrorModel
+    inlier: BoolArray
     sigma_px: float
 
 
@@ -116,26 +116,26 @@ def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sig
     directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
     sigma_px : (n,) 1-sigma per axis of a sighting.
     """
-    belief, camera = stated(start), at_every_angle(start.camera)
+    error_model, camera = stated(start), at_every_angle(start.camera)
     density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
-    seen = Seen(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
+    seen = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
     thin = seen.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
-    tolerance = _tolerance(belief, camera, thin)
-    turn = likely_turn(camera, thin.directions, thin.pixels, tolerance)
+    tolerance = _tolerance(error_model, camera, thin)
+    turn = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
     base = turned(camera, turn)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
     scales = _scales_for(float(np.linalg.norm(turn)))
     usual = float(scales[min(1, scales.size - 1)])
-    rough, held = _settled(belief.turned_freely(-turn, sigma_rad=usual), base, thin, close)
+    rough, held = _settled(error_model.turned_freely(-turn, sigma_rad=usual), base, thin, close)
     worse = _excess_noise(held)
     seen = replace(seen, variance=seen.variance * worse**2)
-    believed = _believed(rough, moved(base, rough, rough.mean), seen) if worse else held.believed
-    together = gathered(moved(base, rough, rough.mean), seen, believed, inflation=inflation(start))
-    fits = [_known(belief.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
+    inlier = _inliers(rough, moved(base, rough, rough.mean), seen) if worse else held.inlier
+    together = gathered(moved(base, rough, rough.mean), seen, inlier, inflation=inflation(start))
+    fits = [_known(error_model.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
     final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + np.log(scales))
     sigma = float(np.median(sigma_px) * worse)
-    told = replace(final, mean=0.0 * final.mean)
-    return PoseFit(camera=moved(base, final, final.mean), belief=told, believed=believed, sigma_px=sigma)
+    error_model = replace(final, mean=0.0 * final.mean)
+    return PoseFit(camera=moved(base, final, final.mean), error_model=error_model, inlier=inlier, sigma_px=sigma)
 
 
 def _scales_for(turn_rad: float) -> FloatArray:
@@ -143,38 +143,40 @@ def _scales_for(turn_rad: float) -> FloatArray:
     return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * turn_rad)), _SCALES_RAD.size - 1) :]
 
 
-def _tolerance(belief: Stated, camera: Camera, seen: Seen) -> FloatArray:
+def _tolerance(error_model: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> FloatArray:
     """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
-    at = predicted(belief, camera, seen.directions)
-    stated_variance = np.nan_to_num(np.diag(joint_covariance(belief, at)).reshape(-1, 2).mean(axis=1))
+    at = predicted(error_model, camera, seen.directions)
+    stated_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
     return np.asarray(np.sqrt(seen.variance + stated_variance))
 
 
-def _settled(belief: Stated, base: Camera, seen: Seen, believed: BoolArray) -> tuple[Stated, Held]:
+def _settled(
+    error_model: CameraErrorModel, base: Camera, seen: PredictedSightings, inlier: BoolArray
+) -> tuple[CameraErrorModel, MixtureFit]:
     """Return the belief after sightings some of which may be false; the camera made linear anew in every round."""
-    after = replace(belief, mean=0.0 * belief.mean)
+    after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
-        at = predicted(belief, moved(base, belief, after.mean), seen.directions)
+        at = predicted(error_model, moved(base, error_model, after.mean), seen.directions)
         about = Sightings(
-            residual=finite(seen.pixels - at.pixels) + at.rows @ (after.mean - belief.mean),
+            residual=finite(seen.pixels - at.pixels) + at.rows @ (after.mean - error_model.mean),
             variance=seen.variance,
             false_density=seen.false_density,
         )
-        held = held_to(joint_covariance(belief, at), about, believed)
-        believed = held.believed
-        unchanged = replace(about, residual=about.residual + at.rows @ belief.mean).select(believed)
-        after = conditioned(belief, at.select(believed), unchanged)
+        held = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
+        inlier = held.inlier
+        unchanged = replace(about, residual=about.residual + at.rows @ error_model.mean).select(inlier)
+        after = conditioned(error_model, at.select(inlier), unchanged)
     return after, held
 
 
-def _excess_noise(held: Held) -> float:
+def _excess_noise(held: MixtureFit) -> float:
     """Return by how much the sightings scatter more than they say, at least 1."""
-    if held.believed.sum() < _ENOUGH_FOR_SCALE:
+    if held.inlier.sum() < _ENOUGH_FOR_SCALE:
         return 1.0
-    return max(1.0, core_sigma(np.sqrt(np.maximum(held.surprise, 0.0))))
+    return max(1.0, robust_sigma(np.sqrt(np.maximum(held.surprise, 0.0))))
 
 
-def _believed(after: Stated, camera: Camera, seen: Seen) -> BoolArray:
+def _inliers(after: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> BoolArray:
     """Return which sightings agree with a fit of some of them."""
     at = predicted(after, camera, seen.directions)
     square = np.empty(seen.variance.size)
@@ -186,20 +188,20 @@ def _believed(after: Stated, camera: Camera, seen: Seen) -> BoolArray:
     return np.asarray(square < 25.0)
 
 
-def _known(belief: Stated, base: Camera, seen: Seen) -> tuple[Stated, float]:
+def _known(error_model: CameraErrorModel, base: Camera, seen: PredictedSightings) -> tuple[CameraErrorModel, float]:
     """Return the belief after sightings that are all true, and their evidence."""
-    after = replace(belief, mean=0.0 * belief.mean)
+    after = replace(error_model, mean=0.0 * error_model.mean)
     everyone = np.ones(seen.variance.size, dtype=bool)
     for _ in range(_ROUNDS):
-        at = predicted(belief, moved(base, belief, after.mean), seen.directions)
+        at = predicted(error_model, moved(base, error_model, after.mean), seen.directions)
         residual = finite(seen.pixels - at.pixels) + at.rows @ after.mean
         about = Sightings(residual=residual, variance=seen.variance, false_density=seen.false_density)
-        after = conditioned(belief, at, about)
-    shifted = replace(about, residual=residual - at.rows @ belief.mean)
-    return after, log_normal(joint_covariance(belief, at), shifted, everyone)
+        after = conditioned(error_model, at, about)
+    shifted = replace(about, residual=residual - at.rows @ error_model.mean)
+    return after, log_normal(joint_covariance(error_model, at), shifted, everyone)
 
 
-def _mixed(fits: list[Stated], log_weight: FloatArray) -> Stated:
+def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
     """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
     weight = np.exp(log_weight - log_weight.max())
     weight[weight < _WEIGHT_KEPT] = 0.0
@@ -212,26 +214,28 @@ def _mixed(fits: list[Stated], log_weight: FloatArray) -> Stated:
     return replace(fits[0], mean=mean, covariance=covariance, cross=cross)
 
 
-def _fitted(fit: PoseFit, start: Calibration, usable: Usable, *, wander_rad: float) -> Fitted:
+def _fitted(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> Fitted:
     """Return what every method hands over; the turn's axes become those of the rotation vector."""
-    belief, size = fit.belief, fit.belief.mean.size
-    covariance = belief.covariance.copy()
-    covariance[np.ix_(belief.turn, belief.turn)] += wander_rad**2 * np.eye(3)
+    error_model, size = fit.error_model, fit.error_model.mean.size
+    covariance = error_model.covariance.copy()
+    covariance[np.ix_(error_model.turn, error_model.turn)] += wander_rad**2 * np.eye(3)
     to_vector = np.eye(size)
-    to_vector[np.ix_(belief.turn, belief.turn)] = np.linalg.inv(right_jacobian(-np.array(fit.camera.rotation_cam_enu)))
+    to_vector[np.ix_(error_model.turn, error_model.turn)] = np.linalg.inv(
+        right_jacobian(-np.array(fit.camera.rotation_cam_enu))
+    )
     residual = finite(usable.pixels - project_fast(fit.camera, usable.directions))
     return Fitted(
         cameras=[fit.camera],
         parameter_names=start.parameter_names,
         covariance=to_vector @ covariance @ to_vector.T,
         field=Field(
-            amplitude_px=belief.amplitude_px,
+            amplitude_px=error_model.amplitude_px,
             length_px=start.field.length_px,
-            basis=belief.basis,
-            cross=to_vector @ belief.cross,
+            basis=error_model.basis,
+            cross=to_vector @ error_model.cross,
         ),
         residual=residual,
-        used=fit.believed,
+        used=fit.inlier,
         sigma_px=fit.sigma_px,
         inflation=inflation(start),
         radial_px=start.evidence.radial_px,

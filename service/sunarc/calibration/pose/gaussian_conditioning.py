@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
-from sunarc.calibration.pose.error_model import Predicted, Stated, joint_covariance, with_parameters, with_waves
+from sunarc.calibration.pose.error_model import (
+    CameraErrorModel,
+    Predicted,
+    joint_covariance,
+    with_parameters,
+    with_waves,
+)
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -57,7 +63,7 @@ def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Held:
+class MixtureFit:
     """What sightings say under a belief.
 
     Attributes
@@ -68,18 +74,20 @@ class Held:
     gap_covariance : (n, 2, 2) of that, px².
     """
 
-    believed: BoolArray
+    inlier: BoolArray
     log_evidence: float
-    gap: FloatArray
-    gap_covariance: FloatArray
+    loo_residual: FloatArray
+    loo_covariance: FloatArray
 
     @property
     def surprise(self) -> FloatArray:
         """Return (n,): squared gap in its own sigmas; 2 on average for true sightings."""
-        return np.asarray(np.einsum("ni,nij,nj->n", self.gap, np.linalg.inv(self.gap_covariance), self.gap))
+        return np.asarray(
+            np.einsum("ni,nij,nj->n", self.loo_residual, np.linalg.inv(self.loo_covariance), self.loo_residual)
+        )
 
 
-def held_to(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> Held:
+def fit_inlier_mixture(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> MixtureFit:
     """Return what sightings say, and which of them are to be believed.
 
     Parameters
@@ -89,71 +97,74 @@ def held_to(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> Hel
     believed : (n,) which to believe at first; in turn each is judged by what the others let one expect.
     """
     for _ in range(_SWEEPS):
-        gap, spread = _gaps(covariance, seen, believed)
-        true = _log_density(gap, spread) + math.log(1.0 - _FALSE_SHARE)
-        following = true > seen.false_density + math.log(_FALSE_SHARE)
-        if np.array_equal(following, believed) or not np.any(following):
+        loo_residual, spread = _leave_one_out(covariance, seen, inlier)
+        true = _log_density(loo_residual, spread) + math.log(1.0 - _FALSE_SHARE)
+        next_ = true > seen.false_density + math.log(_FALSE_SHARE)
+        if np.array_equal(next_, inlier) or not np.any(next_):
             break
-        believed = following
-    return Held(
-        believed=believed, log_evidence=log_evidence(covariance, seen, believed), gap=gap, gap_covariance=spread
+        inlier = next_
+    return MixtureFit(
+        inlier=inlier,
+        log_evidence=log_evidence(covariance, seen, inlier),
+        loo_residual=loo_residual,
+        loo_covariance=spread,
     )
 
 
 def log_evidence(covariance: FloatArray, seen: Sightings, inliers: BoolArray) -> float:
-    """Return the log likelihood of all sightings, the inliers jointly normal and the others false; see `held_to`."""
+    """Return the log likelihood of all sightings, the inliers jointly normal and the others false; see `fit_inlier_mixture`."""
     false = seen.false_density[~inliers] + math.log(_FALSE_SHARE)
     return (
         log_normal(covariance, seen, inliers) + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE) + float(false.sum())
     )
 
 
-def _gaps(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _leave_one_out(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return what is left of each sighting after the believed others, (n, 2), and its covariance, (n, 2, 2)."""
-    n = believed.size
-    variance = np.where(believed, seen.variance, _LEFT_OUT_PX2)
+    n = inlier.size
+    variance = np.where(inlier, seen.variance, _LEFT_OUT_PX2)
     inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
     own = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
-    gap = np.einsum("nij,nj->ni", own, (inverse @ seen.residual.ravel()).reshape(n, 2))
+    loo_residual = np.einsum("nij,nj->ni", own, (inverse @ seen.residual.ravel()).reshape(n, 2))
     spread = own + (seen.variance - variance)[:, None, None] * np.eye(2)
-    spread[~believed] += 1e-3 * seen.variance[~believed, None, None] * np.eye(2)
-    return gap, 0.5 * (spread + np.swapaxes(spread, -1, -2))
+    spread[~inlier] += 1e-3 * seen.variance[~inlier, None, None] * np.eye(2)
+    return loo_residual, 0.5 * (spread + np.swapaxes(spread, -1, -2))
 
 
-def _log_density(gap: FloatArray, spread: FloatArray) -> FloatArray:
+def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
     determinant = np.maximum(np.linalg.det(spread), 1e-20)
-    square = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
+    square = np.einsum("ni,nij,nj->n", loo_residual, np.linalg.inv(spread), loo_residual)
     return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
 
 
-def log_normal(covariance: FloatArray, seen: Sightings, believed: BoolArray) -> float:
+def log_normal(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> float:
     """Return how likely the believed sightings are together, logarithm; 0 where there are none."""
-    if not np.any(believed):
+    if not np.any(inlier):
         return 0.0
-    both = np.repeat(believed, 2)
-    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(seen.variance[believed], 2))
+    both = np.repeat(inlier, 2)
+    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(seen.variance[inlier], 2))
     factor = cholesky(total, lower=True)
-    residual = seen.residual[believed].ravel()
+    residual = seen.residual[inlier].ravel()
     square = float(residual @ cho_solve((factor, True), residual))
     return -0.5 * square - float(np.sum(np.log(np.diag(factor)))) - 0.5 * residual.size * math.log(2.0 * math.pi)
 
 
-def conditioned(belief: Stated, at: Predicted, seen: Sightings) -> Stated:
+def conditioned(error_model: CameraErrorModel, at: Predicted, seen: Sightings) -> CameraErrorModel:
     """Return the belief after sightings, all of them believed; their residuals are about an unchanged camera.
 
     Without any sighting it is the belief of before.
     """
     if seen.variance.size == 0:
-        return belief
-    total = joint_covariance(belief, at) + np.diag(np.repeat(seen.variance, 2))
+        return error_model
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(seen.variance, 2))
     factor = (cholesky(total, lower=True), True)
-    shared = with_parameters(belief, at)
+    shared = with_parameters(error_model, at)
     gain = cho_solve(factor, shared.T).T
-    left = seen.residual.ravel() - at.rows.reshape(seen.residual.size, -1) @ belief.mean
-    covariance = belief.covariance - gain @ shared.T
+    left = seen.residual.ravel() - at.rows.reshape(seen.residual.size, -1) @ error_model.mean
+    covariance = error_model.covariance - gain @ shared.T
     return replace(
-        belief,
-        mean=belief.mean + gain @ left,
+        error_model,
+        mean=error_model.mean + gain @ left,
         covariance=0.5 * (covariance + covariance.T),
-        cross=np.stack([belief.cross[axis] - gain @ with_waves(belief, at, axis) for axis in (0, 1)]),
+        cross=np.stack([error_model.cross[axis] - gain @ with_waves(error_model, at, axis) for axis in (0, 1)]),
     )

@@ -24,7 +24,7 @@ _LARGEST_INFLATION = 25.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
+class PredictedSightings:
     """Where the sun was, and where it was seen, in the order of time.
 
     Attributes
@@ -39,9 +39,9 @@ class Seen:
     variance: FloatArray
     false_density: FloatArray
 
-    def select(self, which: NDArray[np.int64]) -> Seen:
+    def select(self, which: NDArray[np.int64]) -> PredictedSightings:
         """Return those that an index picks."""
-        return Seen(
+        return PredictedSightings(
             directions=self.directions[which],
             pixels=self.pixels[which],
             variance=self.variance[which],
@@ -68,9 +68,9 @@ def inflation(start: Calibration) -> float:
     return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
 
 
-def gathered(camera: Camera, seen: Seen, believed: BoolArray, *, inflation: float) -> Seen:
+def gathered(camera: Camera, seen: PredictedSightings, inlier: BoolArray, *, inflation: float) -> PredictedSightings:
     """Return the believed sightings, neighbours taken together so that there are not too many."""
-    true = seen.select(np.flatnonzero(believed))
+    true = seen.select(np.flatnonzero(inlier))
     each = -(-true.variance.size // MOST)
     member = np.arange(true.variance.size) // max(each, 1)
     bins = Bins(member=member, count=int(member[-1]) + 1 if member.size else 0)
@@ -81,4 +81,6 @@ def gathered(camera: Camera, seen: Seen, believed: BoolArray, *, inflation: floa
     one, mean = bins.gathered(observed, residual, observed.information)
     pixels = project_fast(camera, one.directions) + mean
     density = np.zeros(bins.count)
-    return Seen(directions=one.directions, pixels=pixels, variance=inflation / one.information, false_density=density)
+    return PredictedSightings(
+        directions=one.directions, pixels=pixels, variance=inflation / one.information, false_density=density
+    )

@@ -28,7 +28,7 @@ _LEAST_APART = 1e-4
 _SEED = 20130513
 
 
-def likely_turn(camera: Camera, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray) -> FloatArray:
+def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray) -> FloatArray:
     """Return the turn (3,) of a camera about its own axes, radians, that sightings ask for; 0 where they ask for none.
 
     Parameters

@@ -28,7 +28,7 @@ _FAR_SIGMAS = 5.0
 _SHOWN = 0.5
 _CHANGED = 2.0
 """Change over the sky, in units of the larger of both stated sigmas, that is not believed without proof."""
-_FORETOLD = (2.0, 4.0)
+_HELD_OUT_RATIOS = (2.0, 4.0)
 """Held-out error over what was expected: marginal, refused."""
 _PROOF = 100.0
 """By how much the sightings since must be met better, as a difference of chi-squares."""
@@ -61,18 +61,18 @@ def accept(
     """
     if not candidate.verdict.accepted:
         return candidate.verdict
-    refusals, doubts = _foretold(candidate)
+    refusals, warnings = _held_out_problems(candidate)
     reasons = ["the first calibration", *candidate.verdict.reasons]
     if current is not None:
         before, now = own_sky_rms_deg(current), own_sky_rms_deg(candidate)
         reasons = [f"1-sigma over the sky {now:.4f} degrees, before {before:.4f}"]
         for found in _compared(candidate, current, same_pose=same_pose, unseen=unseen):
             refusals += found[0]
-            doubts += found[1]
+            warnings += found[1]
     if refusals:
-        return Verdict(accepted=False, reasons=tuple(refusals + doubts))
-    if doubts:
-        return Verdict(accepted=False, marginal=True, reasons=tuple(doubts))
+        return Verdict(accepted=False, reasons=tuple(refusals + warnings))
+    if warnings:
+        return Verdict(accepted=False, marginal=True, reasons=tuple(warnings))
     return Verdict(accepted=True, reasons=tuple(reasons))
 
 
@@ -86,13 +86,13 @@ def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
 _Found = tuple[list[str], list[str]]
 
 
-def _foretold(candidate: Calibration) -> _Found:
+def _held_out_problems(candidate: Calibration) -> _Found:
     """Return refusals and doubts from the days left out."""
     found, expected = candidate.metrics.held_out_rmse_px, candidate.metrics.held_out_expected_px
-    if found is None or expected is None or found <= _FORETOLD[0] * expected:
+    if found is None or expected is None or found <= _HELD_OUT_RATIOS[0] * expected:
         return [], []
     said = [f"days left out are foretold to {found:.3f} px, where {expected:.3f} px was expected"]
-    return (said, []) if found > _FORETOLD[1] * expected else ([], said)
+    return (said, []) if found > _HELD_OUT_RATIOS[1] * expected else ([], said)
 
 
 def _compared(
@@ -105,10 +105,10 @@ def _compared(
         return []
     if _says_the_same(candidate, current):
         return [([], [f"nothing new: the camera and its uncertainty are those of the current one, to {_NEW:.1%}"])]
-    refusals, doubts = _change(candidate, current)
-    if doubts and _met_better(candidate, current, unseen):
-        doubts = []
-    return [(refusals, doubts), _sureness(candidate, current)]
+    refusals, warnings = _change(candidate, current)
+    if warnings and _met_better(candidate, current, unseen):
+        warnings = []
+    return [(refusals, warnings), _sureness(candidate, current)]
 
 
 def _sureness(candidate: Calibration, current: Calibration) -> _Found:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.metrics import measures
-from sunarc.calibration.model.sightings import SunPoints, Usable, usable_points
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampling_of
-from sunarc.calibration.robust_loss import core_sigma, tukey_weights
+from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
 from sunarc.errors import InputError
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
@@ -131,7 +131,7 @@ def measure_day(
     options : say which clock is doubtful.
     """
     wanted = DayOptions() if options is None else options
-    usable = usable_points(points, site=site)
+    usable = filter_sightings(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
     sampling = _sampling(points, observed_unix_s, possible, cadence_s)
     if len(usable) < 2:
@@ -159,7 +159,7 @@ def measure_day(
     )
 
 
-def _about_arcs(usable: Usable, site: Site) -> tuple[FloatArray, FloatArray]:
+def _about_arcs(usable: FilteredSightings, site: Site) -> tuple[FloatArray, FloatArray]:
     """Return residuals (n, 2) and weights (n,) about the smooth arc of each pose epoch."""
     angle = hour_angle(usable.unix_s, site)
     residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
@@ -191,7 +191,7 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
         root = np.sqrt(weight)[:, None]
         arc = waves @ np.linalg.lstsq(waves * root, pixels * root)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
-        sigma = core_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
+        sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
         weight = 1.0 / (1.0 + (distance / sigma) ** 2) if number < 6 else tukey_weights(distance, sigma=sigma)
     return arc, pixels - arc, weight
 

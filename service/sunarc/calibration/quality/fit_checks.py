@@ -9,7 +9,7 @@ import numpy as np
 
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import Usable
+from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import arc_length_deg
 
 _FEWEST = 20
@@ -27,7 +27,7 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: Usable) -> tuple[str, ...]:
+def before_fit(usable: FilteredSightings) -> tuple[str, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
     n_static = sum(position.n for position in usable.static)
     if n_static > _MOST_STATIC * (len(usable) + n_static):
@@ -46,7 +46,7 @@ def before_fit(usable: Usable) -> tuple[str, ...]:
     return tuple(problems)
 
 
-def _places(usable: Usable) -> str:
+def _places(usable: FilteredSightings) -> str:
     """Return where sightings stand still, in words."""
     named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
     further = len(usable.static) - len(named)
@@ -54,7 +54,7 @@ def _places(usable: Usable) -> str:
 
 
 def own_verdict(
-    calibration: Calibration, usable: Usable, handedness: Handedness, options: CalibrationOptions
+    calibration: Calibration, usable: FilteredSightings, handedness: Handedness, options: CalibrationOptions
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
     against = [*_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
@@ -78,7 +78,7 @@ def own_verdict(
     return Verdict(accepted=True, reasons=tuple(said))
 
 
-def _against_scatter(calibration: Calibration, usable: Usable, options: CalibrationOptions) -> list[str]:
+def _against_scatter(calibration: Calibration, usable: FilteredSightings, options: CalibrationOptions) -> list[str]:
     metrics, evidence = calibration.metrics, calibration.evidence
     against = []
     if not metrics.rmse_px <= options.max_rmse_px:

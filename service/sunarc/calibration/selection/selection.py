@@ -76,7 +76,7 @@ class Selection:
     n_patches: int
     fill: int
 
-    def told(self) -> dict[str, int]:
+    def counts(self) -> dict[str, int]:
         """Return the counts by name, for the evidence."""
         counts = (field.name for field in fields(self) if field.name != "index")
         return {name: int(getattr(self, name)) for name in counts}

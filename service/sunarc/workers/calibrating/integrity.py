@@ -8,10 +8,10 @@ from datetime import datetime
 from sunarc.archive import Archive, CalibrationRecord, Event
 from sunarc.calibration import from_document
 from sunarc.errors import InputError, NotFoundError
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 
-class Soundness:
+class CalibrationIntegrityCheck:
     """Looks whether the current calibration can be read, and the sightings that it rests on are still there.
 
     Parameters
@@ -21,12 +21,12 @@ class Soundness:
     board : where the lack of a calibration that can be used is shown.
     """
 
-    def __init__(self, *, archive: Archive, camera: str, now: Callable[[], datetime], board: StatusBoard) -> None:
+    def __init__(self, *, archive: Archive, camera: str, now: Callable[[], datetime], board: StatusRegistry) -> None:
         self._archive = archive
         self._camera = camera
         self._now = now
         self._board = board
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self._revision: int | None = None
         self._current: str | None = None
 
@@ -74,12 +74,12 @@ class Soundness:
             self._board.set_reason(reason)
 
     def _tell(self, kind: str, calibration: str, text: str) -> None:
-        if (kind, calibration) in self._told:
+        if (kind, calibration) in self._reported:
             return
-        self._told.add((kind, calibration))
+        self._reported.add((kind, calibration))
         details = {"calibration": calibration}
-        told = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
-        self._archive.add_event(told)
+        event = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
+        self._archive.add_event(event)
 
 
 def _none() -> Reason:

@@ -12,12 +12,20 @@ import numpy as np
 
 from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
 from sunarc.calibration import Calibration, from_document
-from sunarc.calibration.change_detection import LENS_KINDS, REMEMBERED, Change, Watch, Watched, WatchOptions, observe
+from sunarc.calibration.change_detection import (
+    LENS_KINDS,
+    REMEMBERED,
+    Change,
+    Sighting,
+    SightingWindow,
+    WatchOptions,
+    update_window,
+)
 from sunarc.errors import InputError, OutsideError
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
-from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.calibrating.provisional_pose import Reposer, is_provisional
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator, is_provisional
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
@@ -25,7 +33,7 @@ _WAITING = 256
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 _FUTURE_EPOCH = "epoch_in_future"
-_MENDED = 4
+_RECOVERED_AFTER = 4
 """Sightings in a row that agree again before a fault of the clock, the image or the site is taken for mended."""
 
 
@@ -49,10 +57,10 @@ class WatchWorker:
         camera: str,
         site: Site,
         options: WatchOptions,
-        reposer: Reposer,
+        reposer: ProvisionalPoseEstimator,
         now: Callable[[], datetime],
         largest_clock_error_s: float,
-        board: StatusBoard,
+        board: StatusRegistry,
     ) -> None:
         self._archive = archive
         self._camera = camera
@@ -62,8 +70,8 @@ class WatchWorker:
         self._now = now
         self._largest_clock_error_s = largest_clock_error_s
         self._board = board
-        self._sightings: Handover[Watched] = Handover(capacity=_WAITING)
-        self._watch = Watch()
+        self._sightings: DropOldestQueue[Sighting] = DropOldestQueue(capacity=_WAITING)
+        self._watch = SightingWindow()
         self._epoch: str | None = None
         self._has_future_epochs = False
         self._known: tuple[str, Calibration] | None = None
@@ -92,7 +100,7 @@ class WatchWorker:
 
     def remember(self) -> None:
         """Begin anew with the last sightings of the present pose epoch; none of a doubtful or a later time."""
-        self._watch = Watch()
+        self._watch = SightingWindow()
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
         self._show_future_epochs()
@@ -108,8 +116,8 @@ class WatchWorker:
             newest_first=True,
             limit=2 * REMEMBERED,
         )
-        told = [point for point in seen if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
-        for point in reversed(told):
+        usable = [point for point in seen if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
+        for point in reversed(usable):
             self._look_safely(_of_point(point, self._watched))
 
     def look(self, *, timeout_s: float = 0.0) -> bool:
@@ -147,13 +155,13 @@ class WatchWorker:
         epoch = self._present_epoch()
         return epoch is not None and epoch.id != self._epoch
 
-    def _look_safely(self, seen: Watched) -> None:
+    def _look_safely(self, seen: Sighting) -> None:
         try:
             self._look_at(seen)
         except (np.linalg.LinAlgError, InputError, OutsideError) as error:
             _log.warning("could not compare a sighting with the calibration: %s", error)
 
-    def _look_at(self, seen: Watched) -> None:
+    def _look_at(self, seen: Sighting) -> None:
         current = self._current()
         if current is None or (len(self._watch) and seen.unix_s <= self._watch.unix_s[-1]):
             return
@@ -162,7 +170,7 @@ class WatchWorker:
         site = self._archive.site_at(self._camera, self._site, _moment(seen.unix_s))
         if site != self._site:  # not in `notice`, which must not wait for the database
             seen = replace(seen, direction=_sun(seen.unix_s, site))
-        self._watch, change = observe(
+        self._watch, change = update_window(
             self._watch,
             seen,
             calibration=current,
@@ -172,7 +180,7 @@ class WatchWorker:
             posed_from_few=is_provisional(current),
         )
         if self._fault is not None:
-            self._wait_for_mending(seen)
+            self._wait_for_recovery(seen)
         elif change is not None:
             self._act(change)
         if self._reposer.improve():
@@ -187,42 +195,42 @@ class WatchWorker:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self._archive.set_aside(self._camera, since=at, reason=f"{change.kind}: {change.text}")
+            self._archive.exclude(self._camera, since=at, reason=f"{change.kind}: {change.text}")
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
         doubted = f"in doubt: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
         after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
-        self._archive.set_aside(self._camera, since=after_last, until=at, reason=doubted)
+        self._archive.exclude(self._camera, since=after_last, until=at, reason=doubted)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
             self._archive.open_epoch(self._camera, at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self._archive.admit_elsewhere(self._camera, since=at, until=self._latest())
+        self._archive.readmit(self._camera, since=at, until=self._latest())
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
         current = self._archive.current_calibration(self._camera)
         if change.kind in LENS_KINDS:
             if current is not None:
                 self._archive.retire(current.id, at=max(at, current.valid_from))
-            self._watch, self._known = Watch(), None
+            self._watch, self._known = SightingWindow(), None
         else:
             self._watch = self._watch.since(change.at_unix_s)
 
-    def _wait_for_mending(self, seen: Watched) -> None:
+    def _wait_for_recovery(self, seen: Sighting) -> None:
         """Leave out what comes in while the clock, the image or the site is wrong."""
         fault = self._fault
         if fault is None:
             return
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
-        if self._agreeing >= _MENDED:
+        if self._agreeing >= _RECOVERED_AFTER:
             self._fault = None
             self._board.clear_reason(_code(fault))
             return
         moment = _moment(seen.unix_s)
         until = moment + timedelta(microseconds=1)
-        self._archive.set_aside(self._camera, since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
+        self._archive.exclude(self._camera, since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _tell(self, change: Change, at: datetime) -> None:
         details = {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
@@ -283,8 +291,8 @@ class WatchWorker:
         else:
             self._board.clear_reason(_FUTURE_EPOCH)
 
-    def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Watched:
-        return Watched(
+    def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
+        return Sighting(
             unix_s=moment.timestamp(),
             pixel=(x_px, y_px),
             direction=_sun(moment.timestamp(), self._site),
@@ -292,7 +300,7 @@ class WatchWorker:
         )
 
 
-def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Watched]) -> Watched:
+def _of_point(point: SunPoint, watched: Callable[[datetime, float, float, float | None], Sighting]) -> Sighting:
     if point.x_px is None or point.y_px is None:
         raise InputError(field="sighting", problem="without a pixel", remedy="look at accepted ones")
     return watched(point.time, point.x_px, point.y_px, point.sigma_px)

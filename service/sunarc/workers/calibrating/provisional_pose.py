@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import sunarc
 from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
-from sunarc.calibration import Calibration, CalibrationOptions, from_document, repose, to_document
+from sunarc.calibration import Calibration, CalibrationOptions, estimate_pose, from_document, to_document
 from sunarc.errors import InputError
 from sunarc.sky import Site
 from sunarc.workers.fit_input import points_of
@@ -32,7 +32,7 @@ class _Tried:
     count: int
 
 
-class Reposer:
+class ProvisionalPoseEstimator:
     """Poses the camera anew while its epoch has no full fit.
 
     Parameters
@@ -84,7 +84,7 @@ class Reposer:
         if count < max(_FEWEST, _GROWTH * done):
             return False
         self._tried = _Tried(epoch.id, count)
-        posed = repose(
+        posed = estimate_pose(
             points_of(columns),
             start=from_document(lens.document),
             site=self._site,

@@ -29,10 +29,10 @@ from sunarc.calibration import (
 )
 from sunarc.errors import InputError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import StatusBoard
+from sunarc.runtime.status import StatusRegistry
 from sunarc.sky import Site, solar_date
 from sunarc.workers.calibrating.epoch_search import EpochSearch
-from sunarc.workers.calibrating.integrity import Soundness
+from sunarc.workers.calibrating.integrity import CalibrationIntegrityCheck
 from sunarc.workers.calibrating.refit_task import Task, next_task
 from sunarc.workers.calibrating.solver_process import (
     Problem,
@@ -99,7 +99,7 @@ class RefitWorker:
         cadence_s: float,
         clock: Clock,
         now: Callable[[], datetime],
-        board: StatusBoard,
+        board: StatusRegistry,
         may_solve: Callable[[], bool] = lambda: True,
         solve: Callable[..., Calibration | None] = solve_in_child,
         search: Callable[..., tuple[PoseStep, ...] | None] = search_in_child,
@@ -112,7 +112,7 @@ class RefitWorker:
         self._cadence_s = cadence_s
         self._clock = clock
         self._now = now
-        self._soundness = Soundness(archive=archive, camera=camera, now=now, board=board)
+        self._integrity = CalibrationIntegrityCheck(archive=archive, camera=camera, now=now, board=board)
         self._may_solve = may_solve
         self._solve = solve
         self._search = search
@@ -128,10 +128,10 @@ class RefitWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
-        self._soundness.look()
+        self._integrity.look()
         while not stop.is_set():
             heartbeat()
-            self._soundness.follow()
+            self._integrity.follow()
             waiting = self._archive.refits(self._camera, unfinished=True)
             if waiting and self._may_solve():
                 self.carry_out(waiting[-1], stop, heartbeat)
@@ -223,7 +223,7 @@ class RefitWorker:
         served = record.accepted and self._archive.activate(record.id).state == "current"
         held = ("kept as a candidate: the current one is pinned",) if record.accepted and not served else ()
         self._finish(refit, state, "; ".join((*record.reasons, *held)), calibration=record.id)
-        self._soundness.look()
+        self._integrity.look()
 
     def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
         """Return how the pose wandered on the last days of the epoch that goes on."""

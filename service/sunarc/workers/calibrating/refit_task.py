@@ -50,8 +50,8 @@ class Task:
 
     def with_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence tells how its sightings were picked."""
-        told = {**asdict(self.limits), **self.selection.told()}
-        return replace(solved, evidence=replace(solved.evidence, selection=told))
+        counts = {**asdict(self.limits), **self.selection.counts()}
+        return replace(solved, evidence=replace(solved.evidence, selection=counts))
 
 
 def next_task(

@@ -12,10 +12,10 @@ from datetime import datetime, timedelta
 from sunarc.cameras import CameraCondition, Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers.bounded_queue import Handover
-from sunarc.workers.capture.cycle_consistency import Taken, Vouching
-from sunarc.workers.capture.exposure_sequence import Exposer, unreachable_exposures
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
+from sunarc.workers.capture.exposure_sequence import ExposureSequence, unreachable_exposures
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.timing.frame_time import FrameTime
@@ -106,9 +106,9 @@ class CaptureWorker:
         name: str,
         apparent_zenith: Callable[[], float],
         sun_exposures: SunExposures,
-        cycles: Handover[Sequence[Frame]],
-        sun_frames: Handover[Frame],
-        board: StatusBoard,
+        cycles: DropOldestQueue[Sequence[Frame]],
+        sun_frames: DropOldestQueue[Frame],
+        board: StatusRegistry,
         on_frame: Callable[[Frame], None] = lambda _: None,
     ) -> None:
         self._open_camera = open_camera
@@ -121,7 +121,7 @@ class CaptureWorker:
         self._cycles = cycles
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
-        self._vouching = Vouching(cadence_s=options.cadence_s)
+        self._consistency = CycleConsistencyFilter(cadence_s=options.cadence_s)
         self._served_at_s: float | None = None
         self._missed_before = 0
 
@@ -202,17 +202,17 @@ class CaptureWorker:
         normal = exposer.take_agreeing(
             self._options.hdr_exposures_us,
             taken=lambda: done_at.append(self._clock.monotonic()),
-            doubt_about=self._vouching.contradiction,
+            inconsistency_of=self._consistency.contradiction,
         )
         good = [frame for frame in normal if frame is not None]
         if not good:
             raise CameraLostError(f"no exposure of a whole cycle succeeded; the last time: {self._report.failure}")
         overran = not exposer.has_time()
         self._report.normal_frames(good, apparent_zenith=self._apparent_zenith())
-        taken = Taken(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
+        taken = Cycle(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
-        for vouched in self._vouching.vouched(taken):
-            self._hand_over(vouched)
+        for accepted_cycles in self._consistency.accepted_cycles(taken):
+            self._hand_over(accepted_cycles)
         self._report.cycle(
             complete=taken.complete,
             overran=overran,
@@ -220,28 +220,28 @@ class CaptureWorker:
             hdr_s=done_at[-1] - began_at,
         )
 
-    def _hand_over(self, taken: Taken) -> None:
+    def _hand_over(self, taken: Cycle) -> None:
         if taken.complete:
             self._cycles.put(taken.good)
         for frame in taken.sun:
             self._sun_frames.put(frame)
 
-    def _sun_frames_beside(self, normal: Sequence[Frame], exposer: Exposer, camera: SkyCamera) -> list[Frame]:
+    def _sun_frames_beside(self, normal: Sequence[Frame], exposer: ExposureSequence, camera: SkyCamera) -> list[Frame]:
         """Take the sun exposures of a cycle, while there is time."""
         if self._apparent_zenith() >= self._options.sun_zenith_deg:
             return []
         chosen = self._sun_exposures.choose(camera.info)
-        frames = [exposer.take_beside(e, normal[:1]) if exposer.has_time() else None for e in chosen]
+        frames = [exposer.take_consistent_with(e, normal[:1]) if exposer.has_time() else None for e in chosen]
         taken = [frame for frame in frames if frame is not None]
         self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
 
-    def _sign_of_life(self, exposer: Exposer, exposure_us: float) -> None:
+    def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that only shows that the camera lives, and what time it has."""
         self._report.sign_of_life(came=exposer.take(exposure_us) is not None)
 
-    def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> Exposer:
-        return Exposer(
+    def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
+        return ExposureSequence(
             camera=camera,
             attempts=self._options.attempts,
             has_time=lambda: self._clock.monotonic() < deadline_s,

@@ -15,7 +15,7 @@ COMPARABLE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Taken:
+class Cycle:
     """The frames of one cycle; a normal exposure that failed is None."""
 
     normal: tuple[Frame | None, ...]
@@ -32,7 +32,7 @@ class Taken:
         return None not in self.normal
 
 
-class Vouching:
+class CycleConsistencyFilter:
     """Remembers the last cycle that was believed, and holds the first one back until a second agrees.
 
     Parameters
@@ -43,14 +43,14 @@ class Vouching:
 
     def __init__(self, *, cadence_s: float) -> None:
         self._comparing = cadence_s <= COMPARABLE_S / 2.0
-        self._believed: _Seen | None = None
-        self._held: tuple[Taken, _Seen] | None = None
+        self._reference: _CycleLevel | None = None
+        self._held: tuple[Cycle, _CycleLevel] | None = None
 
     def contradiction(self, frames: Sequence[Frame]) -> str | None:
         """Return how a cycle's normal frames contradict the last that was believed, one sentence; None: they do not."""
-        if not frames or self._believed is None:
+        if not frames or self._reference is None:
             return None
-        factor = self._believed.factor_to(_seen(frames))
+        factor = self._reference.factor_to(_level_of_cycle(frames))
         if factor is None or _is_possible(factor):
             return None
         return (
@@ -58,36 +58,36 @@ class Vouching:
             f"a light that truly changed (a filter, a cover) is believed after {COMPARABLE_S:g} s"
         )
 
-    def vouched(self, taken: Taken) -> list[Taken]:
+    def accepted_cycles(self, taken: Cycle) -> list[Cycle]:
         """Return what may be handed on now that this cycle is whole: nothing, this one, or one held back and this."""
-        seen = _seen(taken.good)
-        if self._believed is not None and self._believed.factor_to(seen) is not None:
-            self._believed, self._held = seen, None
+        level = _level_of_cycle(taken.good)
+        if self._reference is not None and self._reference.factor_to(level) is not None:
+            self._reference, self._held = level, None
             return [taken]
-        if not self._comparing or not seen.tells:
-            self._believed = self._held = None
+        if not self._comparing or not level.tells:
+            self._reference = self._held = None
             return [taken]
-        return self._first(taken, seen)
+        return self._first(taken, level)
 
-    def _first(self, taken: Taken, seen: _Seen) -> list[Taken]:
+    def _first(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
         """Hold a cycle back that nothing vouches for; or let it go, together with one that was held back before it.
 
         Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
         """
-        held, self._held = self._held, (taken, seen)
-        self._believed = None
+        held, self._held = self._held, (taken, level)
+        self._reference = None
         if held is None:
             return []
-        factor = held[1].factor_to(seen)
+        factor = held[1].factor_to(level)
         if factor is not None and not _is_possible(factor):
             _log.warning("a cycle that nothing vouched for was thrown away")
             return []
-        self._believed, self._held = seen, None
+        self._reference, self._held = level, None
         return [held[0], taken]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Seen:
+class _CycleLevel:
     """A cycle's level, and when it was, seconds since 1970."""
 
     level: Level
@@ -98,16 +98,16 @@ class _Seen:
         """Whether there is contrast enough to compare others with it."""
         return factor_all_over(self.level, self.level) is not None
 
-    def factor_to(self, later: _Seen) -> float | None:
+    def factor_to(self, later: _CycleLevel) -> float | None:
         """Return `factor_all_over` from here to there; None where the two are too far apart too."""
         if abs(later.at_s - self.at_s) > COMPARABLE_S * 1.001:
             return None
         return factor_all_over(self.level, later.level)
 
 
-def _seen(frames: Sequence[Frame]) -> _Seen:
+def _level_of_cycle(frames: Sequence[Frame]) -> _CycleLevel:
     exposed = [Exposed(image=f.image, exposure_us=f.exposure_us, full_scale=f.full_scale) for f in frames]
-    return _Seen(level=level_of(exposed), at_s=frames[0].time.timestamp())
+    return _CycleLevel(level=level_of(exposed), at_s=frames[0].time.timestamp())
 
 
 def _is_possible(factor: float) -> bool:

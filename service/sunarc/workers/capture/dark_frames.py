@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from sunarc.cameras import Frame
 from sunarc.imaging import is_dark
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 CODE = "black_frames"
 LIT_ZENITH_DEG = 80.0
@@ -22,7 +22,7 @@ class DarkFrames:
     board : where the condition is set.
     """
 
-    def __init__(self, board: StatusBoard) -> None:
+    def __init__(self, board: StatusRegistry) -> None:
         self._board = board
         self._dark = 0
 

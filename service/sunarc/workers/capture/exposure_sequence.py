@@ -17,7 +17,7 @@ _COMPARABLE_S = 5.0  # frames further apart may show another sky
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Exposer:
+class ExposureSequence:
     """Takes exposures until a moment, so that the next slot finds the camera free.
 
     Parameters
@@ -59,7 +59,7 @@ class Exposer:
         exposures_us: Sequence[float],
         *,
         taken: Callable[[], None] = lambda: None,
-        doubt_about: Callable[[Sequence[Frame]], str | None] = lambda _: None,
+        inconsistency_of: Callable[[Sequence[Frame]], str | None] = lambda _: None,
     ) -> list[Frame | None]:
         """Return frames whose brightness agrees from neighbour to neighbour; those that failed are None.
 
@@ -81,13 +81,15 @@ class Exposer:
             frames = [self.take(exposure_us) for exposure_us in exposures_us]
             taken()
             good = [frame for frame in frames if frame is not None]
-            doubt = next((d for pair in pairwise(good) if (d := contradiction(*pair)) is not None), doubt_about(good))
-            if doubt is None:
+            inconsistency = next(
+                (d for pair in pairwise(good) if (d := contradiction(*pair)) is not None), inconsistency_of(good)
+            )
+            if inconsistency is None:
                 return frames
-            self._distrust(doubt)
-        raise CameraLostError(f"frames contradict their exposures: {doubt}")
+            self._mark_suspect(inconsistency)
+        raise CameraLostError(f"frames contradict their exposures: {inconsistency}")
 
-    def take_beside(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
+    def take_consistent_with(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
         """Return a frame whose brightness agrees with those of other exposures, or None."""
         for attempt in range(self.attempts):
             if attempt and not self.has_time():
@@ -96,15 +98,17 @@ class Exposer:
             frame = self.take(exposure_us)
             if frame is None:
                 return None
-            doubt = next((d for reference in references if (d := contradiction(reference, frame)) is not None), None)
-            if doubt is None:
+            inconsistency = next(
+                (d for reference in references if (d := contradiction(reference, frame)) is not None), None
+            )
+            if inconsistency is None:
                 return frame
-            self._distrust(doubt)
+            self._mark_suspect(inconsistency)
         self.report.add(failures=1)
         return None
 
-    def _distrust(self, doubt: str) -> None:
-        _log.warning("a frame is in doubt: %s", doubt)
+    def _mark_suspect(self, inconsistency: str) -> None:
+        _log.warning("a frame is in doubt: %s", inconsistency)
         self.report.add(doubts=1)
         self.camera.distrust()
 

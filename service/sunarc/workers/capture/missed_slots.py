@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 CODE = "slots_missed"
 _SLOTS = 40
@@ -22,7 +22,7 @@ class MissedSlots:
     board : where the condition is set.
     """
 
-    def __init__(self, board: StatusBoard) -> None:
+    def __init__(self, board: StatusRegistry) -> None:
         self._board = board
         self._served: deque[bool] = deque(maxlen=_SLOTS)
         self._after_outage = False

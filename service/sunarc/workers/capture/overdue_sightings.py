@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.workers.capture.dark_frames import LIT_ZENITH_DEG
 from sunarc.workers.timing.frame_time import FrameTime
 
@@ -36,7 +36,7 @@ class OverdueSightings:
         clock: Clock,
         frame_time: FrameTime,
         cadence_s: float,
-        board: StatusBoard,
+        board: StatusRegistry,
     ) -> None:
         self._stored = stored
         self._apparent_zenith = apparent_zenith

@@ -10,8 +10,8 @@ from contextlib import closing
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.errors import CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import CameraStatus, StatusBoard
-from sunarc.workers.bounded_queue import Handover
+from sunarc.runtime.status import CameraStatus, StatusRegistry
+from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.timing.frame_time import FrameTime
 
@@ -39,8 +39,8 @@ class ReplayWorker:
         clock: Clock,
         frame_time: FrameTime,
         name: str,
-        sun_frames: Handover[Frame],
-        board: StatusBoard,
+        sun_frames: DropOldestQueue[Frame],
+        board: StatusRegistry,
     ) -> None:
         self._open_camera = open_camera
         self._clock = clock

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
-from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusBoard
+from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
 from sunarc.workers.capture.dark_frames import DarkFrames
 from sunarc.workers.capture.missed_slots import MissedSlots
 
@@ -27,7 +27,7 @@ class CaptureReport:
     name : the camera's.
     """
 
-    def __init__(self, board: StatusBoard, *, name: str) -> None:
+    def __init__(self, board: StatusRegistry, *, name: str) -> None:
         self._board = board
         self._name = name
         self._camera = CameraStatus(name=name, connected=False)

@@ -18,7 +18,7 @@ from sunarc.imaging import (
     first_sun_exposures,
     next_sun_exposures,
 )
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 _SATURATED = 0.98
 _BURNT_PX = 30
@@ -43,7 +43,7 @@ class SunExposures:
         *,
         apparent_zenith: Callable[[], float] = lambda: 0.0,
         clear_level_per_us: Callable[[], float] = lambda: 0.0,
-        board: StatusBoard | None = None,
+        board: StatusRegistry | None = None,
     ) -> None:
         self._options = options
         self._apparent_zenith = apparent_zenith

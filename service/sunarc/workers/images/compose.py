@@ -16,8 +16,8 @@ from sunarc.archive import ImageStore
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
-from sunarc.runtime.status import Reason, StatusBoard
-from sunarc.workers.bounded_queue import Handover
+from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _log = logging.getLogger(__name__)
@@ -38,12 +38,12 @@ class ComposeWorker:
 
     def __init__(
         self,
-        cycles: Handover[Sequence[Frame]],
+        cycles: DropOldestQueue[Sequence[Frame]],
         *,
         store: ImageStore,
         options: SensorOptions,
         describe: Callable[[Sequence[Frame], HdrImage], Mapping[str, Any]],
-        board: StatusBoard,
+        board: StatusRegistry,
     ) -> None:
         self._cycles = cycles
         self._store = store

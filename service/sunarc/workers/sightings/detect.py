@@ -11,12 +11,12 @@ from typing import NamedTuple
 from sunarc.archive import sun_point_of
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
-from sunarc.runtime.status import StatusBoard
-from sunarc.workers.bounded_queue import Handover
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.sensor import SensorOptions, sensor_of
 from sunarc.workers.sightings.frozen_frames import FrozenFrames
 from sunarc.workers.sightings.sun_prediction import SunPredictor
-from sunarc.workers.sightings.write_buffer import SightingKeeper
+from sunarc.workers.sightings.write_buffer import SightingWriteBuffer
 
 _POLL_S = 0.5
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
@@ -48,16 +48,16 @@ class DetectWorker:
 
     def __init__(
         self,
-        frames: Handover[Frame],
+        frames: DropOldestQueue[Frame],
         *,
-        keeper: SightingKeeper,
+        keeper: SightingWriteBuffer,
         camera: str,
         predictor: SunPredictor,
         options: SensorOptions,
         disc: DiscOptions,
         clock_error_s: Callable[[datetime], float],
         report: Callable[[Frame, Detection], None],
-        board: StatusBoard,
+        board: StatusRegistry,
         frozen: FrozenFrames,
         cadence_s: float,
     ) -> None:

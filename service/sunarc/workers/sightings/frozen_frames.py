@@ -15,7 +15,7 @@ from sunarc.archive import ELSEWHERE, FROZEN, Archive, Event, SunPoint
 from sunarc.cameras import Counts, Frame
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, angular_distance, sun_directions
 
 _log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class FrozenFrames:
     board : where a camera that repeats its images is shown.
     """
 
-    def __init__(self, *, archive: Archive, camera: str, site: Site, board: StatusBoard) -> None:
+    def __init__(self, *, archive: Archive, camera: str, site: Site, board: StatusRegistry) -> None:
         self._archive = archive
         self._camera = camera
         self._site = site

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from sunarc.archive import Archive, SunPoint
 from sunarc.errors import OutsideError
-from sunarc.runtime.status import Reason, StatusBoard
+from sunarc.runtime.status import Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
 _CAPACITY = 20_000  # a week of two a cycle, and 10 MB
@@ -16,7 +16,7 @@ _AT_A_TIME = 200
 _CODE = "sightings_not_stored"
 
 
-class SightingKeeper:
+class SightingWriteBuffer:
     """Stores sightings in the order they come, and those that could not be stored when it is possible again.
 
     Parameters
@@ -26,7 +26,7 @@ class SightingKeeper:
     capacity : how many may wait; then the oldest is given up.
     """
 
-    def __init__(self, archive: Archive, *, board: StatusBoard, capacity: int = _CAPACITY) -> None:
+    def __init__(self, archive: Archive, *, board: StatusRegistry, capacity: int = _CAPACITY) -> None:
         self._archive = archive
         self._board = board
         self._waiting: deque[SunPoint] = deque()

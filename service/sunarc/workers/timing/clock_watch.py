@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 from sunarc.archive import Archive, Event
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import ClockStatus, Reason, StatusBoard
+from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
 from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
 from sunarc.workers.timing.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
 from sunarc.workers.timing.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
@@ -81,7 +81,7 @@ class ClockWatch:
         options: ClockOptions,
         camera_error_s: float | None,
         finds_steps: bool,
-        board: StatusBoard,
+        board: StatusRegistry,
         largest_clock_error_s: float = 2.0,
     ) -> None:
         self._clock = clock
@@ -302,7 +302,7 @@ class ClockWatch:
 
     def _write_offset(self, reason: Reason, offset_s: float) -> None:
         """Write an event when the camera's time is found not to be the host's."""
-        told = Event(
+        event = Event(
             time=self._frame_time.now(),
             kind=reason.code,
             severity="alarm",
@@ -311,7 +311,7 @@ class ClockWatch:
             details={"offset_s": offset_s},
         )
         try:
-            self._archive.add_event(told)
+            self._archive.add_event(event)
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
