@@ -1,4 +1,4 @@
-"""Keeps the geometric calibration of an all-sky imager right, from the sun."""
+"""Geometric calibration of an all-sky imager from the sun, kept up to date without an operator."""
 
 from importlib.metadata import version
 

@@ -38,14 +38,14 @@ class Settings(BaseSettings):
     source : where frames come from.
     site : where the camera stands.
     camera, replay : the GigE Vision camera, or the folder to replay.
-    sensor, detection : what the detector is told.
+    sensor, detection : the sensor's properties, and limits of the detection.
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
     calibration, refit, days : the fit, when and how it is run, and what makes a day clear.
-    watch : when a change of the camera is believed.
+    watch : thresholds of a change of the camera.
     disk : how much of the disk images may have.
     api : the web server.
-    supervisor : when a worker is given up, or taken for stuck.
+    supervisor : limits of restarts and heartbeats of the workers.
     """
 
     model_config = SettingsConfigDict(extra="forbid", frozen=True)

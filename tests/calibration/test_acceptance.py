@@ -94,7 +94,7 @@ def test_days_left_out_that_are_met_worse_than_expected_speak_against_a_fit(
     metrics = replace(calibrated.metrics, held_out_rmse_px=found, held_out_expected_px=0.03)
     verdict = accept(replace(calibrated, metrics=metrics))
     assert (verdict.accepted, verdict.marginal) == (False, marginal)
-    assert "days left out are foretold to" in verdict.reasons[0]
+    assert "cross-validation RMSE" in verdict.reasons[0]
 
 
 def test_the_other_hand_is_refused(calibrated: Calibration) -> None:

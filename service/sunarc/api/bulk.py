@@ -1,4 +1,4 @@
-"""How a question with many rows is read, answered and told: at once when small, in a thread and by turns when large."""
+"""Requests with many rows: read, computed and written, at once when small, in a thread and by turns when large."""
 
 from __future__ import annotations
 
@@ -55,15 +55,15 @@ class Answering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Computation:
-    """One kind of question.
+    """One kind of request with many rows.
 
     Attributes
     ----------
     read : returns the rows of a JSON body; at most so many.
     columns : how many columns the rows may have.
-    answer : returns what is told of rows.
-    told : names of the answer's columns.
-    tell : returns what is told of it as JSON.
+    answer : returns the answer's rows for the request's rows.
+    answer_columns : names of the answer's columns.
+    tell : returns the answer's rows as a JSON object.
     double : answer in double precision whatever the question has.
     """
 

@@ -43,7 +43,7 @@ _FIELDS: dict[str, tuple[str, Any]] = {
     "ellipticity": ("Of the disc that was fitted: 0 is a circle.", 0.04),
     "events": ("On this page, the newest first.", None),
     "exposure_us": ("Exposure, µs; 0 where it is not known.", 47.0),
-    "failures": ("Count of exposures given up.", 0),
+    "failures": ("Count of exposures that failed at every attempt.", 0),
     "finished_at": ("When it ended; null until then.", _TIME),
     "frames": ("Count of exposures that succeeded.", 14400),
     "free_bytes": ("Free space, bytes.", 82_000_000_000),

@@ -1,7 +1,7 @@
-"""The composition root: the only place where parts are chosen and joined.
+"""The composition root: the only room that chooses and joins parts.
 
-service.py: the parts of a running imager · serving.py: its life, from start to stop · status_line.py: what systemctl
-shows · cameras.py: which camera the settings name · simulating.py: the simulated imager.
+`service` the parts of a running imager · `serving` start, run and stop · `status_line` the line of systemctl status ·
+`cameras` the camera that the settings name · `simulating` the simulated imager.
 """
 
 from sunarc.app.cameras import camera_opener, require_stored_site

@@ -214,7 +214,7 @@ class Service:
     def _time_of_change(self) -> datetime:
         """Return a time after the last frame of the camera that was open before and not after the next frame.
 
-        While the clock is not trusted, or before a camera has told its time, that is just after the newest sighting.
+        While the clock is not trusted, or before the camera's time is known, that is just after the newest sighting.
         """
         now = self.frame_time.now()
         if self.frame_time.known and self.clock_watch.trusted():

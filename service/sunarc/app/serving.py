@@ -142,7 +142,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
             timeout_keep_alive=_KEEP_ALIVE_S,
             timeout_graceful_shutdown=1,
             server_header=False,
-            proxy_headers=True,  # for whom a proxy on loopback asks; nobody else is believed
+            proxy_headers=True,  # forwarded addresses are accepted from a proxy on loopback only
             forwarded_allow_ips=["127.0.0.1", "::1"],
         ),
         on_started=on_started,
@@ -165,7 +165,7 @@ class _Server(uvicorn.Server):
     Parameters
     ----------
     config : of the server.
-    on_started : called once it listens; before that, nobody is told that the service is ready.
+    on_started : called once it listens; readiness is reported only then.
     heartbeat : beaten at every turn of the loop, every 0.1 s.
     """
 

@@ -1,12 +1,9 @@
-"""What we remember: cameras, pose epochs, sightings, days, calibrations, refits and events, in one SQLite file.
+"""The database: cameras, pose epochs, sightings, days, calibrations, refits and events in one SQLite file.
 
-values.py: what goes in and comes out · tables.py (with types.py): the head revision · engine.py: connections and
-transactions · file.py: the file while it is in use · schema.py: revisions, checks · migrating.py: alembic's part ·
-copies.py: backups and their restoration · recovery.py: a lost database · lock.py: one service per state folder ·
-ownership.py: owner and mode of files · sites.py: whether camera and settings are at one site · sightings.py (with
-columns.py), calibrations.py (with documents.py, validity.py), history.py, epoch_closing.py, used.py, air.py,
-journal.py: the parts of `Archive` · archive.py: the whole · images.py: composites on disk · reserve.py: the
-database's room beside them · csv_files.py: the files people hand us.
+`archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
+epoch_closing sighting_revisions` · `values` what goes in and comes out · `tables types` the schema · `engine store`
+connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership space_reserve` the
+file on disk · `images` composites · `csv_files` sightings as CSV.
 """
 
 from sunarc.archive.archive import Archive, open_archive

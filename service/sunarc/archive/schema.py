@@ -19,7 +19,7 @@ from sunarc.errors import InputError, OutsideError, SchemaError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """What a look at the database told.
+    """Result of a database check.
 
     Attributes
     ----------

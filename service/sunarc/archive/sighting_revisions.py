@@ -1,4 +1,4 @@
-"""Sightings that are no longer believed, or believed after all."""
+"""Later changes of which sightings are accepted: exclusion and readmission."""
 
 from __future__ import annotations
 

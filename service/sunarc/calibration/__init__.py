@@ -1,12 +1,9 @@
-"""Which camera explains the sun: sightings in, a calibration with its uncertainty and a verdict out.
+"""Fit of a camera to sightings of the sun: the camera, its uncertainty and a verdict.
 
-Map: `points` what is given · `selection`, `patches` what of a long record is used · `options` what may be chosen ·
-`calibrate` the way through · `start`, `initial` the first camera · `priors`, `problem`, `solve` the most probable one ·
-`loss`, `noise`, `bins` how much a sighting counts · `field`, `evidence`, `scales`, `doubt`, `robust` the service's
-method · `covariance` how sure one is · `lookup`, `maps` many pixels at once · `metrics`, `backward`, `verdict`,
-`acceptance` what it is worth · `again` the same fit once more · `moves` was the camera moved meanwhile · `posing/` a
-known lens in a new pose · `watching/` what changed · `days` what a day is worth · `drift` how the pose wanders ·
-`circle` the image circle · `document` its JSON.
+`calibrate` the entry · `model` values · `selection` of sightings · `initial_guess`, `least_squares`, `fit` the robust
+fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
+comparison of every sighting with the calibration · `pose_change_points`, `pose_step_search`, `pose_step_evidence`
+pose changes within a record · `reproduce` a stored fit again. The maths: docs/maths.md.
 """
 
 from sunarc.calibration.calibrate import calibrate

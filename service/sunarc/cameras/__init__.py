@@ -1,4 +1,4 @@
-"""Frames from outside: what a camera is to us, the Aravis adapter, and a folder of images played again."""
+"""Camera interface, the Aravis adapter (GigE Vision, USB3 Vision), and replay of a folder of images."""
 
 from sunarc.cameras.aravis import AravisCamera, open_aravis
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Counts, Frame, SkyCamera, full_scale_of

@@ -35,5 +35,5 @@ def abilities_of(
     )
     yield "exposure", f"by {exposure.feature}; {noted}"
     degrees = temperature_c(camera)
-    yield "temperature", "not told" if degrees is None else f"{degrees:.1f} °C"
+    yield "temperature", "not reported" if degrees is None else f"{degrees:.1f} °C"
     yield "held settings", ", ".join(f"{pin.name} {pin.value}" for pin in pins)

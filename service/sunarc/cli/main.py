@@ -92,7 +92,7 @@ def version(*, show: Annotated[bool, typer.Option("--version", help="Print the v
 
 @cli.command()
 def serve(config: Config = None) -> None:
-    """Run the service until it is told to stop.
+    """Run the service until SIGTERM or SIGINT.
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """

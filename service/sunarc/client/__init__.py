@@ -1,6 +1,6 @@
-"""The service as others' Python sees it: numpy in, numpy out; imports nothing else of this package.
+"""Python client of the HTTP service on numpy alone; imports nothing else of this package.
 
-imager.py: what can be asked · transport.py: requests, repeated where that helps.
+`imager` the requests · `transport` retries.
 """
 
 from sunarc.client.imager import BackProjection, Imager, Located, Projection

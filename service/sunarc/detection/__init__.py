@@ -1,11 +1,4 @@
-"""Where the sun is seen: in microsecond frames (`detect_sun`) and in ordinary images (the paper's estimators).
-
-Map: `values` in and out, `options`; `search` finds bright spots, `window` cuts them out, `template` renders the disc,
-`model`, `kernels` and `fit` fit it, `judge` says what it was and `obstruction` what is before it, `detect` joins them,
-`bracket` a bracket's frames, and `brightness` learns how bright the clear sun is. For ordinary images: `estimators` and
-`paper` are Appendix A, `blob` and `circles` the bright region's shape, `halo` the light around it, `bias` what its
-centre is off, `photo` the verdict.
-"""
+"""Detection of the sun: `disc` in microsecond exposures, `photo` in ordinary ones."""
 
 from sunarc.detection.disc.bracket import beside, combine
 from sunarc.detection.disc.brightness import ClearSun, clear_sun

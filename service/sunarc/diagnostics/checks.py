@@ -31,7 +31,7 @@ _ANSWER_S = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What a look told.
+    """Result of one check.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Finding:
 
 
 def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
-    """Look at one thing after the other; what is told is what `sunarc check` prints."""
+    """Run all checks; the results are what `sunarc check` prints."""
     running = _running(settings)
     yield Finding(what="settings", outcome="ok", text=f"camera {settings.name!r}, state in {settings.state}")
     yield _looked("versions", _versions)
@@ -59,7 +59,7 @@ def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
 
 
 def examine_camera(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
-    """Look at the camera alone, closely; what is told is what `sunarc check --camera` prints."""
+    """Run the checks of the camera alone; the results are what `sunarc check --camera` prints."""
     running = _running(settings)
     if running is not None:
         outcome, text = _camera_in_use(running)

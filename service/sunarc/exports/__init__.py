@@ -1,8 +1,7 @@
-"""The same calibration in others' formats; each says how far it is from ours.
+"""Exports of a calibration to other formats, each with its stated error.
 
-sky.py: where they are compared · opencv.py, ocam.py, mrcal.py: others' models, fitted to ours · asi_core.py: the file
-of one reader of ocam.py's · tables.py: NetCDF and npz, of a calibration and of the map of what every pixel sees ·
-formats.py: all of them by name.
+`formats` by name · `opencv`, `ocam`, `asi_core`, `mrcal` models fitted to ours · `tables` NetCDF and npz · `sky` the
+grid on which they are compared.
 """
 
 from sunarc.exports.formats import (

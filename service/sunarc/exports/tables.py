@@ -70,7 +70,7 @@ def netcdf_bytes(table: Table) -> bytes:
 
 
 def _content(values: NDArray[Any]) -> dict[str, Any]:
-    """Return what h5netcdf is told of an array; texts are of any length."""
+    """Return the keywords of an array for h5netcdf; texts are of any length."""
     if values.dtype.kind == "U":
         import h5py  # noqa: PLC0415 - the service starts sooner without it
 

@@ -1,6 +1,6 @@
-"""Where a cloud and its shadow stand on the ground, and how sure that is.
+"""Positions of a cloud and its shadow on the ground, with their covariance.
 
-ellipsoid.py: places on the WGS 84 ellipsoid · locate.py: from directions and a height to clouds and shadows.
+`ellipsoid` WGS 84 · `locate` from directions and a height.
 """
 
 from sunarc.geolocation.ellipsoid import Place, place_of

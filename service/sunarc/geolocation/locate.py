@@ -29,7 +29,7 @@ class Located:
     ----------
     position_m : (n, 3) metres east, north and up of the site; up falls with distance as the Earth curves away.
     place : latitude, longitude, altitude.
-    covariance_m2 : (n, 3, 3) of the position, from the doubt of the view direction alone.
+    covariance_m2 : (n, 3, 3) of the position, from the uncertainty of the view direction alone.
     """
 
     position_m: FloatArray

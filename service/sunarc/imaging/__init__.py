@@ -1,9 +1,4 @@
-"""What to expose for the sun, and what to keep of a cycle: all pure.
-
-Map: `exposure` the sun exposure controller, `darkness` whether a frame is black, `brightness` whether frames had their
-exposures beside one another, `level` whether a cycle had them beside the one before, `hdr` the merge, `preview` for
-people, `metadata` what a file says of itself.
-"""
+"""Exposure control for the sun, checks of frame brightness, and the HDR merge; pure functions."""
 
 from sunarc.imaging.brightness import Exposed, light_ratio_contradiction
 from sunarc.imaging.darkness import is_dark

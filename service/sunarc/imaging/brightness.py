@@ -55,7 +55,7 @@ def light_ratio_contradiction(first: Exposed, second: Exposed) -> str | None:
 
     Returns
     -------
-    One sentence, or None: they agree, or nothing can be told (no contrast, or both saturated). The difference between
+    One sentence, or None: they agree, or cannot be compared (no contrast, or both saturated). The difference between
     the brightest unsaturated and the darkest pixels of the longer exposure is looked for in the shorter one, so that
     the black level need not be known; the pixels that the longer one saturates must be bright enough in the shorter.
     """

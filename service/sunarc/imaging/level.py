@@ -57,11 +57,9 @@ def level_of(frames: Sequence[Exposed]) -> Level:
 def factor_all_over(before: Level, now: Level) -> float | None:
     """Return the factor by which nearly all of the image gained (above 1) or lost light (below 1).
 
-    Returns
-    -------
-    The factor that nine tenths of the image reached or exceeded; 1 where they went different ways; None where nothing
-    can be told (no contrast, other exposures, another size). Light is counted from the darkest twentieth of the image,
-    so that the black level need not be known, in the shortest exposure that shows enough.
+    Returns ------- The factor that nine tenths of the image reached or exceeded; 1 where they went different ways;
+    None where nothing can be compared (no contrast, other exposures, another size). Light is counted from the darkest
+    twentieth of the image, so that the black level need not be known, in the shortest exposure that shows enough.
     """
     if (before.shape, before.full_scale) != (now.shape, now.full_scale):
         return None

@@ -1,9 +1,4 @@
-"""Answers from files, with no service running: what the command line does at once and prints.
-
-fitting.py: sightings to a calibration · placing.py: directions to pixels and back · detecting.py: the sun in images ·
-ingesting.py: an archive of images to sightings · storing.py: the archive in and out · export_command_line.py: other
-formats · files.py: what is handed over · compiling.py: the kernels, ahead of their first use.
-"""
+"""Functions of the commands that work on files and databases, without a running service."""
 
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.compile_kernels import compile_kernels

@@ -64,7 +64,7 @@ def detect_in_image(
         exposed sky, or in colours, for an ordinary one.
     full_scale, bayer : as in `detect_in_files`.
     expectation : where the sun should be, where that is known.
-    exposure_us : told on in the answer.
+    exposure_us : returned in the result.
     """
     top = full_scale or _full_scale_of(image)
     chosen = _method_for(image, top) if method == "auto" else method
@@ -79,7 +79,7 @@ def detect_in_image(
 
 
 def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:
-    """Write the image with a cross on the sun: green where it is believed, orange where it is not."""
+    """Write the image with a cross on the sun: green where it is accepted, orange where it is rejected."""
     image = read_image(path)
     canvas = preview(image) if image.ndim == 2 else _eight_bits(image)
     if canvas.ndim == 2:

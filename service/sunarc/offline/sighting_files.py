@@ -52,7 +52,7 @@ def upgrade_database(state: Path) -> str:
 
 
 def check_database(state: Path) -> dict[str, Any]:
-    """Return what a look at the database told."""
+    """Return the result of a database check."""
     found = check(database_of(state))
     return {
         "sound": found.sound,

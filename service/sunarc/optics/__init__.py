@@ -1,4 +1,4 @@
-"""Where a direction lands: projections, the camera as a value, project, unproject and their derivatives."""
+"""Camera model: projection, back-projection and derivatives."""
 
 from sunarc.optics.camera import PARAMETER_NAMES, Camera
 from sunarc.optics.fast import InverseTable, inverse_table, project_fast, project_with_rows_fast

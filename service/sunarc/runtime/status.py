@@ -70,7 +70,7 @@ class CaptureStatus:
     losses : exposures without a frame, or with one that lacks packets.
     refusals : frames of a wrong size, count or exposure.
     doubts : rounds of exposures whose brightness contradicted what they said.
-    failures : exposures given up.
+    failures : exposures that failed at every attempt.
     openings : how often the camera was opened.
     jitter_s, jitter_max_s : from a slot to its first exposure's beginning, real seconds: the last, and the largest.
     hdr_s : from the beginning of the last cycle to the end of its normal exposures, real seconds.

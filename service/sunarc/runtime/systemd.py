@@ -45,7 +45,7 @@ class Notifier:
                 outlet.setblocking(False)
                 outlet.sendto(message.encode(), self._address)
         except OSError as error:  # a deaf manager is no reason to stop taking pictures
-            _log.warning("systemd was not told %s: %s", message.split("\n", 1)[0], error)
+            _log.warning("sd_notify %s failed: %s", message.split("\n", 1)[0], error)
 
 
 def notifier_from(environment: Mapping[str, str]) -> Notifier:

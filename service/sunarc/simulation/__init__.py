@@ -1,4 +1,4 @@
-"""Frames from a known truth: the sky, the lens, the sensor, faults; in-process, or served as a GigE Vision camera."""
+"""Simulated imager with a known camera: sky, lens, sensor and faults, in process or as a GigE Vision camera."""
 
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager, scene_of

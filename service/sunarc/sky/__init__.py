@@ -1,4 +1,4 @@
-"""Where the sun is: positions, refraction, directions and solar days."""
+"""Position of the sun, refraction, directions and local mean solar days."""
 
 from sunarc.sky.air import relative_air_mass
 from sunarc.sky.days import day_bounds_unix_s, solar_date

@@ -1,11 +1,4 @@
-"""The paper's tables and figures made again, and the pictures of a calibration.
-
-Map: `residuals`, `residual_plot`, `sky_plot`, `plots` the pictures of a calibration · `published` the paper's numbers ·
-`arcs`, `noise` what is simulated · `trials`, `bound`, `uncertainty`, `uncertainty_plot` Figs. 4 and 5 · `tables` Tables
-1 to 3 · `drawing` how a sheet looks · `reports` the files · `command_line` the command.
-
-Nothing here loads matplotlib before something is drawn.
-"""
+"""The paper's tables and figures, and plots of a calibration. matplotlib is imported when something is drawn."""
 
 from sunarc.studies.plots import write_calibration_plots
 from sunarc.studies.tables import study_tables

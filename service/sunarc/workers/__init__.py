@@ -1,4 +1,4 @@
-"""The loops that join the rooms: capture, compose, detect, refit, and the judging of days."""
+"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`."""
 
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge

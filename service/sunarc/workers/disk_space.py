@@ -23,7 +23,7 @@ class DiskWorker:
     Parameters
     ----------
     store : the images.
-    reserve : the database's room, given up when the disk is full and taken again when it is not.
+    reserve : space for the database, released when the disk is full and taken again when it is not.
     options : how much images may have.
     clock : real time.
     age_from : the time that the age of images is counted from; None while it cannot be trusted.

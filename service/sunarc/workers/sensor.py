@@ -35,7 +35,7 @@ class SensorOptions:
 
 
 def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
-    """Return the sensor as the detector and the merge want it told, for a frame's pixel format and binning.
+    """Return the sensor's properties for the detector and the merge, by a frame's pixel format and binning.
 
     The mean of n² pixels has the noise of n² times the electrons per count.
     """

@@ -43,7 +43,7 @@ class TokenBuckets:
         """Take from a client's bucket; return the seconds to wait where it holds less than one request, else 0.
 
         A price above what is left makes a debt, which the client waits for: refused for its price, a wrong token
-        would be told from a right one.
+        would be distinguishable from a right one.
         """
         left = self._filled(client, now_s)
         enough = left >= 1.0

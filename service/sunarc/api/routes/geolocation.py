@@ -35,7 +35,7 @@ _OF_ONE = (
     "cov_nn_m2",
 )
 LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
-"""Columns of what is told of a cloud and its shadow."""
+"""Columns of the answer: a cloud and its shadow."""
 
 
 def geolocation_routes(served: ApiContext, places: Places) -> APIRouter:

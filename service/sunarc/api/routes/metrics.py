@@ -25,7 +25,7 @@ _CAPTURE_COUNTS = {
     "losses": "Exposures without a frame, or with one that lacked packets.",
     "refusals": "Frames of a wrong size, count or exposure.",
     "doubts": "Rounds of exposures whose brightness contradicted what they said.",
-    "failures": "Exposures given up.",
+    "failures": "Exposures that failed at every attempt.",
     "openings": "How often the camera was opened.",
 }
 

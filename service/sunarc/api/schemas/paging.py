@@ -30,8 +30,8 @@ class Page:
 
     Attributes
     ----------
-    last : the time of the last row that was told already; None on the first page.
-    skip : how many rows of exactly that time were told already.
+    last : the time of the last row of the page before; None on the first page.
+    skip : how many rows of exactly that time were on earlier pages.
     limit : rows on a page.
     """
 
@@ -41,7 +41,7 @@ class Page:
 
     @property
     def rows(self) -> int:
-        """How many rows to ask for: what was told already, the page, and one that says whether there are more."""
+        """How many rows to query: those of earlier pages, the page, and one that shows whether there are more."""
         return self.skip + self.limit + 1
 
     def until(self, wanted: datetime | None) -> datetime | None:

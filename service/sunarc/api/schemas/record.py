@@ -1,4 +1,4 @@
-"""What is told of days, calibrations, refits, events and cameras; units and examples as in schemas.py."""
+"""Bodies of days, calibrations, refits, events and cameras."""
 
 from __future__ import annotations
 

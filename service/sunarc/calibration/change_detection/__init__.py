@@ -1,7 +1,8 @@
-"""Did something change? Every sighting against the calibration, and what explains those that disagree.
+"""Detection of a change of camera, clock or site by Bayesian model comparison of the last sightings.
 
-Map: `values` what is told, remembered and found · `window` sightings held to a calibration · `update_window` one more of them
-· `best_hypothesis` the explanations, weighed · `tell` the one that is named, in words.
+`detect_change` one sighting more · `residual_model` the last sightings and the covariance of their residuals ·
+`hypotheses` what may have changed · `cloud_drift` the rival that nothing has · `report` the change in words ·
+`values` in and out.
 """
 
 from sunarc.calibration.change_detection.detect_change import REMEMBERED, update_window

@@ -46,7 +46,7 @@ def update_window(
     seen : the sighting, later than those remembered.
     calibration : what it is held to.
     site : where the camera is said to stand.
-    options : when a change is believed.
+    options : thresholds of a change.
     clock_stepped : whether the host says that its clock was set while these sightings were made.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """

@@ -56,8 +56,8 @@ class Hypothesis:
     kind : what.
     first : the first sighting after the change.
     camera : that sees them then.
-    directions, pixels : (k, 3) where the sun was, (k, 2) where it was seen, told as that camera tells it.
-    free : (p, f) what may still be off, in the belief's parameters, one column a free number of 1-sigma 1.
+    directions, pixels : (k, 3) where the sun was, (k, 2) where it was detected, in the pixels of that camera.
+    free : (p, f) free directions in the error model's parameters, one column per standard normal number.
     mean : (p,) where those are expected before the sightings.
     """
 

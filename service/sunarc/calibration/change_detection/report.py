@@ -120,7 +120,7 @@ def _size(window: ResidualModel, explanation: Hypothesis, held: MixtureFit) -> t
 
 
 def _after(window: ResidualModel, explanation: Hypothesis, held: MixtureFit) -> CameraErrorModel:
-    """Return what is believed of the explanation's camera after the sightings that agree with it."""
+    """Return the error model of the hypothesis's camera, conditioned on the sightings that agree with it."""
     free = explanation.free
     before = replace(
         window.error_model, mean=explanation.mean, covariance=window.error_model.covariance + free @ free.T

@@ -37,7 +37,7 @@ class ResidualModel:
     Attributes
     ----------
     watch : the sightings.
-    camera, belief : of the calibration.
+    camera, error_model : of the calibration.
     at : where it sees the sun.
     covariance : (2n, 2n) of its errors there, px².
     seen : the sightings' residuals and noise.

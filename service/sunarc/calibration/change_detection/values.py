@@ -1,4 +1,4 @@
-"""What the watch is told, what it remembers, and what it finds."""
+"""Input, state and result of the change detection."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
-    """When a change is believed.
+    """Thresholds of a change.
 
     Attributes
     ----------

@@ -156,7 +156,7 @@ def _dates(usable: FilteredSightings) -> tuple[str, ...]:
 
 
 def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
-    """Return what is known without a fit: the ideal lens, level, with all of its doubt."""
+    """Return the calibration without a fit: the ideal lens, level, with its prior uncertainty."""
     options, circle, image_size = job.options, job.circle, job.image_size
     if circle is None:
         camera = camera_from_size(image_size=image_size, options=options)

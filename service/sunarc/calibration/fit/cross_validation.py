@@ -1,4 +1,4 @@
-"""How well a fit foretells days that it did not see, and how well it says it does."""
+"""Cross-validation: RMSE of days left out, and the RMSE expected from the stated uncertainty."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class HeldOut(NamedTuple):
 
 
 def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
-    """Return how well whole days are foretold by the others; None with fewer than two days a pose.
+    """Return the cross-validation over whole days; None with fewer than two days a pose.
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
     """
@@ -39,7 +39,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
     for left_out in np.unique(fold):
         mine = fold == left_out
         if np.setdiff1d(usable.epoch[mine], usable.epoch[~mine]).size:
-            continue  # a pose that no other day shows cannot be foretold
+            continue  # a pose that no other day has cannot be predicted
         inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
         without = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales)
         counted = mine & (fit.weight > 0.0)
@@ -53,7 +53,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
 
 
 def _variance(fit: RobustFit, without: MarginalFit) -> FloatArray:
-    """Return (bins,): trace of the covariance of what a fit without some days foretells, px²."""
+    """Return (bins,): trace of the covariance of the prediction by a fit without some days, px²."""
     rows, waves = fit.system.rows, fit.system.waves
     own = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
     mixed = np.einsum("nap,apm,nm->n", rows, without.cross, waves, optimize=True)

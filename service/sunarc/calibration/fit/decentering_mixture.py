@@ -42,27 +42,27 @@ class _Conditional(NamedTuple):
 
 
 def mixed_over_decentering(
-    doubt: PosteriorCovariance, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
+    posterior: PosteriorCovariance, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
 ) -> PosteriorCovariance:
     """Return the covariance with p3 and p4 integrated out.
 
     Parameters
     ----------
-    doubt : the covariance about the fit, all unknowns taken as Gaussian.
+    posterior : the covariance about the fit, all unknowns taken as Gaussian.
     problem, system : of the fit; the system about `unknowns`.
     unknowns : the fit, (p,).
     scales : those of the fit.
     """
-    inner = doubt.covariance[np.ix_(_HIGHER, _HIGHER)]
+    inner = posterior.covariance[np.ix_(_HIGHER, _HIGHER)]
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
-        return doubt
+        return posterior
     free = marginal_fit(system.normal(), system.basis, scales).covariance
     places = [_conditional(problem, system, unknowns, place, scales) for place in _PLACES]
     log_mass = np.array([_log_evidence(system, scales), *(place.log_evidence for place in places)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
     excess = np.einsum("k,kpq->pq", share, np.stack([place.moments - free for place in places]), optimize=True)
-    return replace(doubt, covariance=doubt.covariance + _positive_part(excess, free))
+    return replace(posterior, covariance=posterior.covariance + _positive_part(excess, free))
 
 
 def _positive_part(excess: FloatArray, reference: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """The fit with the field marginalised, and how probable the data are under each choice of scales.
 
-With the lens and pose as θ (prior precision P about 0) and the field's coefficients as c, the sightings are
-r = J dθ + Φ c + noise. Everything needed is a few sums over the sightings (`NormalEquations`), so that the amplitude and the
+With the lens and pose as θ (prior precision P about 0) and the field's coefficients as c, the sightings are r = J dθ
++ Φ c + noise. Everything needed is a few sums over the sightings (`NormalEquations`), so that the amplitude and the
 length of the field and the scale of the residual radial distortion can be tried at the price of one small
 factorisation each (generalised least squares, Laplace's approximation of the marginal likelihood).
 """
@@ -156,7 +156,8 @@ def responses(
 
     Parameters
     ----------
-    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see `NormalEquations`.
+    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see
+        `NormalEquations`.
     """
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]

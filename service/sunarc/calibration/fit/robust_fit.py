@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, likely_scales, log_evidence, scale_grid
-from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, doubt
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
@@ -58,7 +58,7 @@ class RobustFit:
     ----------
     system : the bins' equations about the fit.
     unknowns : the most probable ones.
-    doubt : their covariance and the field's part in it, over all plausible scales.
+    posterior : their covariance and the field's part in it, over all plausible scales.
     scales : those of the fit, as found in the data.
     grid : the scales that were tried, and the field's waves.
     residual : (n, 2) observed minus modelled, px.
@@ -70,7 +70,7 @@ class RobustFit:
     problem: Problem
     system: LinearSystem
     unknowns: FloatArray
-    doubt: PosteriorCovariance
+    posterior: PosteriorCovariance
     scales: Scales
     grid: HyperparameterGrid
     residual: FloatArray
@@ -129,12 +129,12 @@ def fit_robustly(
     state = _in_assumed_air(problem, seen.weighted(noise.information(seen)), bins, state, grid)
     unknowns = _as_good_as_least_squares(problem, seen, state.unknowns, sigma=noise.sigma_px)
     system = linear_system(problem, seen, bins, unknowns, information=noise.information(seen), basis=grid.basis)
-    gaussian = doubt(system.normal(), grid, problem, unknowns)
+    gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
     return RobustFit(
         problem=problem,
         system=system,
         unknowns=unknowns,
-        doubt=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales),
+        posterior=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales),
         scales=state.scales,
         grid=grid,
         residual=problem.residuals(unknowns, seen),

@@ -30,15 +30,15 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
     to_parameters[POSE, N_LENS:] = _turned(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
     field = Field(
-        amplitude_px=fit.doubt.amplitude_px,
-        length_px=fit.doubt.length_px,
+        amplitude_px=fit.posterior.amplitude_px,
+        length_px=fit.posterior.length_px,
         basis=fit.grid.basis,
-        cross=np.stack([to_parameters @ part[chosen] for part in fit.doubt.cross]),
+        cross=np.stack([to_parameters @ part[chosen] for part in fit.posterior.cross]),
     )
     return Fitted(
         cameras=cameras,
         parameter_names=FREE_NAMES,
-        covariance=to_parameters @ fit.doubt.covariance[np.ix_(chosen, chosen)] @ to_parameters.T,
+        covariance=to_parameters @ fit.posterior.covariance[np.ix_(chosen, chosen)] @ to_parameters.T,
         field=field,
         residual=fit.residual,
         used=fit.weight > 0.0,

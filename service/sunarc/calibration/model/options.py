@@ -96,7 +96,8 @@ class CalibrationOptions:
     method : "robust" (the service's) or "paper" (the reference).
     projection : the lens's ideal projection.
     mirrored : whether the image is a mirror image; "auto" tries both and reports which it took.
-    free : what was fitted, in the evidence of a calibration: the whole camera, or (`estimate_pose`) a known lens's pose.
+    free : what was fitted, in the evidence of a calibration: the whole camera, or (`estimate_pose`) a known lens's
+        pose.
     level_within_deg : a camera tilted by more is refused (the fit itself searches tilts to 75 degrees).
     max_angle_deg : how far off the axis the model is asked to answer.
     max_rmse_px : a fit whose used sightings scatter by more is refused.

@@ -1,6 +1,6 @@
-"""The paper's own procedure (Urquhart et al. 2016, section 4), to the letter: kept as reference and for the studies.
+"""The paper's own procedure (Urquhart et al. 2016, section 4), kept as reference and for the studies.
 
-Map: `dlt` the linear pose · `constraints` c1, c2, c3 · `stages` the three-stage fit.
+`dlt` the linear pose · `constraints` c1, c2, c3 · `stages` the three-stage fit.
 """
 
 from sunarc.calibration.paper.constraints import penalties

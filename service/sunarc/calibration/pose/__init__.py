@@ -1,8 +1,8 @@
-"""A known lens in a new pose.
+"""Pose of a known lens from a few sightings, some of which may be outliers.
 
-Map: `stated` what a calibration says of its errors, jointly · `condition` that held to sightings, false ones among them
-· `turn` the turn that most of them agree on · `seen` their noise · `estimate_pose` the calibration of the new pose · `offset`
-how it stood on a day.
+`estimate_pose` the calibration of the new pose · `error_model` the calibration's errors as a Gaussian · `residuals`
+sightings and their noise · `rotation_consensus` RANSAC · `gaussian_conditioning` the posterior · `daily_offset` per
+day.
 """
 
 from sunarc.calibration.pose.daily_offset import PoseOffset, daily_pose_offset

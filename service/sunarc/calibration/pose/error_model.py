@@ -28,7 +28,7 @@ _SHORTEST_LENGTH_PX = 16.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraErrorModel:
-    """A belief about a camera's errors.
+    """Gaussian prior or posterior of a camera's errors.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class CameraErrorModel:
     variances: FloatArray
 
     def turned_freely(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
-        """Return the belief after the camera turned: by `mean` (3,), radians, give or take an isotropic 1-sigma."""
+        """Return the error model after a rotation by `mean` (3,), radians, with an isotropic 1-sigma."""
         covariance, at = self.covariance.copy(), self.mean.copy()
         covariance[np.ix_(self.turn, self.turn)] += sigma_rad**2 * np.eye(3)
         at[self.turn] += mean
@@ -65,7 +65,7 @@ class Predicted:
     Attributes
     ----------
     pixels : (n, 2) px, NaN where it sees nothing.
-    rows : (n, 2, p) derivatives by the parameters that a belief speaks of.
+    rows : (n, 2, p) derivatives by the parameters of an error model.
     waves : (n, m) of its field.
     """
 
@@ -135,7 +135,7 @@ def _spread(known: WaveBasis, cross: FloatArray, whole: WaveBasis) -> FloatArray
 
 
 def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
-    """Return where a camera sees directions (n, 3), and the derivatives that a belief needs."""
+    """Return where a camera sees directions (n, 3), and the derivatives by the parameters of an error model."""
     pixels, rows = project_with_rows_fast(camera, directions)
     to_turn = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
     chosen = np.ascontiguousarray(rows[..., error_model.chosen])

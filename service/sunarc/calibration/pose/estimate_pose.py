@@ -96,8 +96,8 @@ class PoseFit:
     Attributes
     ----------
     camera : the most probable one.
-    belief : about it; its mean is 0.
-    believed : (n,) which sightings were taken for true.
+    error_model : of it; its mean is 0.
+    inlier : (n,) which sightings are inliers.
     sigma_px : noise of a sighting, px per axis (median).
     """
 
@@ -153,7 +153,7 @@ def _tolerance(error_model: CameraErrorModel, camera: Camera, seen: PredictedSig
 def _settled(
     error_model: CameraErrorModel, base: Camera, seen: PredictedSightings, inlier: BoolArray
 ) -> tuple[CameraErrorModel, MixtureFit]:
-    """Return the belief after sightings some of which may be false; the camera made linear anew in every round."""
+    """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
         at = predicted(error_model, moved(base, error_model, after.mean), seen.directions)
@@ -189,7 +189,7 @@ def _inliers(after: CameraErrorModel, camera: Camera, seen: PredictedSightings) 
 
 
 def _known(error_model: CameraErrorModel, base: Camera, seen: PredictedSightings) -> tuple[CameraErrorModel, float]:
-    """Return the belief after sightings that are all true, and their evidence."""
+    """Return the error model conditioned on inliers, and their log evidence."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     everyone = np.ones(seen.variance.size, dtype=bool)
     for _ in range(_ROUNDS):

@@ -1,4 +1,4 @@
-"""A belief about a camera after it was held to sightings: Gaussian conditioning, some of them left out as false."""
+"""Gaussian conditioning of a camera's error model on sightings, some of which are outliers."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MixtureFit:
-    """What sightings say under a belief.
+    """Fit of an inlier mixture to sightings.
 
     Attributes
     ----------
-    believed : (n,) which of them it takes for true.
+    inlier : (n,) which of them are inliers.
     log_evidence : of all of them.
     gap : (n, 2) residual of each but for what all others let one expect, px.
     gap_covariance : (n, 2, 2) of that, px².
@@ -88,13 +88,13 @@ class MixtureFit:
 
 
 def fit_inlier_mixture(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> MixtureFit:
-    """Return what sightings say, and which of them are to be believed.
+    """Return the inliers among sightings, and the log evidence of all.
 
     Parameters
     ----------
     covariance : (2n, 2n) of the prediction's errors at the sightings, px².
-    seen : the sightings, their residuals about the belief's mean.
-    believed : (n,) which to believe at first; in turn each is judged by what the others let one expect.
+    seen : the sightings, their residuals about the error model's mean.
+    inlier : (n,) initial inliers; then each is classified by the prediction from the others, until nothing changes.
     """
     for _ in range(_SWEEPS):
         loo_residual, spread = _leave_one_out(covariance, seen, inlier)
@@ -112,7 +112,7 @@ def fit_inlier_mixture(covariance: FloatArray, seen: Sightings, inlier: BoolArra
 
 
 def log_evidence(covariance: FloatArray, seen: Sightings, inliers: BoolArray) -> float:
-    """Return the log likelihood of all sightings, the inliers jointly normal and the others false; see `fit_inlier_mixture`."""
+    """Return the log likelihood of all sightings: inliers jointly normal, the others false (`fit_inlier_mixture`)."""
     false = seen.false_density[~inliers] + math.log(_FALSE_SHARE)
     return (
         log_normal(covariance, seen, inliers) + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE) + float(false.sum())
@@ -120,7 +120,7 @@ def log_evidence(covariance: FloatArray, seen: Sightings, inliers: BoolArray) ->
 
 
 def _leave_one_out(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return what is left of each sighting after the believed others, (n, 2), and its covariance, (n, 2, 2)."""
+    """Return leave-one-out residuals (n, 2) by the other inliers, and their covariances (n, 2, 2)."""
     n = inlier.size
     variance = np.where(inlier, seen.variance, _LEFT_OUT_PX2)
     inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
@@ -138,7 +138,7 @@ def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
 
 
 def log_normal(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> float:
-    """Return how likely the believed sightings are together, logarithm; 0 where there are none."""
+    """Return the log density of the inliers together; 0 where there are none."""
     if not np.any(inlier):
         return 0.0
     both = np.repeat(inlier, 2)
@@ -150,9 +150,9 @@ def log_normal(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> fl
 
 
 def conditioned(error_model: CameraErrorModel, at: Predicted, seen: Sightings) -> CameraErrorModel:
-    """Return the belief after sightings, all of them believed; their residuals are about an unchanged camera.
+    """Return the error model conditioned on sightings that are all inliers, their residuals about an unchanged camera.
 
-    Without any sighting it is the belief of before.
+    Without any sighting it is unchanged.
     """
     if seen.variance.size == 0:
         return error_model

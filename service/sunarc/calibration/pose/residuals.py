@@ -69,7 +69,7 @@ def inflation(start: Calibration) -> float:
 
 
 def gathered(camera: Camera, seen: PredictedSightings, inlier: BoolArray, *, inflation: float) -> PredictedSightings:
-    """Return the believed sightings, neighbours taken together so that there are not too many."""
+    """Return the inliers, neighbours averaged so that there are not too many."""
     true = seen.select(np.flatnonzero(inlier))
     each = -(-true.variance.size // MOST)
     member = np.arange(true.variance.size) // max(each, 1)

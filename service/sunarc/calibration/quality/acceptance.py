@@ -23,11 +23,11 @@ _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""
 _MUCH_WORSE = 1.5
 _FOUND_OUT = 4.0
-"""Growth that is believed of a fit that knows more days: the current one was too sure of itself."""
+"""Growth that is accepted of a fit of more days: the uncertainty of the current one was too small."""
 _FAR_SIGMAS = 5.0
 _SHOWN = 0.5
 _CHANGED = 2.0
-"""Change over the sky, in units of the larger of both stated sigmas, that is not believed without proof."""
+"""Change over the sky, in units of the larger of both stated sigmas, that needs proof by later sightings."""
 _HELD_OUT_RATIOS = (2.0, 4.0)
 """Held-out error over what was expected: marginal, refused."""
 _PROOF = 100.0
@@ -46,11 +46,11 @@ def accept(
 ) -> Verdict:
     """Return whether a candidate may become the current calibration.
 
-    It may where its own verdict allows, where it foretells days left out about as well as it says, where it is not less
-    sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the two agree
-    within what they say of themselves: so the error served does not rise by more than twice what is stated. A larger
-    change needs proof: that the sightings since are met far better. One that says the same again is marginal: the
-    current one stays.
+    It may where its own verdict allows, where it predicts days left out about as well as it states, where it is not
+    less sure of the sky than the current one (or knows more, and finds that one too sure of itself), and where the
+    two agree within what they say of themselves: so the error served does not rise by more than twice what is stated.
+    A larger change needs proof: that the sightings since are met far better. One that says the same again is
+    marginal: the current one stays.
 
     Parameters
     ----------
@@ -87,11 +87,11 @@ _Found = tuple[list[str], list[str]]
 
 
 def _held_out_problems(candidate: Calibration) -> _Found:
-    """Return refusals and doubts from the days left out."""
+    """Return refusals and warnings from the cross-validation."""
     found, expected = candidate.metrics.held_out_rmse_px, candidate.metrics.held_out_expected_px
     if found is None or expected is None or found <= _HELD_OUT_RATIOS[0] * expected:
         return [], []
-    said = [f"days left out are foretold to {found:.3f} px, where {expected:.3f} px was expected"]
+    said = [f"cross-validation RMSE {found:.3f} px (expected {expected:.3f} px)"]
     return (said, []) if found > _HELD_OUT_RATIOS[1] * expected else ([], said)
 
 

@@ -57,7 +57,11 @@ class DayOptions:
     def __post_init__(self) -> None:
         """Refuse shares that are none."""
         if not 0.0 <= self.partly_share <= self.clear_share <= 1.0:
-            raise InputError(field="partly_share, clear_share", problem="not rising from 0 to 1", remedy="mend them")
+            raise InputError(
+                field="days.partly_share",
+                problem="not below days.clear_share, or not within 0 to 1",
+                remedy="give e.g. 0.3 and 0.8",
+            )
         if not self.largest_clock_error_s > 0.0 or not 0.0 < self.doubtful_share <= 1.0:
             raise InputError(
                 field="largest_clock_error_s, doubtful_share", problem="out of bounds", remedy="give s, and 0 to 1"

@@ -114,7 +114,7 @@ def fit_disc(
 
 
 def _from_best(problem: Problem, starts: list[FloatArray]) -> tuple[State, Evaluation, bool]:
-    """Fit from the first start, and from the best of the others where that leaves a doubt.
+    """Fit from the first start, and from the best of the others where its chi² is high.
 
     A saturated disc hides its shape: where that is free a poor start may fit well, and the best is taken at once.
     """

@@ -121,7 +121,7 @@ def detect_sun_in_photo(
     expectation : where the sun should be, where known; its apparent zenith sets the kernels' width.
     options : of search and classification.
     lens : where given, the expected radial bias of the blob is reported (never subtracted).
-    exposure_us : told on in the answer.
+    exposure_us : returned in the result.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Whether the record still is what it was: what hands and other versions did to it is noticed, and told once."""
+"""Integrity of stored calibrations: changes by hand or by other versions are reported once."""
 
 from __future__ import annotations
 

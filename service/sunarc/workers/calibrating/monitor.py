@@ -1,4 +1,4 @@
-"""Watches every sighting: tells what changed, opens pose epochs, leaves out what is in doubt, poses the camera anew."""
+"""Comparison of every sighting with the calibration: pose epochs, excluded sightings, provisional poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
-"""Sightings in a row that agree again before a fault of the clock, the image or the site is taken for mended."""
+"""Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
 
 
 class WatchWorker:
@@ -43,7 +43,7 @@ class WatchWorker:
     Parameters
     ----------
     archive, camera, site : whose sightings, and where it is said to stand.
-    options : when a change is believed.
+    options : thresholds of a change.
     reposer : poses the camera anew.
     now : frame time; sightings and pose epochs dated later are not used.
     largest_clock_error_s : a sighting whose clock may be wrong by more is not used.
@@ -199,7 +199,7 @@ class WatchWorker:
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
-        doubted = f"in doubt: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
+        doubted = f"ambiguous: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
         after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
         self._archive.exclude(self._camera, since=after_last, until=at, reason=doubted)
         try:

@@ -57,7 +57,7 @@ class RefitOptions:
     Attributes
     ----------
     check_every_s : how often ended days are looked for, real seconds.
-    time_limit_s : a solve that takes longer is given up, real seconds.
+    time_limit_s : longest duration of a solve, real seconds.
     image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
     selection : how many sightings of the record a fit uses, and which never.
     """

@@ -1,4 +1,4 @@
-"""Cycles vouch for one another: what is handed on is as bright all over as the sky was a moment before."""
+"""Consistency of consecutive cycles: the overall brightness may not jump from one to the next."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Cycle:
 
 
 class CycleConsistencyFilter:
-    """Remembers the last cycle that was believed, and holds the first one back until a second agrees.
+    """Holds the first cycle back until a second has the same brightness, and compares each with the last accepted one.
 
     Parameters
     ----------
@@ -47,15 +47,14 @@ class CycleConsistencyFilter:
         self._held: tuple[Cycle, _CycleLevel] | None = None
 
     def contradiction(self, frames: Sequence[Frame]) -> str | None:
-        """Return how a cycle's normal frames contradict the last that was believed, one sentence; None: they do not."""
+        """Return how a cycle's normal frames contradict the last accepted cycle, one sentence; None: they do not."""
         if not frames or self._reference is None:
             return None
         factor = self._reference.factor_to(_level_of_cycle(frames))
         if factor is None or _is_possible(factor):
             return None
         return (
-            f"all of the image has {factor:.2g} times the light of the cycle before; "
-            f"a light that truly changed (a filter, a cover) is believed after {COMPARABLE_S:g} s"
+            f"image {factor:.2g}× as bright as the previous cycle; accepted only if it stays so for {COMPARABLE_S:g} s"
         )
 
     def accepted_cycles(self, taken: Cycle) -> list[Cycle]:
@@ -70,7 +69,7 @@ class CycleConsistencyFilter:
         return self._first(taken, level)
 
     def _first(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
-        """Hold a cycle back that nothing vouches for; or let it go, together with one that was held back before it.
+        """Hold a cycle back that has no reference; or release it together with one that was held back before it.
 
         Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
         """
@@ -80,7 +79,7 @@ class CycleConsistencyFilter:
             return []
         factor = held[1].factor_to(level)
         if factor is not None and not _is_possible(factor):
-            _log.warning("a cycle that nothing vouched for was thrown away")
+            _log.warning("discarded a cycle: brightness inconsistent with the cycles before and after")
             return []
         self._reference, self._held = level, None
         return [held[0], taken]

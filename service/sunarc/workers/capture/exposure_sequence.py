@@ -1,4 +1,4 @@
-"""One slot's exposures, each of which can be believed: taken, held to one another, and taken again where in doubt."""
+"""Exposures of one slot: taken, compared with one another, and taken again where inconsistent."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ExposureSequence:
     attempts : how often one exposure is tried.
     has_time : whether another attempt may begin.
     report : where retries and losses are counted.
-    received : told of every frame as soon as it is there.
+    received : called with every frame as soon as it is there.
     """
 
     camera: SkyCamera
@@ -87,7 +87,7 @@ class ExposureSequence:
             if inconsistency is None:
                 return frames
             self._mark_suspect(inconsistency)
-        raise CameraLostError(f"frames contradict their exposures: {inconsistency}")
+        raise CameraLostError(f"frame brightness inconsistent with exposure times: {inconsistency}")
 
     def take_consistent_with(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
         """Return a frame whose brightness agrees with those of other exposures, or None."""
@@ -108,7 +108,7 @@ class ExposureSequence:
         return None
 
     def _mark_suspect(self, inconsistency: str) -> None:
-        _log.warning("a frame is in doubt: %s", inconsistency)
+        _log.warning("suspect frame: %s", inconsistency)
         self.report.add(doubts=1)
         self.camera.distrust()
 

@@ -160,7 +160,9 @@ class CaptureReport:
         """Say that the camera is gone."""
         _log.warning("camera lost: %s", error)
         self._missed_slots.outage()
-        if self._camera.connected:  # it costs a cycle, and is told until one is whole, though the camera comes back
+        if (
+            self._camera.connected
+        ):  # it costs a cycle, and is shown until one is complete, though the camera answers again
             self._incomplete, self._failure = self._incomplete + 1, str(error)
             self._tell_failing()
         self.show()

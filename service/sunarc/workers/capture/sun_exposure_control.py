@@ -34,7 +34,7 @@ class SunExposures:
     options : what the controller aims at.
     apparent_zenith : the sun's now, degrees.
     clear_level_per_us : the clear sun's level in 1 µs over full scale; 0 while unknown.
-    board : where a sun too bright for the camera is told.
+    board : where a sun too bright for the camera is shown.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class SunExposures:
             return self._state.exposures_us
 
     def report(self, frame: Frame, detection: Detection) -> None:
-        """Take note of what a sun exposure showed; what is too bright to be believed still says "shorter"."""
+        """Take the result of a sun exposure; one that is too bright to be accepted still shortens the next."""
         with self._lock:
             self._reported += 1
             burnt = not detection.accepted and _is_burnt(frame)

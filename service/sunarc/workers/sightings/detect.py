@@ -40,8 +40,8 @@ class DetectWorker:
     predictor : where the sun should be.
     options, disc : the sensor, and the detector's settings.
     clock_error_s : bound of the error of a frame's time, seconds.
-    report : told of every detection (the exposure controller listens).
-    board : told when the sun was last seen.
+    report : called with every detection (for the exposure controller).
+    board : where the time of the last sighting is shown.
     frozen : rejects sightings in images that the camera had delivered before.
     cadence_s : seconds from cycle to cycle; frames nearer than half of it are one bracket.
     """
@@ -115,7 +115,7 @@ class DetectWorker:
         return detection
 
     def _beside_bracket(self, frame: Frame, detection: Detection, expectation: Expectation | None) -> Detection:
-        """Return the detection as the cycle's frames before it let it be believed, and keep it for those after."""
+        """Return the detection, checked against the cycle's earlier frames, and keep it for the later ones."""
         if self._bracket and not timedelta(0) <= frame.time - self._bracket[0].time < self._bracket_of:
             self._bracket = []
         earlier = tuple(self._bracket)

@@ -23,7 +23,7 @@ class SightingWriteBuffer:
     ----------
     archive : where they go.
     board : where those that wait are shown.
-    capacity : how many may wait; then the oldest is given up.
+    capacity : how many may wait; then the oldest is dropped.
     """
 
     def __init__(self, archive: Archive, *, board: StatusRegistry, capacity: int = _CAPACITY) -> None:

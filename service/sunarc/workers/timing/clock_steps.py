@@ -30,7 +30,7 @@ class ClockStep:
     ----------
     step_s : seconds, positive where it was set forward.
     at, found_s : when it was found, in wall time and in monotonic time.
-    doubted : the intervals of wall time that the clock told between the readings, as it went before and after.
+    doubted : the intervals of wall time between the readings, by the clock before and after the step.
     gradual : made of many small steps, each too small to be found between two looks.
     """
 
@@ -46,7 +46,7 @@ class ClockStep:
         return (self.doubted[0][1] - self.doubted[0][0]).total_seconds()
 
     def doubts(self, moment: datetime) -> bool:
-        """Return whether it is open on which side of the step this wall time was told."""
+        """Return whether this wall time may be from either side of the step."""
         return any(since <= moment <= until for since, until in self.doubted)
 
 
@@ -93,7 +93,7 @@ class GradualSteps:
 
 
 class UntrustedTimes:
-    """The intervals of wall time that a clock told while it could not be trusted.
+    """Intervals of wall time in which the clock could not be trusted.
 
     A frame is dated when it is taken and its sighting stored later, perhaps when the clock is right again.
     """
@@ -119,5 +119,5 @@ class UntrustedTimes:
         self._intervals[-1] = (self._intervals[-1][0], until)
 
     def covers(self, moment: datetime) -> bool:
-        """Return whether a wall time was told while the clock could not be trusted."""
+        """Return whether a wall time is in an interval in which the clock could not be trusted."""
         return any(since <= moment < until for since, until in self._intervals)

@@ -51,7 +51,7 @@ class FrameTime:
 
     @property
     def known(self) -> bool:
-        """Whether a time can be told: at once from the host, after the first frame from a camera."""
+        """Whether the frame time is known: at once from the host, after the first frame from a camera."""
         return not self._follows_camera or self._last is not None
 
     def note(self, captured_at: datetime, *, host_offset_s: float | None = None) -> None:
@@ -74,7 +74,7 @@ class FrameTime:
             return tuple(self._offsets_s)
 
     def now(self) -> datetime:
-        """Return the frame time, aware, UTC; the host's until a camera has told its own."""
+        """Return the frame time, aware, UTC; the host's until the camera's is known."""
         with self._lock:
             last = self._last
         if not self._follows_camera or last is None:
