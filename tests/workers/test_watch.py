@@ -30,7 +30,7 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import Site, sun_angles, sun_directions
 from sunarc.workers import ProvisionalPoseEstimator, WatchWorker
-from sunarc.workers.calibrating import monitor as watch
+from sunarc.workers.calibrating import monitor
 
 FloatArray = NDArray[np.float64]
 DAY = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp()
@@ -336,7 +336,7 @@ def test_sightings_are_compared_with_the_sun_in_the_measured_air(
         assert site == (air if len(compared) == 2 else SGP)
         return update_window(watched, seen, site=site, **how)
 
-    monkeypatch.setattr(watch, "observe", noting)
+    monkeypatch.setattr(monitor, "update_window", noting)
     low = datetime(2013, 5, 14, 12, 0, tzinfo=UTC).timestamp()
     imager.see(project(TRUTH, sun_directions(low, SGP)), low)
     day = DayAir(camera="roof", date=date(2013, 5, 14), temperature_c=40.0, pressure_hpa=900.0, set_at=imager.now)
