@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from sunarc.calibration.change_detection.cloud_drift import drift_evidence
 from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
-from sunarc.calibration.change_detection.values import Change, ChangeKind, WatchOptions
+from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis, WatchOptions
 from sunarc.calibration.pose.error_model import joined, predicted, turned
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
 from sunarc.calibration.pose.residuals import finite
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
-from sunarc.optics import Camera, project_fast, rotation_matrix
+from sunarc.optics import project_fast, rotation_matrix
 from sunarc.sky import Site, sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -45,29 +45,6 @@ _LONG, _ROUGH_PX = 10, 5.0
 _FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.05, 0.03, 0.02
 _OF_LENS: dict[ChangeKind, tuple[int, ...]] = {"refocus": (0,), "shift": (3, 4), "lens": (0, 3, 4, 11, 12)}
 """Which of the camera's parameters may be others after a change of the lens."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hypothesis:
-    """What the sightings from one on would be if something had changed.
-
-    Attributes
-    ----------
-    kind : what.
-    first : the first sighting after the change.
-    camera : that sees them then.
-    directions, pixels : (k, 3) where the sun was, (k, 2) where it was detected, in the pixels of that camera.
-    free : (p, f) free directions in the error model's parameters, one column per standard normal number.
-    mean : (p,) where those are expected before the sightings.
-    """
-
-    kind: ChangeKind
-    first: int
-    camera: Camera
-    directions: FloatArray
-    pixels: FloatArray
-    free: FloatArray
-    mean: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.calibration.change_detection.residual_model import ResidualModel
-from sunarc.calibration.change_detection.values import Change, ChangeKind
+from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
 from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
 from sunarc.calibration.pose.residuals import finite
-
-if TYPE_CHECKING:
-    from sunarc.calibration.change_detection.hypotheses import Hypothesis
 
 FloatArray = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.errors import InputError
+from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -155,3 +156,26 @@ class Change:
     perhaps: str
     text: str
     remedy: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypothesis:
+    """What the sightings from one on would be if something had changed.
+
+    Attributes
+    ----------
+    kind : what.
+    first : the first sighting after the change.
+    camera : that sees them then.
+    directions, pixels : (k, 3) where the sun was, (k, 2) where it was detected, in the pixels of that camera.
+    free : (p, f) free directions in the error model's parameters, one column per standard normal number.
+    mean : (p,) where those are expected before the sightings.
+    """
+
+    kind: ChangeKind
+    first: int
+    camera: Camera
+    directions: FloatArray
+    pixels: FloatArray
+    free: FloatArray
+    mean: FloatArray
