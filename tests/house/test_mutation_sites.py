@@ -13,11 +13,22 @@ import pytest
 
 @pytest.fixture(scope="module")
 def mutation(root: Path) -> ModuleType:
-    specification = importlib.util.spec_from_file_location("mutation_sites", root / "tests" / "mutation" / "sites.py")
+    return _module(root, "sites")
+
+
+@pytest.fixture(scope="module")
+def reach(root: Path) -> ModuleType:
+    return _module(root, "reach")
+
+
+def _module(root: Path, name: str) -> ModuleType:
+    specification = importlib.util.spec_from_file_location(
+        f"mutation_{name}", root / "tests" / "mutation" / f"{name}.py"
+    )
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
-    sys.modules["mutation_sites"] = module  # dataclasses look their module up
+    sys.modules[f"mutation_{name}"] = module  # dataclasses look their module up
     specification.loader.exec_module(module)
     return module
 
@@ -60,3 +71,33 @@ def test_every_change_of_the_core_is_a_valid_source_that_differs(mutation: Modul
     trees = {ast.dump(ast.parse(mutation.mutated(text, site))) for site in mutation.sites(text)}
     assert len(trees) == len(mutation.sites(text)) > 20
     assert ast.dump(ast.parse(text)) not in trees
+
+
+SOURCE = """\
+_LIMIT = 3.0
+_TWICE = 2.0 * _LIMIT
+
+
+def near(x, cut=4.0):
+    \"\"\"Say whether x is near.\"\"\"
+    if x < (
+        _TWICE
+    ):
+        return x + 1
+    return cut
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "reached"),
+    [
+        (1, {7, 8, 9}),  # a constant: where it is used, through another constant too
+        (5, {7}),  # a default: the function's first statement
+        (8, {7, 8, 9}),  # a condition over several lines: without what it guards
+        (10, {10}),
+    ],
+)
+def test_a_change_matters_where_its_statement_or_its_name_is_used(
+    reach: ModuleType, line: int, reached: set[int]
+) -> None:
+    assert reach.lines_that_matter(line, "near.py", {"near.py": SOURCE}) == {f"near.py:{one}" for one in reached}

@@ -1,6 +1,7 @@
 """A pytest plugin: which lines of the package each test runs, written to the file that SUNARC_LINES names.
 
-Compiled kernels run outside the interpreter and leave no lines; `run.py` falls back on what imports their module.
+A compiled kernel runs outside the interpreter and leaves no lines: a call of one counts for every line of its source
+and of the kernels that it calls.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FrameType
+from typing import Any
 
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 TraceFunction = Callable[[FrameType, str, object], "TraceFunction | None"]
 _FILE = Path(os.environ["SUNARC_LINES"])
@@ -20,6 +23,8 @@ _PACKAGE = f"{os.sep}sunarc{os.sep}"
 _lines: dict[str, set[str]] = {}
 _seconds: dict[str, float] = {}
 _ours: dict[CodeType, str | None] = {}
+_executed: set[str] = set()
+_kernels: dict[int, frozenset[str]] = {}
 
 
 def _name(code: CodeType) -> str | None:
@@ -29,14 +34,38 @@ def _name(code: CodeType) -> str | None:
     return _ours[code]
 
 
+def _kernel_lines(kernel: Any, known: frozenset[int] = frozenset()) -> frozenset[str]:  # noqa: ANN401 - numba is untyped
+    """Return the lines of a kernel's source and of the kernels that it names."""
+    function = kernel.py_func
+    name = _name(function.__code__)
+    found = {f"{name}:{line}" for *_, line in function.__code__.co_lines() if line} if name else set()
+    for other in (function.__globals__.get(each) for each in function.__code__.co_names):
+        if isinstance(other, Dispatcher) and id(other) not in known:
+            found |= _kernel_lines(other, known | {id(kernel)})
+    return frozenset(found)
+
+
+def pytest_configure() -> None:
+    """Note the lines of every kernel that Python calls."""
+    plain = Dispatcher.__call__
+
+    def noted(kernel: Any, *values: object, **named: object) -> object:  # noqa: ANN401 - numba is untyped
+        if id(kernel) not in _kernels:
+            _kernels[id(kernel)] = _kernel_lines(kernel)
+        _executed.update(_kernels[id(kernel)])
+        return plain(kernel, *values, **named)
+
+    Dispatcher.__call__ = noted  # type: ignore[assignment,method-assign]
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Note the lines that a test and its fixtures run; what a shared fixture runs counts for its first test."""
-    executed: set[str] = set()
+    _executed.clear()
 
     def local(frame: FrameType, event: str, _: object) -> TraceFunction:
         if event == "line":
-            executed.add(f"{_name(frame.f_code)}:{frame.f_lineno}")
+            _executed.add(f"{_name(frame.f_code)}:{frame.f_lineno}")
         return local
 
     def every(frame: FrameType, _event: str, _: object) -> TraceFunction | None:
@@ -47,7 +76,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         yield
     finally:
         sys.settrace(None)
-        _lines[item.nodeid] = executed
+        _lines[item.nodeid] = set(_executed)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

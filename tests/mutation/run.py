@@ -5,7 +5,7 @@
 Draws constants and operators of the rooms with a fixed seed, changes one at a time in a copy of the package, and runs
 the room's own fast tests that reach the line, the fastest first, until one fails. Prints the share that was detected
 and names the survivors. First every fast test is run once, traced, to learn which lines it reaches; `--lines FILE`
-keeps that for the next run.
+keeps that for the next run. `--files` limits the changes to files whose name holds one of some texts.
 """
 
 from __future__ import annotations
@@ -17,21 +17,27 @@ import random
 import shutil
 import subprocess
 import sys
+from bisect import bisect_right
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from tests.mutation.reach import lines_that_matter
 from tests.mutation.sites import Site, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "service" / "sunarc"
 ROOMS = ("calibration", "optics", "detection")
 FAST = "not slow and not gige and not system and not browser"
-_TESTS_AT_MOST = 25
-"""Tests that are asked for one mutant, the fastest of those that reach its line."""
+_TESTS_AT_LEAST = 25
+_SECONDS_OF_TESTS = 20.0
+"""Tests that are asked for one mutant: of those that reach it the file's own first, then the fastest; as many as take
+this long together, but never fewer than 25."""
 _SECONDS_AT_MOST = 120.0
 """For one mutant; one that hangs is detected."""
 
@@ -75,6 +81,7 @@ def main() -> int:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rooms", nargs="+", default=list(ROOMS))
+    parser.add_argument("--files", nargs="+", default=[""], help="only files whose path holds one of these")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
@@ -86,6 +93,7 @@ def _arguments() -> argparse.Namespace:
 
 def _drawn(options: argparse.Namespace) -> list[Mutant]:
     files = sorted(path for room in options.rooms for path in (PACKAGE / room).rglob("*.py"))
+    files = [path for path in files if any(part in path.as_posix() for part in options.files)]
     every = [
         Mutant(path.relative_to(PACKAGE).as_posix(), site) for path in files for site in sites(path.read_text("utf-8"))
     ]
@@ -122,15 +130,21 @@ def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Na
 
 
 def _tests_for(mutant: Mutant, reach: dict[str, Any]) -> list[str]:
-    """Return the tests that reach a mutant's line; for a compiled line or a constant, those that reach its file."""
+    """Return the tests that reach what a mutant changes, those of the file's own test file first."""
     lines, seconds = reach["lines"], reach["seconds"]
-    line = f"{mutant.file}:{mutant.site.line}"
-    exact = [test for test, executed in lines.items() if line in executed]
+    matter = lines_that_matter(mutant.site.line, mutant.file, _texts())
+    exact = [test for test, executed in lines.items() if not matter.isdisjoint(executed)]
     room = mutant.file.partition("/")[0]
-    near = [test for test, executed in lines.items() if any(one.startswith(f"{mutant.file}:") for one in executed)]
-    of_room = [test for test in lines if test.startswith(f"tests/{room}/")]
-    chosen = exact or near or of_room
-    return sorted(chosen, key=lambda test: float(seconds.get(test, 0.0)))[:_TESTS_AT_MOST]
+    chosen = exact or [test for test in lines if test.startswith(f"tests/{room}/")]
+    own = f"test_{Path(mutant.file).name}::"
+    chosen.sort(key=lambda test: (own not in test, float(seconds.get(test, 0.0))))
+    total = list(accumulate(float(seconds.get(test, 0.0)) for test in chosen))
+    return chosen[: max(_TESTS_AT_LEAST, bisect_right(total, _SECONDS_OF_TESTS))]
+
+
+@cache
+def _texts() -> dict[str, str]:
+    return {path.relative_to(PACKAGE).as_posix(): path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
 
 
 def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:

@@ -31,7 +31,7 @@ from sunarc.sky import Site
 if TYPE_CHECKING:
     from tests.calibration.conftest import Simulated, Simulator
 
-REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
+REAL = Path(__file__).parents[4] / "shared" / "real" / "fe4_2016-08-30.csv"
 TILTED = CalibrationOptions(level_within_deg=70.0)
 SKY = hemisphere(300)
 

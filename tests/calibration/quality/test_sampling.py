@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from tests.calibration.conftest import Simulated
 
-STUDY = Path(__file__).parents[2] / "docs" / "studies" / "missed_slots.py"
+STUDY = Path(__file__).parents[3] / "docs" / "studies" / "missed_slots.py"
 
 
 @pytest.fixture(scope="module")
