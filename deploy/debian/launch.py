@@ -34,6 +34,6 @@ if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = str(kernels())
 
 if __name__ == "__main__":  # a solve's process reads this file, too, and must not start a second service
-    from sunarc.cli.main import main
+    from sunarc.__main__ import main  # which every version has, the former one in `before` too
 
     main()
