@@ -20,6 +20,7 @@ from sunarc.archive import (
     newest_sound_copy,
     open_archive,
     prepare_database,
+    recovery,
     restore,
     upgrade,
     upgrade_present,
@@ -121,6 +122,32 @@ def test_a_file_that_replaces_the_database_in_use_is_kept_aside(archive: Archive
     archive.close()
     assert texts(path) == {"ours"}
     assert check(path.with_name("sunarc.sqlite.found-20260501T020000Z")).sound
+
+
+@pytest.mark.parametrize("with_copy", [True, False])
+def test_a_recovery_whose_migration_fails_is_done_at_the_next_look(
+    archive: Archive, path: Path, monkeypatch: pytest.MonkeyPatch, *, with_copy: bool
+) -> None:
+    def full(_: Path) -> None:
+        raise OutsideError("cannot use the database: disk is full")
+
+    remember(archive, "night")
+    if with_copy:
+        backup_into(path, path.parent / "backups", keep=7, now=NOW)
+    with archive._reading() as connection:
+        connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+    os.truncate(path, 0)
+    with monkeypatch.context() as patched:
+        patched.setattr(recovery, "upgrade", full)
+        with pytest.raises(OutsideError, match="disk is full"):
+            archive.recover(now=NOW)
+    done = archive.recover(now=NOW)
+    assert done is not None
+    assert done.kind in ({"restored", "written_back"} if with_copy else {"new", "written_back"})
+    remember(archive, "after")
+    archive.close()
+    assert check(path).sound
+    assert not path.with_name(f"{path.name}.partial").exists()
 
 
 @pytest.mark.parametrize("with_copy", [True, False])

@@ -22,6 +22,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sunarc.simulation import SGP
+from sunarc.sky import Site, day_bounds_unix_s, solar_date
+
 from .machine import IMAGER_ADDRESS, Machine, cabled, run, wait_for
 from .truth import worse_than_stated, wrong_sightings
 
@@ -56,11 +59,14 @@ def networks() -> Iterator[tuple[str, str]]:
 
 @dataclass(slots=True)
 class Field:
-    """A field computer and its imager."""
+    """A field computer and its imager, which stands at `site`; its time begins at `start` and passes at `speed`."""
 
     machine: Machine
     imager_network: str
     log: Path
+    site: Site = SGP
+    start: datetime = START
+    speed: int = SPEED
     _imager: subprocess.Popen[str] | None = field(default=None, init=False)
     _began_s: float | None = field(default=None, init=False)
     _binning: int = field(default=1, init=False)
@@ -79,24 +85,28 @@ class Field:
         self.path(name).write_text(text)
         self.path(name).chmod(mode)
 
-    def configure(self, *, more: str = "", binning: int | None = 2, **capture: object) -> None:
+    def configure(
+        self, *, more: str = "", binning: int | None = 2, timestamps: str = "camera", **capture: object
+    ) -> None:
         """Write settings for the simulated imager; small frames keep a busy host from losing them."""
-        given = {"speed": SPEED, **capture}
+        given = {"speed": self.speed, **capture}
         lines = "\n".join(f"{name} = {value}" for name, value in given.items())
         self._binning = binning or 1
         binned = "" if binning is None else f"binning = {binning}\n"
         self.write(
             "/etc/sunarc/sunarc.toml",
-            f'name = "roof"\n[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n'
-            f'[camera]\naddress = "{IMAGER_ADDRESS}"\npacket_size = 8000\n{binned}timestamps = "camera"\n'
+            f'name = "roof"\n[site]\nlatitude = {self.site.latitude}\nlongitude = {self.site.longitude}\n'
+            f"altitude = {self.site.altitude}\n"
+            f'[camera]\naddress = "{IMAGER_ADDRESS}"\npacket_size = 8000\n{binned}timestamps = "{timestamps}"\n'
             f"[capture]\n{lines}\n{more}",
         )
 
     def image(self) -> None:
         """Switch the imager on; its time goes on where it would be, had it never been off."""
         self._began_s = self._began_s or time.monotonic()
-        start = START + timedelta(seconds=SPEED * (time.monotonic() - self._began_s))
-        options = json.dumps({"address": IMAGER_ADDRESS, "speed": SPEED})
+        start = self.start + timedelta(seconds=self.speed * (time.monotonic() - self._began_s))
+        site = {"latitude": self.site.latitude, "longitude": self.site.longitude, "altitude": self.site.altitude}
+        options = json.dumps({"address": IMAGER_ADDRESS, "speed": self.speed, "site": site})
         command = [
             sys.executable,
             str(_IMAGER),
@@ -173,7 +183,7 @@ class Field:
         columns = "time, x_px, y_px, sigma_px, ifnull(clock_error_s, 0.0)"
         select = f"SELECT {columns} FROM sun_point WHERE accepted ORDER BY id DESC LIMIT {_MOST_JUDGED}"
         rows = [[float(value) for value in line.split("|")] for line in self.sql(select).split()]
-        assert wrong_sightings(np.reshape(rows, (-1, 5)), binning=self._binning) == []
+        assert wrong_sightings(np.reshape(rows, (-1, 5)), site=self.site, binning=self._binning) == []
         served = self.ask("/v1/calibration")
         assert served is None or worse_than_stated(served, binning=self._binning) == ""
 
@@ -187,7 +197,10 @@ class Field:
         wait_for(lambda: self.sql("SELECT count(*) FROM camera") == "1", within_s=_UP_WITHIN_S, what="the camera")
         self.do("systemctl", "stop", "sunarc")
         self.write("/srv/past.py", Path(__file__).with_name("past.py").read_text())
-        self.do(*AS_SUNARC, "python3", "-I", "/srv/past.py", str(days), str(a_day), timeout_s=900.0)
+        longitude = self.site.longitude
+        midnight, _ = day_bounds_unix_s(solar_date(self.start.timestamp(), longitude=longitude), longitude=longitude)
+        command = ("python3", "-I", "/srv/past.py", str(midnight), str(days), str(a_day))
+        self.do(*AS_SUNARC, *command, timeout_s=900.0)
         self.do("systemctl", "start", "sunarc")
         self.wait_until_ready()
 

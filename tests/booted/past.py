@@ -1,6 +1,6 @@
 """Runs in the machine, as the service's user: fills the archive with what the simulated imager saw on former days.
 
-Usage: python3 -I past.py DAYS A_DAY
+Usage: python3 -I past.py MIDNIGHT DAYS A_DAY, MIDNIGHT the unix time at which the present solar day began
 """
 
 import os
@@ -20,15 +20,14 @@ from sunarc.simulation import true_camera
 from sunarc.sky import sun_angles, sun_directions
 
 SENSOR_PX = 1748
-TODAY = datetime(2013, 5, 13, 6, 30, tzinfo=UTC).timestamp()  # midnight by the sun
 
-days, a_day = int(sys.argv[1]), int(sys.argv[2])
+midnight, days, a_day = float(sys.argv[-3]) if len(sys.argv) > 3 else 1368426600.0, int(sys.argv[-2]), int(sys.argv[-1])
 settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
 archive = open_archive(settings.database)
 binning = SENSOR_PX / archive.cameras()[0].width
 noise = np.random.default_rng(1)
 for day in range(days, 0, -1):
-    times = TODAY - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
+    times = midnight - 86400.0 * day + np.linspace(0.0, 86400.0, 2 * a_day, endpoint=False)
     times = times[sun_angles(times, settings.site).apparent_zenith < 88.0]
     pixels = (project(true_camera(), sun_directions(times, settings.site)) - (binning - 1.0) / 2.0) / binning
     seen = pixels + noise.normal(0.0, 0.02, pixels.shape)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sunarc.calibration import from_document, hemisphere, project_with_covariance
 from sunarc.optics import project
-from sunarc.simulation import SGP, true_camera
-from sunarc.sky import sun_directions
+from sunarc.simulation import true_camera
+from sunarc.sky import Site, sun_directions
 
 FloatArray = NDArray[np.float64]
 
@@ -34,16 +34,17 @@ def true_pixels(directions: FloatArray, *, binning: int) -> FloatArray:
     return np.asarray((project(true_camera(), directions) - (binning - 1) / 2.0) / binning)
 
 
-def wrong_sightings(rows: FloatArray, *, binning: int) -> list[str]:
+def wrong_sightings(rows: FloatArray, *, site: Site, binning: int) -> list[str]:
     """Return the sightings that are farther from the truth than they state.
 
     Parameters
     ----------
     rows : (n, 5) unix time in microseconds, x and y in px, 1-sigma in px, bound of the clock's error in seconds.
+    site : of the camera.
     binning : of the image.
     """
     times, pixels, sigma_px, clock_s = rows[:, 0] / 1e6, rows[:, 1:3], rows[:, 3], rows[:, 4]
-    off = np.linalg.norm(pixels - true_pixels(sun_directions(times, SGP), binning=binning), axis=-1)
+    off = np.linalg.norm(pixels - true_pixels(sun_directions(times, site), binning=binning), axis=-1)
     px_per_s = np.radians(_EARTH_RATE_DEG_S) * max(true_camera().focal_length_px) / binning
     allowed = _SIGMAS * sigma_px * np.sqrt(2.0) + clock_s * px_per_s + _SLACK_PX / binning
     found = zip(times, off, allowed, strict=True)

@@ -205,6 +205,21 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
     assert [event.kind for event in archive.events("roof")] == ["clock_step"]
 
 
+def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_be_read_at_first(
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def locked(*_: object, **__: object) -> None:
+        raise OutsideError("cannot use the database: database is locked")
+
+    store_sighting(archive, clock.now() + timedelta(days=1), clock_error_s=0.01)
+    with monkeypatch.context() as patched:
+        patched.setattr(archive, "newest_sighting_time", locked)
+        watch = watch_with()
+    assert watch.trusted()
+    watch.look()
+    assert not watch.trusted()
+
+
 def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_until_it_is_right_again(
     watch_with: MakeWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry
 ) -> None:

@@ -103,12 +103,8 @@ def rebuild(
     partial = path.with_name(f"{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        found = _copied(connection, partial, emptied=problem == EMPTIED)
-        if found is None:
-            copy = newest_sound_copy(path.parent / "backups")
-            if copy is not None:
-                backup(copy, partial, replace=True)
-                found = Recovery(kind="restored", text=f"restored from {copy}, what came after that is lost")
+        found = _copied(connection, partial, emptied=problem == EMPTIED) or _begun_again(path, partial)
+        upgrade(partial)  # in its place it would be a file of another revision that no open connection reads
         close()
         return _put(path, partial, found, problem=problem, now=now)
     except OSError as error:
@@ -134,6 +130,15 @@ def _copied(connection: sqlite3.Connection, partial: Path, *, emptied: bool) -> 
     return done
 
 
+def _begun_again(path: Path, partial: Path) -> Recovery:
+    """Copy the newest sound copy of the folder `backups`; where there is none, leave the database to be made."""
+    copy = newest_sound_copy(path.parent / "backups")
+    if copy is None:
+        return Recovery(kind="new", text="begun anew, for there was no copy")
+    backup(copy, partial, replace=True)
+    return Recovery(kind="restored", text=f"restored from {copy}, what came after that is lost")
+
+
 def _closed(connection: sqlite3.Connection) -> bool:
     try:
         connection.cursor()
@@ -142,19 +147,15 @@ def _closed(connection: sqlite3.Connection) -> bool:
     return False
 
 
-def _put(path: Path, partial: Path, found: Recovery | None, *, problem: str, now: datetime) -> Recovery:
+def _put(path: Path, partial: Path, found: Recovery, *, problem: str, now: datetime) -> Recovery:
     aside = ""
     if path.exists():
         kept = path.replace(keep_aside(path, "found", now=now))
         aside = f"; what stood in its place is kept as {kept.name}"
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
-    if found is None:
-        found = Recovery(kind="new", text="begun anew, for there was no copy")
-    else:
-        partial.chmod(PRIVATE)
-        give_to_owner_of(path.parent, partial)
-        partial.replace(path)
-        keep_name(path.parent)
-    upgrade(path)
+    partial.chmod(PRIVATE)
+    give_to_owner_of(path.parent, partial)
+    partial.replace(path)
+    keep_name(path.parent)
     return Recovery(kind=found.kind, text=f"the database {path} {problem}; it was {found.text}{aside}")

@@ -24,15 +24,10 @@ class _Settling:
 
 
 class ClockAgreement:
-    """Remembers how the wall clock stood against the monotonic one, and from when on a new time is accepted.
+    """Remembers how the wall clock stood against the monotonic one, and from when on a new time is accepted."""
 
-    Parameters
-    ----------
-    newest_stored : the newest time in the record with a good clock, from before the process began; None without one.
-    """
-
-    def __init__(self, newest_stored: datetime | None) -> None:
-        self._newest_stored = newest_stored
+    def __init__(self) -> None:
+        self._newest_stored: datetime | None = None
         self._good: ClockReading | None = None
         self._began_s: float | None = None
         self._settling: _Settling | None = None
@@ -43,18 +38,19 @@ class ClockAgreement:
             return 0.0
         return max(self._settling.began_s + self._settling.wait_s - monotonic_s, 0.0)
 
-    def begin(self, reading: ClockReading, *, left_s: float) -> None:
-        """Take the first reading of the process.
+    def begin(self, reading: ClockReading, *, newest_stored: datetime | None, left_s: float) -> None:
+        """Take the first reading of the process that can be compared with the record.
 
         Parameters
         ----------
         reading : wall time and monotonic time.
+        newest_stored : the newest time in the record with a good clock; None without one.
         left_s : what is left of a wait that an earlier process began, seconds.
         """
-        self._began_s = reading.monotonic_s
-        if self._newest_stored is not None and reading.wall < self._newest_stored - timedelta(seconds=LARGE_STEP_S):
+        self._began_s, self._newest_stored = reading.monotonic_s, newest_stored
+        if newest_stored is not None and reading.wall < newest_stored - timedelta(seconds=LARGE_STEP_S):
             left_s = max(left_s, SETTLE_S)
-        if left_s > 0.0:
+        if left_s > self.wait_s(reading.monotonic_s):
             self._settling = _Settling(reading.monotonic_s, min(left_s, IMPLAUSIBLE_SETTLE_S))
 
     def stepped(self, reading: ClockReading) -> float:

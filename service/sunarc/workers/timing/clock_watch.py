@@ -96,9 +96,10 @@ class ClockWatch:
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
         self._left_alone_since_s = clock.monotonic()
-        self._agreement = ClockAgreement(None)
+        self._agreement = ClockAgreement()
         self._gradual = GradualSteps()
         self._untrusted = UntrustedTimes()
+        self._is_compared_with_record = False
         self._camera_off_s = 0.0
         self._doubts: deque[ClockStep] = deque(maxlen=_DOUBTS_KEPT)
         self._unwritten: deque[tuple[ClockStep, float]] = deque(maxlen=_DOUBTS_KEPT)
@@ -115,6 +116,9 @@ class ClockWatch:
     def look(self) -> None:
         """Look at the clock once; write down a step, and show how the clock is."""
         self._compare()
+        with self._lock:
+            if self._last is not None and not self._is_compared_with_record:  # the database could not be read
+                self._begin(self._last)
         self._write_down()
         self._show()
 
@@ -171,6 +175,7 @@ class ClockWatch:
             self._last = now
             step = None
             if before is None:
+                self._gradual.restart(now)
                 self._begin(now)
             else:
                 step = step_between(before, now, least_s=self._least_step_s)
@@ -182,8 +187,7 @@ class ClockWatch:
             self._untrusted.note(before, now, step=step, trusted=self.trusted())
 
     def _begin(self, now: ClockReading) -> None:
-        """Compare the first reading with the record: its newest sighting, and a wait that has not ended."""
-        self._gradual.restart(now)
+        """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
             newest = self._archive.newest_sighting_time(self._camera, largest_clock_error_s=self._largest_clock_error_s)
@@ -195,8 +199,8 @@ class ClockWatch:
         left_s = 0.0
         if last is not None and self._camera_error_s is None:
             left_s = float(last.details.get("distrusted_s", 0.0)) - (now.wall - last.time).total_seconds()
-        self._agreement = ClockAgreement(newest)
-        self._agreement.begin(now, left_s=left_s)
+        self._agreement.begin(now, newest_stored=newest, left_s=left_s)
+        self._is_compared_with_record = True
 
     def _take(self, step: ClockStep, now: ClockReading) -> None:
         """Take a step into account."""
