@@ -38,6 +38,7 @@ SLOT_S = 30.0 / SPEED
 START = datetime(2013, 5, 13, 14, tzinfo=UTC)
 AS_SUNARC = ("setpriv", "--reuid=sunarc", "--regid=sunarc", "--clear-groups")
 _UP_WITHIN_S = 180.0  # by a busy host
+_SYSCTL = Path(__file__).parents[2] / "deploy" / "debian" / "sunarc.sysctl"
 _IMAGER = Path(__file__).parents[1] / "simulation" / "imager_process.py"
 _MOST_JUDGED = 3000  # of the newest sightings
 
@@ -53,8 +54,23 @@ def work() -> Path:
 
 @pytest.fixture(scope="session")
 def networks() -> Iterator[tuple[str, str]]:
-    with cabled(f"sunarc-{os.getpid()}") as names:
+    with cabled(f"sunarc-{os.getpid()}") as names, kernel_settings():
         yield names
+
+
+@contextmanager
+def kernel_settings() -> Iterator[None]:
+    """Set on the host what the package sets at a boot: a machine in a network namespace may only read it."""
+    lines = [line.split(" = ") for line in _SYSCTL.read_text().splitlines() if not line.startswith("#")]
+    wanted = {Path("/proc/sys", *name.split(".")): value for name, value in lines}
+    before = {file: file.read_text() for file in wanted}
+    for file, value in wanted.items():
+        file.write_text(value)
+    try:
+        yield
+    finally:
+        for file, value in before.items():
+            file.write_text(value)
 
 
 @dataclass(slots=True)
