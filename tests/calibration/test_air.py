@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,16 @@ import numpy as np
 import pytest
 from tests.calibration.conftest import SGP, SIZE, TRUTH, rms, times_of
 
-from sunarc.calibration import Calibration, SunPoints, calibrate, hemisphere, project_with_covariance
+from sunarc.calibration import (
+    Calibration,
+    SunPoints,
+    calibrate,
+    hemisphere,
+    project_with_covariance,
+    sun_with_covariance,
+)
 from sunarc.optics import project
-from sunarc.sky import sun_directions
+from sunarc.sky import MEASURED_AIR_SD, direction_from_angles, raised, refraction_rad, sun_directions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,3 +68,22 @@ def test_with_the_assumed_air_the_camera_is_as_good(in_assumed_air: Calibration)
     assert error < 0.02
     assert error < stated < 0.08
     assert np.mean(held) >= 0.90
+
+
+@pytest.mark.parametrize("elevation", [0.5, 3.0, 30.0])
+def test_the_suns_pixel_states_what_other_air_does_to_it(elevation: float, calibrated: Calibration) -> None:
+    """10 K and 1.5 % of pressure are the 1-sigma of air that is assumed: the sun moves by about that much."""
+    angles = {"zenith_deg": 90.0 - elevation, "azimuth_deg": 110.0}
+    direction = direction_from_angles(**angles)
+    other = replace(SGP, temperature=SGP.temperature - 10.0, pressure=1.015 * SGP.pressure_pa)
+    moved = raised(direction, refraction_rad(direction, other) - refraction_rad(direction, SGP))
+    moved_px = float(np.linalg.norm(project(calibrated.camera, moved) - project(calibrated.camera, direction)))
+    _, camera_alone = project_with_covariance(calibrated, direction)
+    stated = {
+        measured: math.sqrt(
+            np.trace(sun_with_covariance(calibrated, direction, site=SGP, measured=measured)[1] - camera_alone)
+        )
+        for measured in (False, True)
+    }
+    assert 0.7 * moved_px < stated[False] < 1.3 * moved_px
+    assert stated[True] / stated[False] == pytest.approx(MEASURED_AIR_SD / math.hypot(0.04, 0.015), rel=1e-3)

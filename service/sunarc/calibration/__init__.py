@@ -15,6 +15,7 @@ from sunarc.calibration.model.covariance import (
     project_with_covariance,
     sigma_deg,
     sigma_px,
+    sun_with_covariance,
     unproject_with_sigma,
 )
 from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED, Lookup, lookup
@@ -98,6 +99,7 @@ __all__ = [
     "sigma_deg",
     "sigma_px",
     "smooth_arc",
+    "sun_with_covariance",
     "to_document",
     "unproject_with_sigma",
     "unseen_points",

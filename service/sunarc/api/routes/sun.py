@@ -18,7 +18,7 @@ from sunarc.api.schemas.calibration import Residual, Sun, SunPointOut, SunPoints
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import MOST_ROWS, SolarDate, Time
 from sunarc.archive import SunPoint
-from sunarc.calibration import Calibration, camera_sees, project_with_covariance, sigma_px
+from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
 
@@ -76,12 +76,14 @@ def sun_routes(served: ApiContext) -> APIRouter:
 
 
 def _sun(served: ApiContext, moment: datetime, *, past: datetime | None) -> Sun:
-    angles = sun_angles(moment.timestamp(), served.site_at(moment))
+    site = served.site_at(moment)
+    angles = sun_angles(moment.timestamp(), site)
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
     answering = served.calibration_or_none(past)
     pixel, sigma, inside = None, None, False
     if answering is not None:
-        pixels, covariance = project_with_covariance(answering[1], direction[None])
+        measured = site != served.site
+        pixels, covariance = sun_with_covariance(answering[1], direction[None], site=site, measured=measured)
         if np.all(np.isfinite(pixels)):
             pixel, sigma = pixels[0].tolist(), float(sigma_px(covariance)[0])
             inside = bool(camera_sees(answering[1].camera, pixels)[0])

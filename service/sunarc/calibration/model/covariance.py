@@ -27,7 +27,7 @@ from sunarc.optics import (
     unproject,
 )
 from sunarc.optics.stretch import tangent_basis
-from sunarc.sky import Site
+from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, raised, refraction_rad
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -78,6 +78,30 @@ def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tu
     flat, shape = direction.reshape(-1, 3), direction.shape[:-1]
     pixels, covariance, _ = _predicted(calibration, flat)
     return pixels.reshape(*shape, 2), covariance.reshape(*shape, 2, 2)
+
+
+def sun_with_covariance(
+    calibration: Uncertain, directions: ArrayLike, *, site: Site, measured: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels of the sun, with the covariance of the camera and of the refraction.
+
+    Parameters
+    ----------
+    calibration : the calibration.
+    directions : (..., 3) apparent unit vectors, east-north-up.
+    site : gives pressure and temperature of the refraction.
+    measured : whether these were measured on the day; else they are annual means.
+
+    Returns
+    -------
+    pixels : (..., 2) px; NaN beyond the camera's field.
+    covariance : (..., 2, 2) px²; NaN there too.
+    """
+    pixels, covariance = project_with_covariance(calibration, directions)
+    share = MEASURED_AIR_SD if measured else math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
+    # the refraction changes slowly with elevation: a shift by one standard deviation is linear enough
+    shift = project(calibration.camera, raised(directions, share * refraction_rad(directions, site))) - pixels
+    return pixels, covariance + shift[..., :, None] * shift[..., None, :]
 
 
 def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
