@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.detection.photographs import sky
 from tests.detection.rendering import Image, Scene, equisolid_stretch, render
-from tests.detection.test_paper import sky
 
 from sunarc.detection import Expectation, Sensor, detect_sun, locate, planes_of
 

@@ -144,7 +144,9 @@ def _planes(problem: Problem, state: State) -> FloatArray:
     core = _rendered(problem, state, sources.core, psf=psf)
     if not problem.prior.free_wings:
         return core
-    more = _rendered(problem, state, sources.wings, psf=template.WING_PSF * psf) - core
+    wings = _rendered(problem, state, sources.wings, psf=template.WING_PSF * psf)
+    wings[template.BY_PSF] *= template.WING_PSF  # by the core's point spread, of which the wings' is a multiple
+    more = wings - core
     return np.concatenate([core + state.nonlinear[WINGS] * more, more[:1]])
 
 

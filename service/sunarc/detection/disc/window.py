@@ -41,8 +41,8 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     """Cut the square of 2 half + 1 pixels around `center`, as far as it lies in the image; it may be empty."""
     height, width = image.shape
     x, y = round(center[0]), round(center[1])
-    x0, x1 = max(0, x - half), max(0, min(width, x + half + 1))
-    y0, y1 = max(0, y - half), max(0, min(height, y + half + 1))
+    x0, x1 = (min(max(0, end), width) for end in (x - half, x + half + 1))
+    y0, y1 = (min(max(0, end), height) for end in (y - half, y + half + 1))
     part = image[y0:y1, x0:x1]
     saturated = saturated_pixels(part, sensor=sensor, saturation_fraction=saturation_fraction)
     full = part >= saturation_fraction * sensor.full_scale if sensor.binning > 1 else saturated

@@ -1,9 +1,9 @@
 """The five estimators of the paper's Appendix A, each on the V-image (the largest of red, green and blue).
 
-Where the paper is silent: the erosion and dilation take a 3×3 square; the threshold itself belongs to the bright
-region; the diameter is that of the circle of the same area; the Förstner window is a Gaussian of standard deviation
-sigma, cut at the stated 7.5 sigma columns (in a flat window larger than the sun every place that holds it all is as
-good); ties are averaged.
+Where the paper is silent: the erosion and dilation take a pixel and its four neighbours; the threshold itself belongs
+to the bright region; the diameter is that of the circle of the same area; the Förstner window is a Gaussian of standard
+deviation sigma, cut at the stated 7.5 sigma columns (in a flat window larger than the sun every place that holds it all
+is as good); ties are averaged.
 """
 
 from __future__ import annotations

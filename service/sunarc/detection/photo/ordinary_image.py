@@ -170,9 +170,11 @@ def _best_blob(planes: Planes, peak: float, expectation: Expectation | None, opt
     grey = planes.grey()
     top = float(grey.max())
     mask = (grey >= _LEVELS[1] * min(top, peak)).astype(np.uint8)
-    seeds = [Circle(*found, 0.1, 1.0) for found in thickest(mask, most=_SEEDS, least_radius=_LEAST_SEED_PX)]
+    largest = options.max_radius_fraction * min(mask.shape)
+    inscribed = thickest(mask, most=_SEEDS, least_radius=_LEAST_SEED_PX)
+    seeds = [Circle(*found, 0.1, 1.0) for found in inscribed if found[2] <= largest]
     if expectation is not None:
-        reach = 5.0 * expectation.uncertainty_px + options.max_radius_fraction * min(mask.shape)
+        reach = 5.0 * expectation.uncertainty_px + largest
         seeds = [s for s in seeds if math.hypot(s.x - expectation.x_px, s.y - expectation.y_px) < reach]
     seen = sorted((_Seen((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
         -_LOOKED_AT:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from sunarc.detection import Detection, beside, combine
 from sunarc.errors import InputError
@@ -85,3 +87,57 @@ def test_what_told_more_and_saw_a_covered_disc_is_believed() -> None:
     faint = sighting(10.0, 5.0, 0.01, snr=100.0)
     assert beside([covered], faint, shifts=None).verdict == "partly_covered"
     assert beside([faint], sighting(10.0, 5.0, 0.003, snr=900.0), shifts=None).accepted
+
+
+@pytest.mark.parametrize(("chi2", "accepted"), [(0.99, True), (1.01, False)])
+def test_frames_scatter_beyond_chance_from_scipys_quantile_on(chi2: float, *, accepted: bool) -> None:
+    limit = float(scipy.stats.chi2.isf(1e-4, 4))
+    off = 0.02 * math.sqrt(chi2 * limit / 2.0)  # three frames at -off, 0 and off: chi² is 2 off² / sigma²
+    joined = combine([sighting(10.0 + k * off, 5.0, 0.02) for k in (-1, 0, 1)])
+    assert joined.accepted == accepted
+    assert joined.sigma_px == pytest.approx(0.02 / math.sqrt(3.0) * math.sqrt(chi2 * limit / 4.0))
+
+
+def test_frames_that_agree_too_well_are_not_more_certain_than_their_sigmas() -> None:
+    joined = combine([sighting(10.0, 5.0, 0.02)] * 4)
+    assert joined.sigma_px == pytest.approx(0.01)
+
+
+def test_one_accepted_frame_stays_as_it_is_but_moved() -> None:
+    one = sighting(10.0, 5.0, 0.02)
+    assert combine([one]) == one
+    assert combine([one], shifts=[(0.5, -0.25)]) == replace(one, x_px=9.5, y_px=5.25)
+
+
+def test_the_most_certain_frame_gives_the_rest() -> None:
+    frames = [replace(sighting(10.0, 5.0, sigma), exposure_us=1e3 * sigma) for sigma in (0.02, 0.005, 0.03)]
+    assert combine(frames).exposure_us == 5.0
+
+
+def test_a_frame_without_a_sigma_takes_no_part() -> None:
+    blind = replace(sighting(80.0, 5.0, 0.02), sigma_px=None)
+    assert combine([blind, sighting(10.0, 5.0, 0.02)]).x_px == 10.0
+
+
+@pytest.mark.parametrize(("apart", "accepted"), [(0.099, True), (0.101, False)])
+def test_frames_a_tenth_of_a_pixel_apart_are_compared_by_chance(apart: float, *, accepted: bool) -> None:
+    earlier, latest = sighting(10.0, 5.0, 0.003), sighting(10.0 + apart, 5.0, 0.003)
+    assert beside([earlier], latest, shifts=[(0.0, 0.0)]).accepted == accepted
+    assert beside([earlier], replace(latest, sigma_px=0.05), shifts=[(0.0, 0.0)]).accepted  # by chance: 2 sigma
+
+
+def test_a_rejected_detection_stays_as_it_is() -> None:
+    rejected = sighting(10.0, 5.0, 0.003, accepted=False)
+    assert beside([sighting(90.0, 5.0, 0.003)], rejected, shifts=[(0.0, 0.0)]) == rejected
+
+
+def test_an_earlier_frame_without_a_position_is_not_compared() -> None:
+    nothing = replace(sighting(10.0, 5.0, 0.003), x_px=None, y_px=None)
+    latest = sighting(90.0, 5.0, 0.003)
+    assert beside([nothing], latest, shifts=[(0.0, 0.0)]) == latest
+
+
+@pytest.mark.parametrize(("snr", "accepted"), [(100.0, True), (101.0, False)])
+def test_only_a_stronger_frame_overrules(snr: float, *, accepted: bool) -> None:
+    covered = replace(sighting(10.0, 5.0, 0.003, accepted=False, snr=snr), verdict="partly_covered")
+    assert beside([covered], sighting(10.0, 5.0, 0.01, snr=100.0), shifts=None).accepted == accepted

@@ -1,0 +1,71 @@
+"""The dark surroundings of a missing sun: each limit from both sides, on images of known levels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.detection.rendering import Image
+
+from sunarc.detection import DiscOptions, Expectation, Sensor
+from sunarc.detection.disc.obstruction import obstructed_reason
+
+SENSOR = Sensor(full_scale=4095, gain_e_per_count=5.0, read_noise_e=10.0, black_level=100.0)
+PREDICTED = Expectation(x_px=128.0, y_px=128.0, clear_peak_fraction=1.0)
+
+
+def sky(*, level: float, here: float, noise: float = 2.0) -> Image:
+    """Return a sky of some counts above black, the 41×41 px around the sun at another level."""
+    rng = np.random.default_rng(0)
+    image = np.full((256, 256), 100.0 + level)
+    image[108:149, 108:149] = 100.0 + here
+    return np.rint(image + rng.normal(0.0, noise, image.shape)).astype(np.uint16)
+
+
+def obstructed(image: Image, expectation: Expectation = PREDICTED, *, reach_px: float = 12.0) -> bool:
+    options = DiscOptions()
+    return bool(obstructed_reason(image, sensor=SENSOR, expectation=expectation, reach_px=reach_px, options=options))
+
+
+@pytest.mark.parametrize(("here", "expected"), [(96.0, True), (104.0, False)])
+def test_surroundings_darker_than_half_of_the_sky_are_an_obstruction(here: float, *, expected: bool) -> None:
+    assert obstructed(sky(level=200.0, here=here)) == expected
+
+
+@pytest.mark.parametrize(("level", "expected"), [(0.4, False), (1.5, True)])
+def test_the_difference_must_be_significant(level: float, *, expected: bool) -> None:
+    assert obstructed(sky(level=level, here=0.0)) == expected  # 6 sigma of 625 px are 0.7 counts
+
+
+@pytest.mark.parametrize(("clear", "expected"), [(0.0299, False), (0.0301, True), (None, False)])
+def test_the_clear_sun_must_be_three_times_the_detection_limit(clear: float | None, *, expected: bool) -> None:
+    assert obstructed(sky(level=200.0, here=20.0), replace(PREDICTED, clear_peak_fraction=clear)) == expected
+
+
+def test_a_part_of_the_sky_may_be_dark_too() -> None:
+    image = sky(level=200.0, here=20.0)
+    image[:, 64:] = np.minimum(image[:, 64:], 120)  # a quarter of the tiles still shows the sky
+    assert obstructed(image)
+    image[:, :] = np.minimum(image, 120)
+    assert not obstructed(image)
+
+
+def test_hot_pixels_do_not_brighten_an_obstruction() -> None:
+    image = sky(level=200.0, here=20.0)
+    image[120:136:4, 120:136:4] = 4095
+    assert obstructed(image)
+
+
+def test_an_obstruction_smaller_than_the_surroundings_is_not_certain() -> None:
+    assert obstructed(sky(level=200.0, here=20.0), reach_px=20.0)
+    assert not obstructed(sky(level=200.0, here=20.0), reach_px=60.0)
+
+
+@pytest.mark.parametrize("shape", [(63, 300), (300, 63), (20, 20)])
+def test_an_image_without_a_whole_tile_tells_nothing(shape: tuple[int, int]) -> None:
+    assert not obstructed(np.full(shape, 120, np.uint16), replace(PREDICTED, x_px=10.0, y_px=10.0))
+
+
+def test_surroundings_beyond_the_image_tell_nothing() -> None:
+    assert not obstructed(sky(level=200.0, here=20.0), replace(PREDICTED, x_px=400.0))

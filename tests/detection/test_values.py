@@ -1,0 +1,135 @@
+"""Input of the detectors: bounds of sensors, predictions and options."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sunarc.detection import DiscOptions, Expectation, Image, PaperOptions, Sensor, bayer_of
+from sunarc.detection.frames import require_raw
+from sunarc.errors import InputError
+
+STRETCH = ((565.0, 0.0), (0.0, 640.0))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"binning": 0},
+        {"binning": -1},
+        {"gain_e_per_count": 0.0},
+        {"gain_e_per_count": -1.0},
+        {"gain_e_per_count": math.nan},
+        {"read_noise_e": -0.1},
+        {"read_noise_e": math.inf},
+        {"black_level": -0.1},
+        {"black_level": 255.0},
+        {"black_level": math.nan},
+        {"full_scale": 65536},
+    ],
+)
+def test_a_sensor_that_does_not_exist_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError) as error:
+        Sensor(**({"full_scale": 255, "gain_e_per_count": 80.0} | changes))
+    assert error.value.field == "sensor"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"binning": 1}, {"read_noise_e": 0.0}, {"black_level": 0.0}, {"black_level": 254.9}, {"full_scale": 65535}],
+)
+def test_a_sensor_at_its_limits_is_taken(changes: dict[str, Any]) -> None:
+    assert Sensor(**({"full_scale": 255, "gain_e_per_count": 80.0} | changes)).bayer is None
+
+
+def test_the_gain_of_a_full_well() -> None:
+    sensor = Sensor.from_full_well(full_scale=4095, full_well_e=8190.0, bayer="GRBG")
+    assert (sensor.full_scale, sensor.gain_e_per_count, sensor.bayer) == (4095, 2.0, "GRBG")
+    assert Sensor.from_full_well(full_scale=1000).gain_e_per_count == 20.0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"x_px": math.nan},
+        {"y_px": math.inf},
+        {"uncertainty_px": math.nan},
+        {"uncertainty_px": -0.1},
+        {"stretch_px_per_rad": ((565.0, math.nan), (0.0, 640.0))},
+        {"stretch_px_per_rad": ((565.0, 0.0), (math.inf, 640.0))},
+    ],
+)
+def test_a_prediction_that_is_not_finite_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError) as error:
+        Expectation(**({"x_px": 5.0, "y_px": 6.0} | changes))
+    assert error.value.field == "expectation"
+
+
+def test_a_prediction_may_be_certain_and_beyond_the_image() -> None:
+    assert Expectation(x_px=-5.0, y_px=1e6, uncertainty_px=0.0, stretch_px_per_rad=STRETCH).uncertainty_px == 0.0
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "bayer"),
+    [
+        ("BayerRG8", "RGGB"),
+        ("BayerBG12Packed", "BGGR"),
+        ("BayerGR10", "GRBG"),
+        ("BayerGB16", "GBRG"),
+        ("BayerXX8", None),
+        ("Mono8", None),
+        ("Mono12Packed", None),
+        ("", None),
+    ],
+)
+def test_colours_of_a_pixel_format(pixel_format: str, bayer: str | None) -> None:
+    assert bayer_of(pixel_format) == bayer
+
+
+def test_options_follow_the_cameras_binning() -> None:
+    options, binned = DiscOptions(), DiscOptions().binned(2)
+    assert (binned.psf_px, binned.min_radius_px, binned.max_radius_px) == (0.35, 0.6, 5.0)
+    assert (binned.max_sigma_px, binned.min_snr) == (options.max_sigma_px, options.min_snr)
+    assert options.binned(1) == options
+
+
+@pytest.mark.parametrize("field", ["psf_px", "solar_radius_deg", "min_radius_px", "max_radius_px"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_lengths_of_the_disc_are_positive_and_finite(field: str, value: float) -> None:
+    with pytest.raises(InputError):
+        DiscOptions(**{field: value})
+
+
+@pytest.mark.parametrize("field", ["max_radius_fraction", "max_spread_px", "sigma_px", "gamma"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_lengths_of_the_blob_are_positive_and_finite(field: str, value: float) -> None:
+    with pytest.raises(InputError):
+        PaperOptions(**dict[str, Any]({field: value}))
+
+
+@pytest.mark.parametrize(
+    ("image", "full_scale"),
+    [
+        (np.zeros((4, 4, 3), np.uint8), 255),
+        (np.zeros(16, np.uint8), 255),
+        (np.zeros((0, 4), np.uint8), 255),
+        (np.zeros((4, 4), np.float32), 255),
+        (np.zeros((4, 4), np.int16), 255),
+        (np.zeros((4, 4), np.uint8), 256),
+    ],
+)
+def test_an_array_that_is_no_raw_frame_is_refused(image: Any, full_scale: int) -> None:  # noqa: ANN401 - no image
+    with pytest.raises(InputError) as error:
+        require_raw(image, Sensor.from_full_well(full_scale=full_scale))
+    assert error.value.field == "image"
+
+
+@pytest.mark.parametrize(
+    ("image", "full_scale"),
+    [(np.zeros((1, 1), np.uint8), 255), (np.zeros((1, 1), np.uint16), 255), (np.zeros((1, 1), np.uint16), 65535)],
+)
+def test_eight_and_sixteen_bits_are_raw_frames(image: Image, full_scale: int) -> None:
+    require_raw(image, Sensor.from_full_well(full_scale=full_scale))
