@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
+from pydantic import AwareDatetime
 
 from sunarc.archive import Event
 from sunarc.runtime.status import ClockStatus, Notes, Reason
@@ -30,14 +31,14 @@ SUFFIXES = ("_total", "_created", "_bucket", "_sum", "_count")
 
 def some(kind: Any, noon: datetime) -> Any:  # noqa: ANN401 - of any kind
     """Return some value of a kind."""
-    if isinstance(kind, types.UnionType):
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
         kind = next(one for one in typing.get_args(kind) if one is not type(None))
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         hints = typing.get_type_hints(kind)
         return kind(**{one.name: some(hints[one.name], noon) for one in dataclasses.fields(kind)})
     if typing.get_origin(kind) is tuple:
         return ()
-    return noon if kind is datetime else kind(1)
+    return noon if kind in (datetime, AwareDatetime) else kind(1)
 
 
 def exported(made: Made) -> dict[str, tuple[str, str, str]]:

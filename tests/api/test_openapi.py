@@ -37,9 +37,9 @@ def test_every_field_says_what_it_is_and_gives_an_example(made: Made) -> None:
     for name, schema in schemas.items():
         assert schema["description"].strip(), name
         for field, one in schema.get("properties", {}).items():
-            assert one.get("description"), f"{name}.{field}: say it there, or in glossary.py"
+            assert one.get("description"), f"{name}.{field}: describe it"
             shown = any(word in json.dumps(one) for word in ('"examples"', '"enum"', '"const"', '"$ref"'))
-            assert shown, f"{name}.{field}: give an example there, or in glossary.py"
+            assert shown, f"{name}.{field}: give an example"
 
 
 def test_every_example_is_one(made: Made) -> None:
@@ -55,7 +55,7 @@ def test_every_parameter_says_what_it_is(made: Made) -> None:
     for path, operations in made.client.get("/openapi.json").json()["paths"].items():
         for operation in operations.values():
             for parameter in operation.get("parameters", ()):
-                assert parameter.get("description"), f"{path} {parameter['name']}: say it there, or in glossary.py"
+                assert parameter.get("description"), f"{path} {parameter['name']}: describe it"
 
 
 def test_every_number_in_an_answer_names_its_unit_or_is_a_count(made: Made) -> None:

@@ -9,7 +9,6 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
-from sunarc.api.glossary import explain
 from sunarc.api.problems import Fault, Problem, answers
 from sunarc.api.schemas.calibration import BackProjectRequest, ProjectRequest
 from sunarc.api.schemas.geolocation import GeolocateRequest
@@ -52,7 +51,6 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for path in document["paths"].values():
         for operation in path.values():
             _only_problems(operation["responses"])
-    explain(document)
     return document
 
 

@@ -56,7 +56,10 @@ class Problem(BaseModel):
     type: str = Field(description="Stable name of the kind of problem.", examples=["urn:sunarc:problem:invalid"])
     title: str = Field(description="The kind of problem, in words.", examples=["Unprocessable Entity"])
     status: int = Field(description="The HTTP status.", examples=[422])
-    detail: str = Field(description="This problem, in one sentence.")
+    detail: str = Field(
+        description="This problem, in one sentence.",
+        examples=["at: no calibration answers for 1999-01-01T00:00:00+00:00"],
+    )
     instance: str = Field(description="The path that was asked for.", examples=["/v1/back-project"])
     errors: list[Fault] = Field(description="What is wrong, one by one; may be empty.")
 

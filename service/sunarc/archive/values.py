@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from sunarc.errors import InputError
+from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, described
 
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
@@ -20,18 +22,18 @@ RefitState = Literal["requested", "running", "accepted", "marginal", "refused", 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraRecord:
-    """A camera that the archive knows: where it stands and what it makes."""
+class CameraRecord(Returned):
+    """A camera that the archive knows: its site and its image."""
 
-    name: str
-    latitude: float
-    longitude: float
-    altitude: float
-    width: int
-    height: int
-    model: str = ""
-    serial: str = ""
-    pixel_format: str = ""
+    name: Annotated[str, described("As in /v1/cameras/{camera}/.", "imager")]
+    latitude: Annotated[float, described("Degrees, north positive.", 36.604043)]
+    longitude: Annotated[float, described("Degrees, east positive.", -97.484856)]
+    altitude: Annotated[float, described("Metres above sea level.", 318.0)]
+    width: Annotated[int, described("Of its image, px.", 1748)]
+    height: Annotated[int, described("Of its image, px.", 1748)]
+    model: Annotated[str, described("Vendor and model, as the camera states them.", "Vendor Model")] = ""
+    serial: Annotated[str, described("Serial number, as the camera states it.", "SIM-0001")] = ""
+    pixel_format: Annotated[str, Field(exclude=True)] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,50 +48,38 @@ class PoseEpoch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SunPoint:
-    """One look at the sun, the rejected ones with their reason.
+class SunPoint(Returned):
+    """One sighting of the sun; the rejected ones with their reason."""
 
-    Attributes
-    ----------
-    camera, pose_epoch : the camera's name, and the id of the epoch it was in.
-    time : mid-exposure.
-    method : the detector ("disc", "paper", "import").
-    accepted : whether a fit may use it; then `x_px` and `y_px` are known.
-    verdict, reason : what was seen, in a word and in a sentence.
-    body : what was looked at.
-    exposure_us : as the camera read it back; 0 where it is not known.
-    x_px, y_px, sigma_px : where, and its 1-sigma per axis; None where there is no answer.
-    peak_fraction, background_fraction : share of full scale.
-    radius_px, ellipticity, residual_chi2, snr, saturated_px : the shape that was fitted.
-    clock_error_s : bound of the clock's error at that moment.
-    temperature_c, pressure_hpa : of the air, where measured with the sighting; None takes the day's (`DayAir`).
-    """
-
-    camera: str
-    pose_epoch: str
-    time: datetime
-    method: str
-    accepted: bool
-    verdict: str
-    reason: str = ""
-    body: str = "sun"
-    exposure_us: float = 0.0
-    x_px: float | None = None
-    y_px: float | None = None
-    sigma_px: float | None = None
-    peak_fraction: float | None = None
-    background_fraction: float | None = None
-    radius_px: float | None = None
-    ellipticity: float | None = None
-    residual_chi2: float | None = None
-    snr: float | None = None
-    saturated_px: int | None = None
-    clock_error_s: float | None = None
-    temperature_c: float | None = None
-    pressure_hpa: float | None = None
+    camera: Annotated[str, Field(exclude=True)]
+    pose_epoch: Annotated[str, described("Id of the interval in which the camera did not move.", "imager-1")]
+    time: Time
+    method: Annotated[str, described("The detector: `disc`, `paper`, or `import`.", "disc")]
+    accepted: Annotated[bool, described("Whether a fit may use it; then `x_px` and `y_px` are known.", True)]
+    verdict: Annotated[str, described("What was detected, in a word.", "clear")]
+    reason: Annotated[str, described("Why it was accepted or rejected, in words.", "the disc fits")] = ""
+    body: Annotated[str, described("The celestial body.", "sun")] = "sun"
+    exposure_us: Annotated[float, described("As read back from the camera, µs; 0 where not known.", 47.0)] = 0.0
+    x_px: Annotated[float | None, described("To the right, px; null where there is no answer.", 871.96)] = None
+    y_px: Annotated[float | None, described("Down, px; null where there is no answer.", 883.0)] = None
+    sigma_px: Annotated[float | None, described("1-sigma per axis, px.", 0.04)] = None
+    peak_fraction: Annotated[float | None, described("Of the sun, share of full scale.", 0.62)] = None
+    background_fraction: Annotated[float | None, described("Of the sky beside the sun, share of full scale.", 0.03)] = (
+        None
+    )
+    radius_px: Annotated[float | None, described("Of the fitted disc, px.", 3.1)] = None
+    ellipticity: Annotated[float | None, described("Of the fitted disc: 0 is a circle.", 0.04)] = None
+    residual_chi2: Annotated[
+        float | None, described("Reduced chi-squared of the fitted disc, a ratio: 1 is noise alone.", 1.1)
+    ] = None
+    snr: Annotated[float | None, described("Signal to noise, a ratio.", 310.0)] = None
+    saturated_px: Annotated[int | None, described("Pixels at full scale, a count.", 0)] = None
+    clock_error_s: Annotated[float | None, described("Bound of the error of its time, s.", 0.01)] = None
+    temperature_c: Annotated[float | None, Field(exclude=True)] = None  # of the air, measured with the sighting;
+    pressure_hpa: Annotated[float | None, Field(exclude=True)] = None  # None takes the day's (`DayAir`)
 
     def __post_init__(self) -> None:
-        """Refuse an accepted sighting that is nowhere."""
+        """Refuse an accepted sighting without a pixel."""
         if self.accepted and not (_finite(self.x_px) and _finite(self.y_px)):
             raise InputError(
                 field="x_px, y_px", problem="an accepted sighting without a pixel", remedy="give finite numbers"
@@ -156,37 +146,46 @@ class DayAir:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Day:
-    """A solar day's verdict, the arc, and the scatter about it (Eq. 20, 27).
+class Day(Returned):
+    """Verdict of a solar day, with the arc and the scatter about it (Eq. 20, 27)."""
 
-    Attributes
-    ----------
-    n : accepted sightings.
-    n_cycles, n_possible : cycles with a sighting on the smooth arc, and cycles that the day had; None: not counted.
-    n_observed : cycles in which sun exposures were taken; None: not counted.
-    arc_deg, solid_angle_sr : how much of the sky was seen.
-    sd_px, rmsd_px : scatter of all sightings about the arc.
-    doubtful_clock : share of the sightings whose clock was doubtful.
-    pose_offset_deg, pose_offset_sigma_deg : how the camera stood turned against its calibration on average, about the
-        axes to the east, to the north and up, and the 1-sigma of each; None where it is not known.
-    """
-
-    camera: str
-    date: date
-    verdict: DayVerdict
-    reasons: tuple[str, ...]
-    n: int
-    n_possible: int
-    decided_at: datetime
-    arc_deg: float | None = None
-    sd_px: float | None = None
-    rmsd_px: float | None = None
-    n_cycles: int | None = None
-    n_observed: int | None = None
-    solid_angle_sr: float | None = None
-    doubtful_clock: float | None = None
-    pose_offset_deg: tuple[float, ...] | None = None
-    pose_offset_sigma_deg: tuple[float, ...] | None = None
+    camera: Annotated[str, Field(exclude=True)]
+    date: SolarDate
+    verdict: Annotated[DayVerdict, described("Verdict on the day; its reasons say why.")]
+    reasons: Annotated[
+        tuple[str, ...], described("Why, in sentences.", ["91 % of the possible sightings lie on the arc"])
+    ]
+    n: Annotated[int, described("Accepted sightings, a count.", 379)]
+    n_possible: Annotated[int, described("Cycles that the day had room for, a count.", 418)]
+    decided_at: Time
+    arc_deg: Annotated[float | None, described("Arc of the sky that was covered, degrees.", 131.2)] = None
+    sd_px: Annotated[
+        float | None,
+        described("Standard deviation of the distance from the day's smooth arc, px (Eq. 20).", 0.05),
+    ] = None
+    rmsd_px: Annotated[
+        float | None, described("Root mean square distance from the day's smooth arc, px (Eq. 27c).", 0.07)
+    ] = None
+    n_cycles: Annotated[
+        int | None, described("Cycles with a sighting on the day's smooth arc; a bracket is one.", 402)
+    ] = None
+    n_observed: Annotated[
+        int | None, described("Cycles in which sun exposures were taken; the verdict is about these.", 418)
+    ] = None
+    solid_angle_sr: Annotated[float | None, described("Solid angle of the sky that was covered, steradians.", 0.4)] = (
+        None
+    )
+    doubtful_clock: Annotated[float | None, described("Share of the sightings whose clock was doubtful.", 0.0)] = None
+    pose_offset_deg: Annotated[
+        tuple[float, ...] | None,
+        described(
+            "Mean rotation of the camera against its calibration: about east, north and up, degrees.",
+            [0.003, -0.001, 0.002],
+        ),
+    ] = None
+    pose_offset_sigma_deg: Annotated[
+        tuple[float, ...] | None, described("1-sigma of each, degrees.", [0.002, 0.002, 0.004])
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,31 +215,39 @@ class CalibrationRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refit:
-    """A refit that was asked for: by whom or what, how it went, and the calibration it made."""
+class Refit(Returned):
+    """A requested refit, its progress, and the calibration it made."""
 
-    id: str
-    camera: str
-    requested_at: datetime
-    reason: str
-    state: RefitState = "requested"
-    started_at: datetime | None = None
-    finished_at: datetime | None = None
-    calibration: str | None = None
-    message: str = ""
+    id: Annotated[str, described("Id of the refit.", "3f2a9c")]
+    camera: Annotated[str, described("Name of the camera.", "imager")]
+    requested_at: Time
+    reason: Annotated[str, described("Why it was requested.", "the dome is clean")]
+    state: Annotated[RefitState, described("`accepted`, `marginal` and `refused`: the verdict on its fit.")] = (
+        "requested"
+    )
+    started_at: Annotated[Time | None, described("When it began; null until then.", EXAMPLE_TIME)] = None
+    finished_at: Annotated[Time | None, described("When it ended; null until then.", EXAMPLE_TIME)] = None
+    calibration: Annotated[
+        str | None, described("Id of the calibration it made, accepted or refused.", "20130514T150508Z-52ee44")
+    ] = None
+    message: Annotated[
+        str, described("How it ended, in a sentence; empty until then.", "1-sigma over the sky 0.0099 degrees")
+    ] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """Something worth telling: what kind (`bump`, `refit_refused`), how grave, in a sentence, with its numbers."""
+class Event(Returned):
+    """An event."""
 
-    time: datetime
-    kind: str
-    severity: EventSeverity
-    text: str
-    camera: str | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
-    id: int | None = None
+    time: Time
+    kind: Annotated[str, described("Stable name of the kind of event.", "bump")]
+    severity: Annotated[EventSeverity, described("`alarm`: act now.")]
+    text: Annotated[str, described("What happened, in a sentence.", "the camera does not answer")]
+    camera: Annotated[str | None, described("Name of the camera; null where it concerns all.", "imager")] = None
+    details: Annotated[
+        Mapping[str, Any], described("Its numbers; their names carry their units.", {"rmse_px": 0.04})
+    ] = field(default_factory=dict)
+    id: Annotated[int | None, described("Its number in the archive.", 17)] = None
 
 
 def _finite(value: float | None) -> bool:

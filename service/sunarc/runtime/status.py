@@ -6,7 +6,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Literal, TypedDict, Unpack
+from typing import Annotated, Literal, TypedDict, Unpack
+
+from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
 
 Health = Literal["ready", "degraded", "not_ready"]
 Severity = Literal["degraded", "not_ready"]
@@ -14,102 +16,104 @@ WorkerState = Literal["starting", "running", "restarting", "stopped", "failed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorkerStatus:
-    """One worker: how it is, and the seconds since it last gave a sign of life (None before the first)."""
+class WorkerStatus(Returned):
+    """One worker."""
 
-    name: str
-    state: WorkerState
-    heartbeat_age_s: float | None = None
-    restarts: int = 0
-    last_error: str | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reason:
-    """Why the service is not, or not wholly, ready.
-
-    Attributes
-    ----------
-    code : stable name, one reason per code (`no_calibration`, `camera_lost`).
-    severity : `degraded` still answers, with less; `not_ready` cannot answer.
-    text : what is the matter, one sentence.
-    remedy : what to do about it.
-    """
-
-    code: str
-    severity: Severity
-    text: str
-    remedy: str
+    name: Annotated[str, described("Its name.", "capture")]
+    state: Annotated[WorkerState, described("`failed`: it ended too often and is not started again.")]
+    heartbeat_age_s: Annotated[
+        float | None, described("Seconds since its last heartbeat; null before the first.", 0.4)
+    ] = None
+    restarts: Annotated[int, described("How often it was restarted.", 0)] = 0
+    last_error: Annotated[
+        str | None, described("Error that ended it last; null without one.", "CameraLostError: no answer")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraStatus:
+class Reason(Returned):
+    """Why the service is degraded or not ready; one reason per code."""
+
+    code: Annotated[str, described("Stable name of the reason.", "no_calibration")]
+    severity: Annotated[Severity, described("`degraded` still answers, with less; `not_ready` cannot answer.")]
+    text: Annotated[str, described("The reason, in a sentence.", "the camera does not answer")]
+    remedy: Annotated[str, described("What to do about it.", "check power, cable and address")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraStatus(Returned):
     """The camera as it last answered."""
 
-    name: str
-    connected: bool
-    address: str = ""
-    model: str = ""
-    serial: str = ""
-    pixel_format: str = ""
-    temperature_c: float | None = None
+    name: Annotated[str, described("Name of this service's camera.", "imager")]
+    connected: Annotated[bool, described("Whether the camera answers.", True)]
+    address: Annotated[str, described("Of the camera on its network; empty where not known.", "192.168.0.2")] = ""
+    model: Annotated[str, described("Vendor and model, as the camera states them.", "Vendor Model")] = ""
+    serial: Annotated[str, described("Serial number, as the camera states it.", "SIM-0001")] = ""
+    pixel_format: Annotated[str, described("As the camera is set; empty where not known.", "Mono12")] = ""
+    temperature_c: Annotated[
+        float | None, described("Of the camera, degrees Celsius; null where it does not measure it.", 41.5)
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureStatus:
-    """What capture has counted since the service started.
+class CaptureStatus(Returned):
+    """What capture has counted since the service started; times in real seconds."""
 
-    Attributes
-    ----------
-    cycles, complete : slots served by day, and those whose normal exposures all succeeded.
-    missed : slots that passed without a cycle, the camera being lost or the cycle before too long.
-    sun_missed : slots with the sun up in which no sun exposure was taken, those without a cycle among them.
-    sun_dropped : sun exposures that were not evaluated, for detection was too slow.
-    frames : exposures that succeeded.
-    retries : exposures tried again.
-    losses : exposures without a frame, or with one that lacks packets.
-    refusals : frames of a wrong size, count or exposure.
-    doubts : rounds of exposures whose brightness contradicted what they said.
-    failures : exposures that failed at every attempt.
-    openings : how often the camera was opened.
-    jitter_s, jitter_max_s : from a slot to its first exposure's beginning, real seconds: the last, and the largest.
-    hdr_s : from the beginning of the last cycle to the end of its normal exposures, real seconds.
-    """
-
-    cycles: int = 0
-    complete: int = 0
-    missed: int = 0
-    sun_missed: int = 0
-    sun_dropped: int = 0
-    frames: int = 0
-    retries: int = 0
-    losses: int = 0
-    refusals: int = 0
-    doubts: int = 0
-    failures: int = 0
-    openings: int = 0
-    jitter_s: float | None = None
-    jitter_max_s: float | None = None
-    hdr_s: float | None = None
+    cycles: Annotated[int, described("Slots served by day, a count.", 2880)] = 0
+    complete: Annotated[int, described("Cycles whose normal exposures all succeeded, a count.", 2870)] = 0
+    missed: Annotated[
+        int, described("Slots that passed without a cycle (camera lost, or the previous one too long), a count.", 0)
+    ] = 0
+    sun_missed: Annotated[
+        int, described("Slots with the sun up in which no sun exposure was taken, cycle or not, a count.", 0)
+    ] = 0
+    sun_dropped: Annotated[
+        int, described("Sun exposures not evaluated because detection was too slow, a count.", 0)
+    ] = 0
+    frames: Annotated[int, described("Exposures that succeeded, a count.", 14400)] = 0
+    retries: Annotated[int, described("Exposures tried again, a count.", 3)] = 0
+    losses: Annotated[int, described("Exposures without a frame, or with one that lacked packets, a count.", 3)] = 0
+    refusals: Annotated[int, described("Frames of a wrong size, frame number or exposure, a count.", 0)] = 0
+    doubts: Annotated[
+        int, described("Rounds of exposures whose brightness contradicted their exposure times, a count.", 1)
+    ] = 0
+    failures: Annotated[int, described("Exposures that failed at every attempt, a count.", 0)] = 0
+    openings: Annotated[int, described("How often the camera was opened, a count.", 1)] = 0
+    jitter_s: Annotated[float | None, described("From the last slot to its first exposure, s.", 0.002)] = None
+    jitter_max_s: Annotated[float | None, described("The largest jitter since the service started, s.", 0.012)] = None
+    hdr_s: Annotated[
+        float | None,
+        described("From the beginning of the last cycle to the end of its normal exposures, s.", 0.31),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClockStatus:
-    """Whether the host's clock is disciplined (None: unknown), the bound of its error, and when it was last set."""
+class ClockStatus(Returned):
+    """Whether the host's clock is disciplined, the bound of its error, and when the frames' clock was last set."""
 
-    synchronised: bool | None
-    max_error_s: float | None = None
-    last_step_s: float | None = None
-    last_step_at: datetime | None = None
+    synchronised: Annotated[
+        bool | None, described("Whether a time service disciplines the host's clock; null where not known.", True)
+    ]
+    max_error_s: Annotated[
+        float | None, described("Bound of the host clock's error, s; null where not known.", 0.01)
+    ] = None
+    last_step_s: Annotated[
+        float | None, described("By how much the frames' clock was last set, s; positive is forward.", 0.8)
+    ] = None
+    last_step_at: Annotated[
+        Time | None, described("When the frames' clock was last set; null without a step.", EXAMPLE_TIME)
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DiskStatus:
-    """What is free where the images are, what they take, and the time of the oldest one."""
+class DiskStatus(Returned):
+    """What is free where the images are, and what they take."""
 
-    free_bytes: int
-    images_bytes: int
-    oldest_image_at: datetime | None = None
+    free_bytes: Annotated[int, described("Free space where the images are, bytes.", 82_000_000_000)]
+    images_bytes: Annotated[int, described("Size of the stored images, bytes.", 12_000_000_000)]
+    oldest_image_at: Annotated[
+        Time | None, described("Time of the oldest stored image; null without one.", EXAMPLE_TIME)
+    ] = None
 
 
 class Notes(TypedDict, total=False):

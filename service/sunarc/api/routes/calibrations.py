@@ -7,13 +7,13 @@ import json
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.problems import answers
 from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.parameters import At, CalibrationId, IfNoneMatch, row_limit
 from sunarc.api.schemas.record import Calibrations, CalibrationSummary
 from sunarc.archive import CalibrationRecord, CalibrationState
 from sunarc.exports import FILE_NAMES, FORMATS, MEDIA_TYPES, Exported, Format, export
@@ -54,9 +54,9 @@ def calibration_routes(served: ApiContext) -> APIRouter:
     @routes.get("/calibration", responses=_EXPORTED | answers(404, 422))
     def calibration(
         request: Request,
-        at: Time | None = None,
+        at: At = None,
         wanted: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
-        if_none_match: Annotated[str | None, Header()] = None,
+        if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return the calibration that answers now, or the one that answers for the moment `at`."""
         record = served.of(request).record(at)
@@ -67,8 +67,8 @@ def calibration_routes(served: ApiContext) -> APIRouter:
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
         request: Request,
-        state: CalibrationState | None = None,
-        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        state: Annotated[CalibrationState | None, Query(description="Of the calibrations to return.")] = None,
+        limit: Annotated[int, row_limit(1000)] = 100,
         cursor: Cursor = None,
     ) -> Calibrations:
         """Return the history, the newest first, refused candidates with their reasons."""
@@ -78,7 +78,7 @@ def calibration_routes(served: ApiContext) -> APIRouter:
         return Calibrations(calibrations=[summary(record) for record in rows], next=following)
 
     @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
-    def one(request: Request, calibration_id: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    def one(request: Request, calibration_id: CalibrationId, if_none_match: IfNoneMatch = None) -> Response:
         """Return one calibration's document, with its evidence."""
         return tagged(_text(served.of(request).calibration(calibration_id)), if_none_match)
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 from fastapi import APIRouter
 
 from sunarc.api.context import ApiContext
-from sunarc.api.schemas.record import CameraRecordOut, Cameras
+from sunarc.api.schemas.record import Cameras
 
 
 def camera_routes(served: ApiContext) -> APIRouter:
@@ -17,9 +15,6 @@ def camera_routes(served: ApiContext) -> APIRouter:
     @routes.get("/v1/cameras")
     def cameras() -> Cameras:
         """Tell the cameras of the archive; every route of one camera also stands under /v1/cameras/{camera}/."""
-        known = served.archive.cameras()
-        return Cameras(
-            default=served.camera, cameras=[CameraRecordOut.model_validate(asdict(camera)) for camera in known]
-        )
+        return Cameras(default=served.camera, cameras=list(served.archive.cameras()))
 
     return routes

@@ -10,9 +10,9 @@ from fastapi import APIRouter, Depends, Path, Request
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
-from sunarc.api.schemas.parameters import SolarDate
 from sunarc.api.schemas.record import DayAirIn, DayAirOut
 from sunarc.archive import DayAir
+from sunarc.json_fields import SolarDate
 
 Day = Annotated[SolarDate, Path(description="Local mean solar date.", examples=["2013-05-13"])]
 

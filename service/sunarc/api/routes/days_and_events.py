@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import timedelta
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
 from sunarc.api.context import ApiContext
@@ -15,10 +15,11 @@ from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.day_air import air_out
 from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import MOST_ROWS, SolarDate, Time
-from sunarc.api.schemas.record import DayOut, Days, EventOut, Events
+from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
+from sunarc.api.schemas.record import Days, DayWithAir, Events
 from sunarc.archive import Day, EventSeverity
 from sunarc.errors import NotFoundError, OutsideError
+from sunarc.json_fields import SolarDate
 
 _MEDIA_TYPES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 _IMAGE: dict[int | str, dict[str, Any]] = {
@@ -38,9 +39,9 @@ def record_routes(served: ApiContext) -> APIRouter:
     def days(
         *,
         request: Request,
-        since: SolarDate | None = None,
-        until: SolarDate | None = None,
-        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 366,
+        since: Annotated[SolarDate | None, Query(description="From this date on.")] = None,
+        until: Annotated[SolarDate | None, Query(description="Before this date.")] = None,
+        limit: Annotated[int, row_limit()] = 366,
         cursor: Cursor = None,
     ) -> Days:
         """Tell the verdicts of the solar days with since <= date < until, the newest first."""
@@ -53,10 +54,10 @@ def record_routes(served: ApiContext) -> APIRouter:
     def events(
         *,
         request: Request,
-        since: Time | None = None,
-        until: Time | None = None,
-        severity: EventSeverity | None = None,
-        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100,
+        since: Since = None,
+        until: Until = None,
+        severity: Annotated[EventSeverity | None, Query(description="Of the events to return.")] = None,
+        limit: Annotated[int, row_limit()] = 100,
         cursor: Cursor = None,
     ) -> Events:
         """Tell the events with since <= time < until, the newest first."""
@@ -65,30 +66,24 @@ def record_routes(served: ApiContext) -> APIRouter:
             chosen.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
         )
         rows, following = page.cut(found, request, time=lambda event: event.time)
-        return Events(events=[EventOut(**asdict(event)) for event in rows], next=following)
+        return Events(events=list(rows), next=following)
 
     @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
-    def latest_image(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    def latest_image(request: Request, if_none_match: IfNoneMatch = None) -> Response:
         """Return the newest composite's preview."""
         return _image(served.of(request), if_none_match)
 
     return routes
 
 
-def days_out(served: ApiContext, days: Sequence[Day]) -> list[DayOut]:
+def days_out(served: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     """Return days, with their measured air where there is one, as an answer."""
     if not days:
         return []
     dates = [day.date for day in days]
     known = served.archive.day_air(served.camera, since=min(dates), until=max(dates) + timedelta(days=1))
     air = {one.date: air_out(one) for one in known}
-    return [DayOut(**_row(day), air=air.get(day.date)) for day in days]
-
-
-def _row(day: Day) -> dict[str, Any]:
-    row = asdict(day)
-    row.pop("camera")
-    return row
+    return [DayWithAir(**asdict(day), air=air.get(day.date)) for day in days]
 
 
 def _image(served: ApiContext, if_none_match: str | None) -> Response:

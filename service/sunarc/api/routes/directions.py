@@ -15,7 +15,7 @@ from sunarc.api.compute_slots import Places
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
-from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.parameters import At
 from sunarc.calibration import BACK_PROJECTED, PROJECTED
 from sunarc.sky import direction_from_angles
 
@@ -33,7 +33,7 @@ def direction_routes(served: ApiContext, places: Places) -> APIRouter:
         responses=row_responses(BACK_PROJECTED) | failures,
         openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
     )
-    async def back_project(request: Request, at: Time | None = None) -> Response:
+    async def back_project(request: Request, at: At = None) -> Response:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
         return await compute(_BACK_PROJECTION, served, places, request, at)
 
@@ -43,7 +43,7 @@ def direction_routes(served: ApiContext, places: Places) -> APIRouter:
         responses=row_responses(PROJECTED) | failures,
         openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
     )
-    async def project(request: Request, at: Time | None = None) -> Response:
+    async def project(request: Request, at: At = None) -> Response:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
         return await compute(_PROJECTION, served, places, request, at)
 

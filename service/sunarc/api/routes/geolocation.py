@@ -16,7 +16,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import known_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
-from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.parameters import At
 from sunarc.geolocation import Located, clouds, shadows
 from sunarc.sky import sun_angles, sun_directions
 
@@ -48,7 +48,7 @@ def geolocation_routes(served: ApiContext, places: Places) -> APIRouter:
         responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of("GeolocateRequest", "(n, 3) x, y in px and the cloud base's height in m."),
     )
-    async def geolocate(request: Request, at: Time | None = None) -> Response:
+    async def geolocate(request: Request, at: At = None) -> Response:
         """Tell where clouds of a given height and their shadows are, now or at the moment `at`, and how sure."""
         return await compute(_GEOLOCATION, served, places, request, at)
 

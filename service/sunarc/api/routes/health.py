@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from http import HTTPStatus
 
 from fastapi import APIRouter, Request
@@ -15,14 +14,8 @@ from sunarc.api.routes.calibrations import summary
 from sunarc.api.routes.days_and_events import days_out
 from sunarc.api.schemas.calibration import (
     Alive,
-    CameraOut,
-    CaptureOut,
-    ClockOut,
-    DiskOut,
     Readiness,
-    ReasonOut,
     Status,
-    WorkerOut,
 )
 from sunarc.runtime.status import StatusSnapshot
 
@@ -42,7 +35,7 @@ def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
         snapshot = served.status()
         if snapshot.health == "not_ready":
             return _not_ready(snapshot, request.url.path)
-        return Readiness(status=snapshot.health, reasons=_reasons(snapshot))
+        return Readiness(status=snapshot.health, reasons=snapshot.reasons)
 
     @routes.get("/v1/status")
     def status() -> Status:
@@ -69,10 +62,6 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     )
 
 
-def _reasons(snapshot: StatusSnapshot) -> list[ReasonOut]:
-    return [ReasonOut(**asdict(reason)) for reason in snapshot.reasons]
-
-
 def _status(served: ApiContext) -> Status:
     snapshot = served.status()
     record = served.current.get(served.camera)
@@ -80,17 +69,17 @@ def _status(served: ApiContext) -> Status:
     sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
     return Status(
         health=snapshot.health,
-        reasons=_reasons(snapshot),
+        reasons=snapshot.reasons,
         version=snapshot.version,
         camera_name=served.camera,
         started_at=snapshot.started_at,
         frame_time=served.frame_clock(),
-        workers=[WorkerOut(**asdict(worker)) for worker in snapshot.workers],
-        camera=None if snapshot.camera is None else CameraOut(**asdict(snapshot.camera)),
-        capture=None if snapshot.capture is None else CaptureOut(**asdict(snapshot.capture)),
-        clock=None if snapshot.clock is None else ClockOut(**asdict(snapshot.clock)),
+        workers=snapshot.workers,
+        camera=snapshot.camera,
+        capture=snapshot.capture,
+        clock=snapshot.clock,
         disk_free_bytes=None if snapshot.disk is None else snapshot.disk.free_bytes,
-        disk=None if snapshot.disk is None else DiskOut(**asdict(snapshot.disk)),
+        disk=snapshot.disk,
         last_frame_at=snapshot.last_frame_at,
         last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),

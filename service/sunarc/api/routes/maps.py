@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
@@ -24,7 +24,7 @@ from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
-from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError
@@ -57,10 +57,10 @@ def map_routes(served: ApiContext) -> APIRouter:
     @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
     async def back_projection_map(
         request: Request,
-        at: Time | None = None,
+        at: At = None,
         wanted: Annotated[MapFormat, Query(alias="format", description="Of the answer.")] = "netcdf",
         sun_radius_deg: Radius = None,
-        if_none_match: Annotated[str | None, Header()] = None,
+        if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
         chosen, record = await run_in_threadpool(_chosen, served, request, at)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 from datetime import datetime
 from typing import get_args
 
@@ -11,23 +12,32 @@ from prometheus_client.registry import Collector
 
 from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
-from sunarc.runtime.status import CaptureStatus, DiskStatus, Health, StatusSnapshot, WorkerState
+from sunarc.json_fields import descriptions
+from sunarc.runtime.status import (
+    CameraStatus,
+    CaptureStatus,
+    ClockStatus,
+    DiskStatus,
+    Health,
+    StatusSnapshot,
+    WorkerState,
+)
 
 _EVENTS_LOOKED_AT = 1000
-_CAPTURE_COUNTS = {
-    "cycles": "Slots served by day.",
-    "complete": "Those whose normal exposures all succeeded.",
-    "missed": "Slots that passed without a cycle.",
-    "sun_missed": "Slots with the sun up without a sun exposure.",
-    "sun_dropped": "Sun exposures not evaluated because detection was too slow.",
-    "frames": "Exposures that succeeded.",
-    "retries": "Exposures tried again.",
-    "losses": "Exposures without a frame, or with one that lacked packets.",
-    "refusals": "Frames of a wrong size, count or exposure.",
-    "doubts": "Rounds of exposures whose brightness contradicted what they said.",
-    "failures": "Exposures that failed at every attempt.",
-    "openings": "How often the camera was opened.",
-}
+_GAUGES = (
+    ("sunarc_camera_temperature_celsius", CameraStatus, "temperature_c"),
+    ("sunarc_clock_synchronised", ClockStatus, "synchronised"),
+    ("sunarc_clock_error_seconds", ClockStatus, "max_error_s"),
+    ("sunarc_disk_free_bytes", DiskStatus, "free_bytes"),
+    ("sunarc_images_bytes", DiskStatus, "images_bytes"),
+    ("sunarc_oldest_image_seconds", DiskStatus, "oldest_image_at"),
+    ("sunarc_capture_jitter_seconds", CaptureStatus, "jitter_s"),
+    ("sunarc_capture_jitter_max_seconds", CaptureStatus, "jitter_max_s"),
+    ("sunarc_capture_hdr_seconds", CaptureStatus, "hdr_s"),
+)
+"""Metrics of a part of the status: name, part, and its field, which has the description too."""
+_PARTS = {CameraStatus: "camera", ClockStatus: "clock", DiskStatus: "disk", CaptureStatus: "capture"}
+_COUNTS = tuple(field.name for field in fields(CaptureStatus) if isinstance(field.default, int))
 
 
 class StatusCollector(Collector):
@@ -65,7 +75,7 @@ class StatusCollector(Collector):
         yield from _workers(snapshot)
         yield _single("sunarc_started_seconds", "Unix time at which the service started.", _unix_s(snapshot.started_at))
         yield from _facts(snapshot, self._stored_step_at)
-        yield from _capture(snapshot.capture)
+        yield from _counts(snapshot.capture)
         yield from self._calibration()
 
     def _calibration(self) -> Iterator[Metric]:
@@ -109,39 +119,23 @@ def _stored_step_at(served: ApiContext) -> datetime | None:
 
 
 def _facts(snapshot: StatusSnapshot, stored_step_at: datetime | None) -> Iterator[Metric]:
-    connected = float(snapshot.camera is not None and snapshot.camera.connected)  # not so yet is 0: alerts go by it
-    error_s = None if snapshot.clock is None else snapshot.clock.max_error_s
-    temperature = None if snapshot.camera is None else snapshot.camera.temperature_c
-    yield _single("sunarc_camera_temperature_celsius", "Where the camera tells it.", temperature)
+    for name, part, field in _GAUGES:
+        value = getattr(getattr(snapshot, _PARTS[part]), field, None)
+        yield _single(name, descriptions(part)[field], _unix_s(value) if isinstance(value, datetime) else value)
+    connected = float(snapshot.camera is not None and snapshot.camera.connected)  # 0 from the start: alerts read it
     yield _single("sunarc_camera_connected", "1 while the camera answers.", connected)
-    synchronised = None if snapshot.clock is None else snapshot.clock.synchronised
     stepped_at = _unix_s((snapshot.clock and snapshot.clock.last_step_at) or stored_step_at)
-    yield _single("sunarc_clock_synchronised", "1 while a time service disciplines the host's clock.", synchronised)
     yield _single("sunarc_clock_last_step_seconds", "Unix time at which the frames' clock was last set.", stepped_at)
-    yield _single("sunarc_clock_error_seconds", "Bound of the host clock's error.", error_s)
-    yield from _disk(snapshot.disk)
     yield _single("sunarc_last_frame_seconds", "Unix time of the last frame.", _unix_s(snapshot.last_frame_at))
     yield _single("sunarc_last_sighting_seconds", "Unix time of the last sighting.", _unix_s(snapshot.last_sighting_at))
 
 
-def _capture(capture: CaptureStatus | None) -> Iterator[Metric]:
-    for name, text in _CAPTURE_COUNTS.items():
-        family = CounterMetricFamily(f"sunarc_capture_{name}", text)
+def _counts(capture: CaptureStatus | None) -> Iterator[Metric]:
+    texts = descriptions(CaptureStatus)
+    for name in _COUNTS:
+        family = CounterMetricFamily(f"sunarc_capture_{name}", texts[name])
         family.add_metric((), 0.0 if capture is None else getattr(capture, name))
         yield family
-    jitter = None if capture is None else capture.jitter_s
-    jitter_max = None if capture is None else capture.jitter_max_s
-    hdr = None if capture is None else capture.hdr_s
-    yield _single("sunarc_capture_jitter_seconds", "From the last slot to its first exposure.", jitter)
-    yield _single("sunarc_capture_jitter_max_seconds", "The largest since the service started.", jitter_max)
-    yield _single("sunarc_capture_hdr_seconds", "From a cycle's beginning to the end of its normal exposures.", hdr)
-
-
-def _disk(disk: DiskStatus | None) -> Iterator[Metric]:
-    if disk is not None:
-        yield _single("sunarc_disk_free_bytes", "Free space where the images are.", disk.free_bytes)
-        yield _single("sunarc_images_bytes", "What the images take.", disk.images_bytes)
-        yield _single("sunarc_oldest_image_seconds", "Unix time of the oldest image.", _unix_s(disk.oldest_image_at))
 
 
 def _unix_s(time: datetime | None) -> float | None:

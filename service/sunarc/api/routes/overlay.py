@@ -7,7 +7,7 @@ from datetime import date, datetime
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from numpy.typing import NDArray
 from pydantic import BaseModel
@@ -17,7 +17,7 @@ from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import tagged
 from sunarc.api.routes.sun import track_of
 from sunarc.api.schemas.overlay import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
-from sunarc.api.schemas.parameters import Time
+from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.calibration import Calibration, unproject_with_sigma
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles, solar_date
@@ -44,9 +44,7 @@ def overlay_routes(served: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["drawing"])
 
     @routes.get("/overlay", responses=_described(Overlay) | answers(422), response_model=Overlay)
-    def overlay(
-        request: Request, at: Time | None = None, if_none_match: Annotated[str | None, Header()] = None
-    ) -> Response:
+    def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
         """Tell lines to draw over an image: zenith, azimuth, and the sun's paths of today and of the solstices."""
         chosen = served.of(request)
         return _sent(_overlay(chosen, at or chosen.frame_clock(), past=at), if_none_match)
@@ -54,9 +52,9 @@ def overlay_routes(served: ApiContext) -> APIRouter:
     @routes.get("/uncertainty", responses=_described(Uncertainty) | answers(404, 422), response_model=Uncertainty)
     def uncertainty(
         request: Request,
-        at: Time | None = None,
+        at: At = None,
         cells: Annotated[int, Query(ge=4, le=96, description="Cells along the image's longer side.")] = 48,
-        if_none_match: Annotated[str | None, Header()] = None,
+        if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Tell how sure the calibration is over the image, on a coarse grid."""
         chosen = served.of(request)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Request
 
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.authentication import require_write_token
@@ -11,6 +13,10 @@ from sunarc.api.schemas.record import ClosedEpoch, Decision
 from sunarc.errors import NotFoundError
 
 _REFUSALS = answers(400, 403, 404, 408, 413, 415, 422)
+
+EpochId = Annotated[
+    str, Path(description="Id of a pose epoch, as events and calibrations name it.", examples=["imager-2"])
+]
 
 
 def epoch_routes(served: ApiContext) -> APIRouter:
@@ -23,7 +29,7 @@ def epoch_routes(served: ApiContext) -> APIRouter:
     )
 
     @routes.post("/close")
-    def close(request: Request, epoch_id: str, decision: Decision) -> ClosedEpoch:
+    def close(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
         """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
         chosen = served.of(request)
         if epoch_id not in {epoch.id for epoch in chosen.archive.epochs(chosen.camera)}:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
 
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import MOST_ROWS
-from sunarc.api.schemas.record import RefitOut, RefitRequest, Refits
+from sunarc.api.schemas.parameters import row_limit
+from sunarc.api.schemas.record import RefitRequest, Refits
 from sunarc.archive import Refit
 from sunarc.errors import NotFoundError
+
+RefitId = Annotated[str, Path(description="Id of a refit, as the answer to its request has it.", examples=["3f2a9c"])]
 
 
 def refit_routes(served: ApiContext) -> APIRouter:
@@ -27,32 +28,26 @@ def refit_routes(served: ApiContext) -> APIRouter:
         dependencies=[Depends(require_write_token(served.token))],
         responses=answers(400, 403, 408, 413, 415, 422),
     )
-    def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> RefitOut:
+    def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
         """Ask for a refit with all sightings; the answer says where to follow it. One that waits already is joined."""
         refit = served.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
-        return _out(refit)
+        return refit
 
     @routes.get("/refits", responses=answers(422))
-    def refits(
-        request: Request, limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 100, cursor: Cursor = None
-    ) -> Refits:
+    def refits(request: Request, limit: Annotated[int, row_limit()] = 100, cursor: Cursor = None) -> Refits:
         """Tell the refits, the newest first, those that wait and those that ended."""
         chosen, page = served.of(request), page_at(cursor, limit)
         found = chosen.archive.refits(chosen.camera, until=page.until(None), limit=page.rows)
         rows, following = page.cut(found, request, time=lambda refit: refit.requested_at)
-        return Refits(refits=[_out(refit) for refit in rows], next=following)
+        return Refits(refits=list(rows), next=following)
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
-    def one(request: Request, refit_id: str) -> RefitOut:
+    def one(request: Request, refit_id: RefitId) -> Refit:
         """Tell how a refit goes, or went."""
         refit = served.archive.refit(refit_id)
         if refit.camera != served.of(request).camera:
             raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")
-        return _out(refit)
+        return refit
 
     return routes
-
-
-def _out(refit: Refit) -> RefitOut:
-    return RefitOut(**asdict(refit))

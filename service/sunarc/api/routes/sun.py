@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
-from sunarc.api.schemas.calibration import Residual, Sun, SunPointOut, SunPoints, SunTrack
+from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWithResidual, SunTrack
 from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import MOST_ROWS, SolarDate, Time
+from sunarc.api.schemas.parameters import At, Since, Until, row_limit
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
+from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
 
@@ -32,7 +33,7 @@ def sun_routes(served: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["sun"])
 
     @routes.get("/sun", responses=answers(422))
-    def sun(request: Request, at: Time | None = None) -> Sun:
+    def sun(request: Request, at: At = None) -> Sun:
         """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
         return _sun(served.of(request), at or served.frame_clock(), past=at)
 
@@ -40,7 +41,9 @@ def sun_routes(served: ApiContext) -> APIRouter:
     def track(
         *,
         request: Request,
-        date: SolarDate | None = None,
+        date: Annotated[
+            SolarDate | None, Query(description="Local mean solar date; today's by the frames' time where not given.")
+        ] = None,
         step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120,
     ) -> SunTrack:
         """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
@@ -52,11 +55,13 @@ def sun_routes(served: ApiContext) -> APIRouter:
     def sun_points(
         *,
         request: Request,
-        since: Time | None = None,
-        until: Time | None = None,
-        accepted: bool | None = None,
+        since: Since = None,
+        until: Until = None,
+        accepted: Annotated[
+            bool | None, Query(description="Only the accepted, or the rejected; both where not given.", examples=[True])
+        ] = None,
         residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,
-        limit: Annotated[int, Query(ge=1, le=MOST_ROWS)] = 1000,
+        limit: Annotated[int, row_limit()] = 1000,
         cursor: Cursor = None,
     ) -> SunPoints:
         """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
@@ -129,7 +134,7 @@ def _sun_points(served: ApiContext, found: Sequence[SunPoint], *, residuals: boo
         residual_rows = _residuals(answering[1], served, found)
     return SunPoints(
         sun_points=[
-            SunPointOut(**asdict(point), residual=residual)
+            SunPointWithResidual(**asdict(point), residual=residual)
             for point, residual in zip(found, residual_rows, strict=True)
         ],
         next=following,

@@ -6,14 +6,17 @@ zenith and azimuth in degrees, azimuth clockwise from north; or unit vectors, ea
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
 
-from sunarc.api.schemas.parameters import Answers, Asked, Next, Number, Pair, Pixel, Size, SolarDate, Time, Unit, Vector
-from sunarc.api.schemas.record import CalibrationSummary, DayOut
-from sunarc.runtime.status import Health, Severity, WorkerState
+from sunarc.api.schemas.parameters import AnsweringId, Answers, Asked, Next, Number, Pair, Pixel, Size, Unit, Vector
+from sunarc.api.schemas.record import CalibrationSummary, DayWithAir
+from sunarc.archive import SunPoint
+from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
+from sunarc.runtime.status import CameraStatus, CaptureStatus, ClockStatus, DiskStatus, Health, Reason, WorkerStatus
 
 
 class BackProjectRequest(Asked):
@@ -25,7 +28,7 @@ class BackProjectRequest(Asked):
 class BackProjectAnswer(BaseModel):
     """Where pixels look. null where no direction lands on the pixel: outside the field there is no number."""
 
-    calibration: str = Field(description="Id of the calibration that answered.")
+    calibration: Annotated[str, described("Id of the calibration that answered.", "20130514T150508Z-52ee44")]
     zenith_deg: Answers = Field(description="Apparent zenith angle, degrees.", examples=[[0.21, 41.7]])
     azimuth_deg: Answers = Field(description="Degrees clockwise from north.", examples=[[140.2, 262.3]])
     direction_enu: list[Unit | None] = Field(
@@ -85,11 +88,11 @@ class ProjectRequest(Asked):
 class ProjectAnswer(BaseModel):
     """Where directions land. null outside the camera's field."""
 
-    calibration: str = Field(description="Id of the calibration that answered.")
+    calibration: Annotated[str, described("Id of the calibration that answered.", "20130514T150508Z-52ee44")]
     pixels: list[Pair | None] = Field(description="x, y in px.", examples=[[[400.0, 912.5]]])
     sigma_px: Answers = Field(description="1-sigma per axis, px.", examples=[[0.04]])
     covariance_px2: list[Annotated[list[Pair], Field(min_length=2, max_length=2)] | None] = Field(
-        description="Covariance of x and y, px²."
+        description="Covariance of x and y, px².", examples=[[[[0.0016, 0.0], [0.0, 0.0016]]]]
     )
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True]])
 
@@ -104,12 +107,12 @@ class Sun(BaseModel):
     direction_enu: Unit = Field(
         description="Apparent direction, unit vector, east-north-up.", examples=[[0.01, -0.312, 0.95]]
     )
-    pixel: Pair | None = Field(description="Expected x, y in px; null when there is none.")
-    sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.")
+    pixel: Pair | None = Field(description="Expected x, y in px; null when there is none.", examples=[[871.96, 883.0]])
+    sigma_px: float | None = Field(description="1-sigma per axis of the expected pixel, px.", examples=[0.04])
     inside: bool = Field(
         description="Whether the expected pixel is within the image and the camera's field.", examples=[True]
     )
-    calibration: str | None = Field(description="Id of the calibration that answered.")
+    calibration: AnsweringId
 
 
 class SunTrack(BaseModel):
@@ -119,8 +122,10 @@ class SunTrack(BaseModel):
     time: list[Time] = Field(description="In steps, RFC 3339, UTC.", examples=[["2013-05-13T18:30:00Z"]])
     apparent_zenith: list[float] = Field(description="With refraction, degrees.", examples=[[18.2, 18.3]])
     azimuth: list[float] = Field(description="Degrees clockwise from north.", examples=[[178.1, 178.9]])
-    pixels: list[Pair | None] = Field(description="Expected x, y in px; null outside the field.")
-    calibration: str | None
+    pixels: list[Pair | None] = Field(
+        description="Expected x, y in px; null outside the field.", examples=[[[400.0, 912.5], None]]
+    )
+    calibration: AnsweringId
 
 
 class Residual(BaseModel):
@@ -134,137 +139,56 @@ class Residual(BaseModel):
     azimuth: float = Field(description="Where the sun stood, degrees clockwise from north.", examples=[178.1])
 
 
-class SunPointOut(BaseModel):
-    """One look at the sun."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SunPointWithResidual(SunPoint):
+    """One sighting of the sun, with its residual where it is asked for."""
 
-    time: Time
-    body: str
-    method: str
-    exposure_us: float = Field(description="Exposure, µs; 0 where it is not known.")
-    pose_epoch: str
-    accepted: bool = Field(description="Whether a fit may use it.")
-    verdict: str = Field(examples=["clear"])
-    reason: str
-    x_px: float | None
-    y_px: float | None
-    sigma_px: float | None = Field(description="1-sigma per axis, px.")
-    peak_fraction: float | None = Field(description="Share of full scale.")
-    background_fraction: float | None = Field(description="Share of full scale.")
-    radius_px: float | None
-    ellipticity: float | None
-    residual_chi2: float | None
-    snr: float | None
-    saturated_px: int | None
-    clock_error_s: float | None
-    residual: Residual | None = Field(default=None, description="With ?residuals=true.")
+    residual: Annotated[Residual | None, Field(description="With ?residuals=true.")] = None
 
 
 class SunPoints(BaseModel):
     """Sightings, the newest first."""
 
-    sun_points: list[SunPointOut]
+    sun_points: Annotated[list[SunPointWithResidual], described("On this page, the newest first.")]
     next: Next
-    calibration: str | None = Field(default=None, description="Id of the calibration that the residuals speak of.")
+    calibration: Annotated[
+        str | None,
+        described("Id of the calibration that the residuals are of; null without one.", "20130514T150508Z-52ee44"),
+    ] = None
 
 
 class Alive(BaseModel):
     """The process answers."""
 
-    status: Literal["alive"] = "alive"
-
-
-class ReasonOut(BaseModel):
-    """Why the service is not, or not wholly, ready."""
-
-    code: str = Field(examples=["no_calibration"])
-    severity: Severity
-    text: str
-    remedy: str
+    status: Annotated[Literal["alive"], described("Always `alive`.")] = "alive"
 
 
 class Readiness(BaseModel):
     """Whether the service can be relied on."""
 
-    status: Health
-    reasons: list[ReasonOut]
-
-
-class WorkerOut(BaseModel):
-    """One worker."""
-
-    name: str
-    state: WorkerState
-    heartbeat_age_s: float | None = Field(description="Seconds since its last sign of life.")
-    restarts: int
-    last_error: str | None
-
-
-class CameraOut(BaseModel):
-    """The camera as it last answered."""
-
-    name: str
-    connected: bool
-    address: str
-    model: str
-    serial: str
-    pixel_format: str
-    temperature_c: float | None = Field(description="The camera's own, degrees Celsius.")
-
-
-class CaptureOut(BaseModel):
-    """What capture has counted since the service started; times in real seconds after a slot."""
-
-    cycles: int
-    complete: int
-    missed: int
-    sun_missed: int
-    sun_dropped: int
-    frames: int
-    retries: int
-    losses: int
-    refusals: int
-    doubts: int
-    failures: int
-    openings: int
-    jitter_s: float | None
-    jitter_max_s: float | None
-    hdr_s: float | None
-
-
-class ClockOut(BaseModel):
-    """Whether the host's clock is disciplined, the bound of its error, and when the frames' clock was last set."""
-
-    synchronised: bool | None
-    max_error_s: float | None
-    last_step_s: float | None = Field(description="Seconds that the frames' clock was set by; positive is forward.")
-    last_step_at: Time | None
-
-
-class DiskOut(BaseModel):
-    """What is free where the images are, and what they take."""
-
-    free_bytes: int
-    images_bytes: int
-    oldest_image_at: Time | None
+    status: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
+    reasons: Annotated[tuple[Reason, ...], described("Why it is degraded; empty when it is ready.")]
 
 
 class Status(BaseModel):
     """Everything at a glance."""
 
-    health: Health
-    reasons: list[ReasonOut]
-    version: str
-    camera_name: str
+    health: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
+    reasons: Annotated[tuple[Reason, ...], described("Why it is degraded or not ready; empty when it is ready.")]
+    version: Annotated[str, described("The software's version.", "0.2.0")]
+    camera_name: Annotated[str, described("Name of this service's camera.", "imager")]
     started_at: Time
-    frame_time: Time = Field(description="The time that the frames say it is.")
-    workers: list[WorkerOut]
-    camera: CameraOut | None
-    capture: CaptureOut | None
-    clock: ClockOut | None
-    disk_free_bytes: int | None
-    disk: DiskOut | None
-    last_frame_at: Time | None
-    last_sighting_at: Time | None
-    calibration: CalibrationSummary | None
-    last_day: DayOut | None
-    image_size: Size | None = Field(description="Width, height of the camera's image, px.")
+    frame_time: Time = Field(description="The current time of the frames' clock.")
+    workers: Annotated[tuple[WorkerStatus, ...], described("The service's threads, in the order of their names.")]
+    camera: Annotated[CameraStatus | None, described("The camera as it last answered; null before it did.")]
+    capture: Annotated[CaptureStatus | None, described("Counts since the start; null before the first cycle.")]
+    clock: Annotated[ClockStatus | None, described("The clocks; null before they were checked.")]
+    disk_free_bytes: Annotated[
+        int | None, described("Free space where the images are, bytes, as `disk` has it.", 82_000_000_000)
+    ]
+    disk: Annotated[DiskStatus | None, described("The disk with the images; null before it was checked.")]
+    last_frame_at: Annotated[Time | None, described("Time of the newest frame.", EXAMPLE_TIME)]
+    last_sighting_at: Annotated[Time | None, described("Time of the newest accepted sighting.", EXAMPLE_TIME)]
+    calibration: Annotated[CalibrationSummary | None, described("The current calibration; null without one.")]
+    last_day: Annotated[DayWithAir | None, described("The newest day that has a verdict; null without one.")]
+    image_size: Annotated[Size | None, described("Width, height of the camera's image, px.", [1748, 1748])]

@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sunarc.api.schemas.parameters import Answers, Number, Pair, Pixel, Time
+from sunarc.api.schemas.parameters import Answers, Number, Pair, Pixel
+from sunarc.json_fields import Time, described
 
 Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
 Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x, y in px, cloud base height in m.")]
@@ -84,7 +85,7 @@ class Places(BaseModel):
 class GeolocateAnswer(BaseModel):
     """Where clouds and their shadows are."""
 
-    calibration: str = Field(description="Id of the calibration that answered.")
+    calibration: Annotated[str, described("Id of the calibration that answered.", "20130514T150508Z-52ee44")]
     time: Time
     sun: SunPlace = Field(description="Where the sun stands, degrees.")
     cloud: Places = Field(description="Where the clouds are, metres and degrees.")

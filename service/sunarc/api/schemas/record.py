@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.schemas.parameters import Asked, Next, Number, SolarDate, Time
-from sunarc.archive import CalibrationState, DayVerdict, EventSeverity, RefitState
+from sunarc.api.schemas.parameters import Asked, Next, Number
+from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit
+from sunarc.json_fields import EXAMPLE_TIME, Time, described
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
+_CALIBRATION_ID = "20130514T150508Z-52ee44"
 _PA_PER_HPA = 100.0
 _TEMPERATURE = "Of the air, mean over the hours of sun, degrees Celsius."
 _PRESSURE = "Of the air at the camera, not reduced to sea level, hPa (a unit of 100 Pa)."
@@ -30,64 +33,51 @@ class DayAirOut(BaseModel):
 
     temperature_c: float | None = Field(description=_TEMPERATURE, examples=[31.5])
     pressure_hpa: float | None = Field(description=_PRESSURE, examples=[974.5])
-    set_at: Time | None = Field(description="When it was given, by the frames' time.")
+    set_at: Time | None = Field(description="When it was given, by the frames' time.", examples=[EXAMPLE_TIME])
 
 
-class DayOut(BaseModel):
-    """What a solar day was worth."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DayWithAir(Day):
+    """Verdict of a solar day, with the arc, the scatter about it (Eq. 20, 27), and the measured air."""
 
-    date: SolarDate
-    verdict: DayVerdict
-    reasons: list[str]
-    n: int = Field(description="Accepted sightings.")
-    n_cycles: int | None = Field(description="Cycles with a sighting on the day's smooth arc; a bracket is one.")
-    n_possible: int = Field(description="Cycles that the day had room for.")
-    n_observed: int | None = Field(description="Cycles in which sun exposures were taken; the verdict speaks of these.")
-    arc_deg: float | None = Field(description="Arc of the sky that was covered, degrees.")
-    solid_angle_sr: float | None = Field(description="Solid angle of the sky that was covered, steradians.")
-    sd_px: float | None = Field(description="Scatter about the day's smooth arc, px per axis (Eq. 20).")
-    rmsd_px: float | None = Field(description="Scatter about the day's smooth arc, px in distance (Eq. 27c).")
-    doubtful_clock: float | None = Field(description="Share of the sightings whose clock was doubtful.")
-    pose_offset_deg: list[float] | None = Field(
-        description="How the camera stood turned against its calibration: about east, north and up, degrees."
-    )
-    pose_offset_sigma_deg: list[float] | None = Field(description="1-sigma of each, degrees.")
-    air: DayAirOut | None = Field(
-        default=None, description="The measured air; null: the site's annual mean is assumed."
-    )
-    decided_at: Time
+    air: Annotated[
+        DayAirOut | None, Field(description="The measured air; null: the site's annual mean is assumed.")
+    ] = None
 
 
 class Days(BaseModel):
     """Days, the newest first."""
 
-    days: list[DayOut]
+    days: Annotated[list[DayWithAir], described("On this page, the newest first.")]
     next: Next
 
 
 class CalibrationSummary(BaseModel):
     """A calibration in the history; its document is at /v1/calibrations/{id}."""
 
-    id: str
-    camera: str
-    state: CalibrationState
-    method: str
+    id: Annotated[str, described("Id of the calibration.", _CALIBRATION_ID)]
+    camera: Annotated[str, described("Name of the camera.", "imager")]
+    state: Annotated[CalibrationState, described("`current` answers now; `retired` answered before.")]
+    method: Annotated[str, described("The kind of fit: `robust` or `paper`.", "robust")]
     created_at: Time
     valid_from: Time
-    valid_until: Time | None
-    pose_epoch: str | None
-    parent: str | None
-    accepted: bool
-    reasons: list[str]
-    pinned: bool = Field(description="Whether it stays current whatever a refit finds.")
-    rmse_px: float | None = Field(description="Of the sightings used, 2-D distance, px.")
-    sky_rms_deg: float | None = Field(description="1-sigma per axis over the sky, degrees.")
+    valid_until: Annotated[Time | None, described("Until when it answers; null: until further notice.", EXAMPLE_TIME)]
+    pose_epoch: Annotated[str | None, described("Id of the interval in which the camera did not move.", "imager-1")]
+    parent: Annotated[
+        str | None,
+        described("Id of the calibration it was compared with, or copied from; null for the first.", _CALIBRATION_ID),
+    ]
+    accepted: Annotated[bool, described("Whether its verdict allows it to answer.", True)]
+    reasons: Annotated[list[str], described("Of the verdict, in sentences.", ["1-sigma over the sky 0.0099 degrees"])]
+    pinned: Annotated[bool, described("Whether it stays current whatever a refit finds.", False)]
+    rmse_px: Annotated[float | None, described("Of the sightings used, 2-D distance, px.", 0.041)]
+    sky_rms_deg: Annotated[float | None, described("1-sigma per axis over the sky, degrees.", 0.0099)]
 
 
 class Calibrations(BaseModel):
     """Calibrations, the newest first."""
 
-    calibrations: list[CalibrationSummary]
+    calibrations: Annotated[list[CalibrationSummary], described("On this page, the newest first.")]
     next: Next
 
 
@@ -112,67 +102,30 @@ class ClosedEpoch(BaseModel):
     )
 
 
-class EventOut(BaseModel):
-    """Something that happened."""
-
-    id: int | None = Field(description="Its number in the archive.", examples=[17])
-    time: Time
-    kind: str = Field(examples=["bump"])
-    severity: EventSeverity
-    text: str
-    camera: str | None
-    details: dict[str, object]
-
-
 class Events(BaseModel):
     """Events, the newest first."""
 
-    events: list[EventOut]
+    events: Annotated[list[Event], described("On this page, the newest first.")]
     next: Next
 
 
 class RefitRequest(Asked):
     """Why a refit is wanted."""
 
-    reason: str = Field(default="on request", max_length=200)
-
-
-class RefitOut(BaseModel):
-    """A refit, and how it went."""
-
-    id: str
-    camera: str
-    state: RefitState
-    reason: str
-    requested_at: Time
-    started_at: Time | None
-    finished_at: Time | None
-    calibration: str | None = Field(description="Id of the calibration it made, accepted or refused.")
-    message: str
+    reason: str = Field(
+        default="on request", max_length=200, description="Why, in words.", examples=["the dome is clean"]
+    )
 
 
 class Refits(BaseModel):
     """Refits, the newest first."""
 
-    refits: list[RefitOut]
+    refits: Annotated[list[Refit], described("On this page, the newest first.")]
     next: Next
-
-
-class CameraRecordOut(BaseModel):
-    """A camera that the archive knows: where it stands and what it makes."""
-
-    name: str = Field(description="As in /v1/cameras/{camera}/.", examples=["imager"])
-    latitude: float = Field(description="Degrees, north positive.", examples=[36.604043])
-    longitude: float = Field(description="Degrees, east positive.", examples=[-97.484856])
-    altitude: float = Field(description="Metres above sea level.", examples=[318.0])
-    width: int = Field(description="Of its image, px.", examples=[1748])
-    height: int = Field(description="Of its image, px.", examples=[1748])
-    model: str = Field(description="Vendor and model, as the camera tells them.", examples=["Vendor Model"])
-    serial: str = Field(description="Serial number, as the camera tells it.", examples=["SIM-0001"])
 
 
 class Cameras(BaseModel):
     """The cameras that the archive knows, by name."""
 
     default: str = Field(description="The one that routes without a camera speak of.", examples=["imager"])
-    cameras: list[CameraRecordOut]
+    cameras: Annotated[list[CameraRecord], described("In the order of their names.")]
