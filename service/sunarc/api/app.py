@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path as FilePath
-from typing import Annotated
 
-from fastapi import Depends, FastAPI, Path
+from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry
 from starlette.middleware.cors import CORSMiddleware
@@ -17,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import ApiContext, CurrentRecords, DaySites
+from sunarc.api.context import CAMERA_PREFIX, ApiContext, CurrentRecords, DaySites
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
 from sunarc.api.middleware.authentication import ReadTokenMiddleware, read_token
@@ -27,7 +26,7 @@ from sunarc.api.middleware.request_bodies import BodyReader
 from sunarc.api.middleware.request_limits import Boundary
 from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
-from sunarc.api.problems import FaultGuard, add_problem_handlers, answers
+from sunarc.api.problems import FaultGuard, add_problem_handlers
 from sunarc.api.routes.calibration_actions import decision_routes
 from sunarc.api.routes.calibrations import calibration_routes
 from sunarc.api.routes.cameras import camera_routes
@@ -39,7 +38,6 @@ from sunarc.api.routes.health import health_routes
 from sunarc.api.routes.maps import map_routes
 from sunarc.api.routes.metrics import StatusCollector
 from sunarc.api.routes.overlay import overlay_routes
-from sunarc.api.routes.pose_epochs import epoch_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, Refit
@@ -142,12 +140,11 @@ def _add_guards(app: FastAPI, served: ApiContext, faults: FaultLog) -> None:
 
 
 def _add_camera_routes(app: FastAPI, served: ApiContext) -> None:
-    """Add every route of one camera twice: for this service's own camera, and for the one that a path names."""
+    """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
     places = Places(served.options.max_large_at_once)
     for of_camera in (
         calibration_routes(served),
         decision_routes(served),
-        epoch_routes(served),
         direction_routes(served, places),
         map_routes(served),
         geolocation_routes(served, places),
@@ -157,16 +154,7 @@ def _add_camera_routes(app: FastAPI, served: ApiContext) -> None:
         day_air_routes(served),
         refit_routes(served),
     ):
-        app.include_router(of_camera, prefix="/v1")
-        app.include_router(
-            of_camera, prefix="/v1/cameras/{camera}", dependencies=[Depends(_named)], responses=answers(404, 422)
-        )
-
-
-async def _named(
-    camera: Annotated[str, Path(description="Name of a camera, as /v1/cameras lists them.", examples=["imager"])],
-) -> None:
-    """Describe the path's parameter; `ApiContext.of` reads it."""
+        app.include_router(of_camera, prefix=CAMERA_PREFIX)
 
 
 def _add_dashboard(app: FastAPI) -> None:

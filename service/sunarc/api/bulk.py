@@ -87,7 +87,7 @@ async def compute(
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
-        ours_now = at is None and "camera" not in request.path_params
+        ours_now = at is None and not request.path_params["camera"]
         if ours_now and served.ready.known(served.record_or_none(None)) is not None:
             return _json(computation, served, request, body, at)
         return await run_in_threadpool(_json, computation, served, request, body, at)

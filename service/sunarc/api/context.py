@@ -10,6 +10,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
@@ -20,9 +21,26 @@ from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
 
 _MOST_KEPT = 8
+CAMERA_PREFIX = "/v1{camera:of_camera}"
+"""Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
 
 Asked = TypeVar("Asked")
 Value = TypeVar("Value")
+
+
+class _OfCamera(Convertor[str]):
+    """Matches `/cameras/NAME` as the name, and nothing at all as an empty one: this service's own camera."""
+
+    regex = "(?:/cameras/[^/]+)?"
+
+    def convert(self, value: str) -> str:
+        return value.removeprefix("/cameras/")
+
+    def to_string(self, value: str) -> str:
+        return f"/cameras/{value}" if value else ""
+
+
+register_url_convertor("of_camera", _OfCamera())
 
 
 def _id(record: CalibrationRecord) -> str:
@@ -135,8 +153,8 @@ class ApiContext:
 
     def of(self, request: Request) -> ApiContext:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""
-        name = request.path_params.get("camera", self.camera)
-        return self if name == self.camera else self._of_another(name)
+        name = request.path_params["camera"]
+        return self if name in ("", self.camera) else self._of_another(name)
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""

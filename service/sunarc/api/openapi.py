@@ -17,7 +17,10 @@ _DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, fr
 
 Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
 azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.
-A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer."""
+A sigma is per axis, an RMSE is of the two-dimensional distance. null means that there is no answer.
+
+Every route below /v1 but /v1/status and /v1/cameras answers for this service's own camera; as /v1/cameras/{camera}/…
+it answers for any camera that /v1/cameras lists (404 for another name)."""
 
 _OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
     (Problem, "serialization"),
@@ -48,8 +51,10 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     schemas |= others["$defs"]
+    document["paths"] = {path.replace("{camera}", "", 1): one for path, one in document["paths"].items()}
     for path in document["paths"].values():
         for operation in path.values():
+            operation["operationId"] = operation["operationId"].replace("_v1_camera_", "_v1", 1)
             _only_problems(operation["responses"])
     return document
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -240,8 +241,9 @@ def _http(request: Request, error: Exception) -> JSONResponse:
 
 def _methods(request: Request) -> set[str]:
     """Return the methods that the described path of a request knows; it may be several routes' together."""
+    asked = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
     described = request.app.openapi()["paths"].items()
-    found = [operations for path, operations in described if compile_path(path)[0].match(request.url.path)]
+    found = [operations for path, operations in described if compile_path(path)[0].match(asked)]
     return {method.upper() for operations in found for method in operations}
 
 

@@ -1,47 +1,65 @@
-"""Routes: what a person decides about calibrations. It changes something, so it needs the token."""
+"""Routes: what a person decides about calibrations and pose epochs. It changes something, so it needs the token."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request
 
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.authentication import require_write_token
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import summary
 from sunarc.api.schemas.parameters import CalibrationId
-from sunarc.api.schemas.record import CalibrationSummary, Decision
+from sunarc.api.schemas.record import CalibrationSummary, ClosedEpoch, Decision
+from sunarc.archive import CalibrationRecord
+from sunarc.errors import NotFoundError
 
-_REFUSALS = answers(400, 403, 404, 408, 409, 413, 415, 422)
+EpochId = Annotated[
+    str, Path(description="Id of a pose epoch, as events and calibrations name it.", examples=["imager-2"])
+]
 
 
 def decision_routes(served: ApiContext) -> APIRouter:
     """Return the routes that let a person decide which calibration answers."""
     routes = APIRouter(
-        prefix="/calibrations/{calibration_id}",
-        tags=["calibrations"],
-        dependencies=[Depends(require_write_token(served.token))],
-        responses=_REFUSALS,
+        dependencies=[Depends(require_write_token(served.token))], responses=answers(400, 403, 404, 408, 413, 415, 422)
     )
+    of_calibrations: dict[str, Any] = {"tags": ["calibrations"], "responses": answers(409)}
 
-    @routes.post("/activate")
+    def decide(
+        change: Callable[..., CalibrationRecord], request: Request, calibration_id: str, decision: Decision
+    ) -> CalibrationSummary:
+        record = served.of(request).calibration(calibration_id)
+        return summary(change(record.id, at=served.frame_clock(), reason=decision.reason))
+
+    @routes.post("/calibrations/{calibration_id}/activate", **of_calibrations)
     def activate(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Make any calibration of the record the current one, from now on; of one that answered before, a copy."""
-        chosen = served.of(request)
-        record = chosen.calibration(calibration_id)
-        return summary(chosen.archive.reinstate(record.id, at=chosen.frame_clock(), reason=decision.reason))
+        return decide(served.archive.reinstate, request, calibration_id, decision)
 
-    @routes.post("/pin")
+    @routes.post("/calibrations/{calibration_id}/pin", **of_calibrations)
     def pin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is activated."""
-        chosen = served.of(request)
-        record = chosen.calibration(calibration_id)
-        return summary(chosen.archive.pin(record.id, at=chosen.frame_clock(), reason=decision.reason))
+        return decide(served.archive.pin, request, calibration_id, decision)
 
-    @routes.post("/unpin")
+    @routes.post("/calibrations/{calibration_id}/unpin", **of_calibrations)
     def unpin(request: Request, calibration_id: CalibrationId, decision: Decision) -> CalibrationSummary:
         """Let refits replace the current calibration again."""
+        return decide(served.archive.unpin, request, calibration_id, decision)
+
+    @routes.post("/epochs/{epoch_id}/close", tags=["epochs"])
+    def close(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
+        """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
         chosen = served.of(request)
-        record = chosen.calibration(calibration_id)
-        return summary(chosen.archive.unpin(record.id, at=chosen.frame_clock(), reason=decision.reason))
+        if epoch_id not in {epoch.id for epoch in chosen.archive.epochs(chosen.camera)}:
+            raise NotFoundError(
+                field="id",
+                problem=f"there is no open pose epoch {epoch_id} of camera {chosen.camera}",
+                remedy="see `sunarc epochs list`",
+            )
+        current = chosen.archive.close_epoch(epoch_id, at=chosen.frame_clock(), reason=decision.reason)
+        return ClosedEpoch(id=epoch_id, calibration=current)
 
     return routes
