@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from sunarc.calibration.fit.marginal_likelihood import (
@@ -12,8 +15,11 @@ from sunarc.calibration.fit.marginal_likelihood import (
     Scales,
     log_evidences,
     marginal_fit,
+    marginal_fits,
     normal_sums,
+    penalty,
     prior_precision,
+    responses,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
@@ -91,3 +97,190 @@ def test_marginal_fit_is_generalised_least_squares(basis: WaveBasis) -> None:
     x_rows = np.kron(case.waves * prior_waves, [[1.0], [0.0]])
     cross = -np.linalg.inv(normal) @ flat.T @ weight @ x_rows
     np.testing.assert_allclose(found.cross[0], cross, rtol=1e-5, atol=1e-7)
+
+
+def test_sums_over_sightings_by_hand() -> None:
+    rows = np.array([[[1.0, 2.0], [0.0, 1.0]], [[3.0, 0.0], [1.0, 1.0]]])
+    waves = np.array([[1.0], [2.0]])
+    found = normal_sums(rows, waves, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1.0, 4.0]), at=np.zeros(2))
+    np.testing.assert_allclose(found.jj, [[1.0 + 4.0 * 10.0, 2.0 + 4.0], [6.0, 5.0 + 4.0]])
+    np.testing.assert_allclose(found.jf[:, :, 0], [[1.0 + 24.0, 2.0], [8.0, 1.0 + 8.0]])
+    np.testing.assert_allclose(found.ff, [[17.0]])
+    np.testing.assert_allclose(found.jr, [1.0 + 4.0 * 13.0, 4.0 + 16.0])
+    np.testing.assert_allclose(found.fr, [[25.0], [34.0]])
+    assert found.rr == pytest.approx(5.0 + 4.0 * 25.0)
+
+
+def test_given_wave_products_are_taken_as_they_are(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    given = np.eye(case.waves.shape[1])
+    found = normal_sums(case.rows, case.waves, case.residual, case.information, at=case.at, ff=given)
+    assert found.ff is given
+
+
+def test_prior_precisions_are_those_of_lens_pose_and_air() -> None:
+    found = prior_precision(17 + 6 + 2, 2.0, 0.5, n_air=2)
+    np.testing.assert_allclose(found[5:13], 0.25)
+    np.testing.assert_allclose(found[13:15], 4.0)
+    np.testing.assert_allclose(found[17:23], 1e-8)
+    np.testing.assert_allclose(found[23:], 1.0)
+    assert found.size == 25
+
+
+def _log_posterior(case: _Case, basis: WaveBasis, scales: Scales, change: FloatArray, waves: FloatArray) -> float:
+    """Return -2 log of what the linear model says of a change of the unknowns and field coefficients (2, m)."""
+    misfit = case.residual - case.rows @ change - (case.waves @ waves.T)
+    prior = prior_precision(case.at.size, scales.radial_px, scales.decentering_px)
+    variance = scales.amplitude_px**2 * basis.variances(length_px=scales.length_px)
+    likelihood = float(np.sum(case.information[:, None] * misfit**2))
+    return likelihood + float(np.sum(prior * (case.at + change) ** 2)) + float(np.sum(waves**2 / variance))
+
+
+def test_the_penalty_is_the_log_posterior_with_the_field_at_its_best(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    nothing = np.zeros(case.at.size)
+    weight = case.information[:, None] * case.waves
+    variance = SCALES.amplitude_px**2 * basis.variances(length_px=SCALES.length_px)
+    best = np.linalg.solve(case.waves.T @ weight + np.diag(1.0 / variance), weight.T @ case.residual).T
+    expected = _log_posterior(case, basis, SCALES, nothing, best)
+    assert penalty(case.normal(), basis, SCALES) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_takes(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    found = marginal_fit(case.normal(), basis, SCALES)
+    step = found.unknowns - case.at
+    lowest = _log_posterior(case, basis, SCALES, step, found.waves)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        other = 1e-3 * rng.standard_normal(step.size)
+        bent: FloatArray = found.waves + 1e-3 * rng.standard_normal(found.waves.shape)
+        assert _log_posterior(case, basis, SCALES, step + other, bent) > lowest
+    moved = normal_sums(case.rows, case.waves, case.residual - case.rows @ step, case.information, at=found.unknowns)
+    gain = penalty(case.normal(), basis, SCALES) - penalty(moved, basis, SCALES)
+    assert found.gain == pytest.approx(gain, rel=1e-6)
+
+
+def test_several_choices_are_fitted_as_each_alone(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    choices = [SCALES, Scales(0.01, 250.0, 1.0, 0.3), Scales(2.0, 300.0, 2.0, 0.7)]
+    for scales, found in zip(choices, marginal_fits(case.normal(), basis, choices), strict=True):
+        alone = marginal_fit(case.normal(), basis, scales)
+        np.testing.assert_allclose(found.unknowns, alone.unknowns)
+        np.testing.assert_allclose(found.covariance, alone.covariance)
+
+
+def test_responses_are_by_how_much_the_fit_moves_with_the_sightings(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    displaced = np.random.default_rng(5).standard_normal((3, *case.residual.shape))
+    jr = np.einsum("nap,n,kna->kp", case.rows, case.information, displaced)
+    fr = np.einsum("nm,n,kna->kam", case.waves, case.information, displaced)
+    found = responses(case.normal(), basis, SCALES, jr=jr, fr=fr)
+    plain = marginal_fit(case.normal(), basis, SCALES).unknowns
+    for k in range(3):
+        moved = normal_sums(case.rows, case.waves, case.residual + displaced[k], case.information, at=case.at)
+        np.testing.assert_allclose(found[k], marginal_fit(moved, basis, SCALES).unknowns - plain, atol=1e-9)
+
+
+def test_the_unknowns_scatter_as_the_covariance_says(basis: WaveBasis) -> None:
+    """Drawn from the model: parameters, field and noise; the mean squared Mahalanobis distance is the count."""
+    case = _Case(basis)
+    rng = np.random.default_rng(12)
+    precision = prior_precision(case.at.size, SCALES.radial_px, SCALES.decentering_px)
+    variance = SCALES.amplitude_px**2 * basis.variances(length_px=SCALES.length_px)
+    squares, inside = [], []
+    for _ in range(80):
+        truth = rng.standard_normal(case.at.size) / np.sqrt(precision)
+        coefficients = rng.standard_normal((2, variance.size)) * np.sqrt(variance)
+        noise = rng.standard_normal(case.residual.shape) / np.sqrt(case.information)[:, None]
+        residual = case.rows @ truth + case.waves @ coefficients.T + noise[:, :]
+        normal = normal_sums(case.rows, case.waves, residual, case.information, at=np.zeros(case.at.size))
+        fit = marginal_fit(normal, basis, SCALES)
+        off = fit.unknowns - truth
+        squares.append(off @ np.linalg.solve(fit.covariance, off))
+        inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(fit.covariance)))
+    # chi-square of 17 degrees of freedom: standard deviation of the mean of 80 is 0.65
+    assert 15.0 < np.mean(squares) < 19.0
+    assert 0.92 < np.mean(inside) < 0.98
+
+
+class _TwoUnknowns:
+    """Sightings that depend on two unknowns alone, and a field of one wave."""
+
+    def __init__(self, basis: WaveBasis) -> None:
+        rng = np.random.default_rng(21)
+        self.basis = replace(basis, orders=np.array([[1, 1]]))
+        self.pixels = rng.uniform(100.0, 700.0, (6, 2))
+        self.rows = np.zeros((6, 2, 17))
+        self.rows[..., [6, 14]] = rng.standard_normal((6, 2, 2))  # one radial unknown, and p2
+        self.residual = rng.standard_normal((6, 2))
+        self.information = rng.uniform(0.5, 2.0, 6)
+        self.waves = self.basis.values(self.pixels)
+
+    def normal(self) -> NormalEquations:
+        return normal_sums(self.rows, self.waves, self.residual, self.information, at=np.zeros(17))
+
+    def evidence(self, scales: Scales) -> float:
+        """Return the density of the residuals, integrated over the two unknowns on a grid."""
+        field = (self.waves * scales.amplitude_px**2 * self.basis.variances(length_px=scales.length_px)) @ self.waves.T
+        covariance = np.kron(field, np.eye(2)) + np.diag(np.repeat(1.0 / self.information, 2))
+        density = multivariate_normal(np.zeros(12), covariance)
+        flat = self.rows[..., [6, 14]].reshape(12, 2)
+        sigma = scales.radial_px, scales.decentering_px
+
+        axes = [np.linspace(-6.0, 6.0, 121) * min(s, 1.5) for s in sigma]  # exact to rounding for a smooth density
+        first, second = np.meshgrid(*axes, indexing="ij")
+        prior = np.exp(-0.5 * ((first / sigma[0]) ** 2 + (second / sigma[1]) ** 2)) / (
+            2.0 * np.pi * sigma[0] * sigma[1]
+        )
+        values = density.pdf(self.residual.ravel() - np.stack([first, second], axis=-1) @ flat.T) * prior
+        return float(np.trapezoid(np.trapezoid(values, axes[1], axis=1), axes[0]))
+
+
+@pytest.mark.parametrize("other", [Scales(0.01, 300.0, 2.0, 0.7), Scales(3.0, 250.0, 0.4, 0.7)])
+def test_evidence_is_the_integral_over_the_unknowns(basis: WaveBasis, other: Scales) -> None:
+    case = _TwoUnknowns(basis)
+    found = [
+        log_evidences(
+            case.normal(),
+            case.basis,
+            amplitudes=np.array([scales.amplitude_px]),
+            lengths=np.array([scales.length_px]),
+            lens_scales=np.array([[scales.radial_px, scales.decentering_px]]),
+        )[0, 0, 0]
+        for scales in (SCALES, other)
+    ]
+    expected = np.log([case.evidence(SCALES), case.evidence(other)])
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], abs=1e-4)
+
+
+def test_a_field_without_amplitude_leaves_weighted_least_squares(basis: WaveBasis) -> None:
+    case = _Case(basis)
+    found = marginal_fit(case.normal(), basis, SCALES._replace(amplitude_px=0.0))
+    flat = case.rows.reshape(-1, 17) * np.sqrt(np.repeat(case.information, 2))[:, None]
+    precision = prior_precision(17, SCALES.radial_px, SCALES.decentering_px)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(flat.T @ flat + np.diag(precision)), rtol=1e-6)
+    np.testing.assert_allclose(found.waves, 0.0)
+    np.testing.assert_allclose(found.cross, 0.0)
+
+
+def test_the_largest_evidence_is_where_the_data_were_drawn(basis: WaveBasis) -> None:
+    rng = np.random.default_rng(31)
+    pixels = rng.uniform(0.0, 800.0, (150, 2))
+    waves = basis.values(pixels)
+    coefficients = rng.standard_normal((2, waves.shape[1])) * 0.5 * np.sqrt(basis.variances(length_px=300.0))
+    residual = waves @ coefficients.T + 0.1 * rng.standard_normal((150, 2))
+    normal = normal_sums(np.zeros((150, 2, 17)), waves, residual, np.full(150, 100.0), at=np.zeros(17))
+
+    def negative(log_amplitude: FloatArray) -> float:
+        found = log_evidences(
+            normal,
+            basis,
+            amplitudes=np.exp(log_amplitude),
+            lengths=np.array([300.0]),
+            lens_scales=np.array([[2.0, 0.7]]),
+        )
+        return -float(found[0, 0, 0])
+
+    best = float(np.exp(minimize(negative, np.zeros(1), method="Nelder-Mead").x[0]))
+    assert 0.3 < best < 0.8

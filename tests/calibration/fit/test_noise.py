@@ -1,53 +1,122 @@
-"""How much a sighting counts."""
+"""The autocorrelation of residuals and its factor on the variance of a mean, against AR(1) series and by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sunarc.calibration.fit.noise import inflation, lag_one, neighbours
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
+
+FloatArray = NDArray[np.float64]
 
 
-def _correlated(n: int, rho: float) -> NDArray[np.float64]:
-    drawn = np.random.default_rng(5).standard_normal((n, 2))
-    for i in range(1, n):
-        drawn[i] = rho * drawn[i - 1] + np.sqrt(1.0 - rho**2) * drawn[i]
-    return drawn
+def _ar1(n: int, rho: float, *, seed: int) -> FloatArray:
+    drawn = np.random.default_rng(seed).standard_normal((n, 2)) * np.sqrt(1.0 - rho**2)
+    return np.asarray(lfilter([1.0], [1.0, -rho], drawn, axis=0))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.45])
-def test_core_scale_is_found_among_outliers(share: float) -> None:
-    rng = np.random.default_rng(2)
-    points = rng.normal(0.0, 0.4, (4000, 2))
-    points[rng.random(4000) < share] += [9.0, 3.0]
-    assert robust_sigma(np.linalg.norm(points, axis=-1)) == pytest.approx(0.4, rel=0.05)
+def _run(n: int) -> NDArray[np.int64]:
+    return np.zeros(n, dtype=np.int64)
 
 
-def test_weights_are_the_loss_s_slope_over_distance() -> None:
-    distance = np.linspace(0.1, 7.0, 50)
-    slope = (tukey_loss(distance + 1e-6, sigma=1.2) - tukey_loss(distance - 1e-6, sigma=1.2)) / 2e-6
-    np.testing.assert_allclose(slope / distance, tukey_weights(distance, sigma=1.2) / 1.2**2, atol=1e-6)
+def test_neighbours_by_hand() -> None:
+    times = np.array([0.0, 10.0, 20.0, 35.0, 52.0, 62.0])
+    # the usual step is 10 s: 15 s follows, 17 s does not
+    assert neighbours(times, _run(6)).tolist() == [True, True, True, False, True]
+    assert neighbours(times, np.array([0, 0, 1, 1, 1, 1])).tolist()[1] is False
 
 
-def test_information_per_weight_equals_the_scatter_of_the_estimate() -> None:
-    rng = np.random.default_rng(8)
-    points = rng.standard_normal((4000, 60, 2))
-    means = np.zeros((4000, 2))
-    for _ in range(12):
-        weight = tukey_weights(np.linalg.norm(points - means[:, None], axis=-1), sigma=1.0)
-        means = np.sum(weight[..., None] * points, axis=1) / weight.sum(axis=1)[:, None]
-    stated = 1.0 / (INFORMATION_PER_WEIGHT * weight.sum(axis=1).mean())
-    assert np.mean(means**2) == pytest.approx(stated, rel=0.05)
+@pytest.mark.parametrize("n", [0, 1])
+def test_fewer_than_two_sightings_have_no_neighbours(n: int) -> None:
+    assert neighbours(np.zeros(n), _run(n)).size == 0
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
-def test_lag_one_correlation_is_read_back(rho: float) -> None:
-    times = 30.0 * np.arange(4000.0)
-    follows = neighbours(times, np.zeros(4000, dtype=np.int64))
-    found, _ = lag_one(_correlated(4000, rho), np.ones(4000), follows)
-    assert found == pytest.approx(rho, abs=0.03)
+def test_runs_of_one_sighting_have_no_neighbours() -> None:
+    assert neighbours(np.array([0.0, 1.0, 2.0]), np.array([0, 1, 2])).tolist() == [False, False]
+
+
+def test_lag_one_by_hand() -> None:
+    residual = np.array([[1.0, 0.0], [2.0, 0.0], [4.0, 0.0]] * 6)[:17]
+    follows = np.ones(16, dtype=bool)
+    first, second = residual[:-1], residual[1:]
+    expected = np.sum(first * second) / (0.5 * (np.sum(first**2) + np.sum(second**2)))
+    rho, error = lag_one(residual, np.ones(17), follows)
+    assert rho == pytest.approx(expected)
+    assert error == pytest.approx(np.sqrt((1.0 - expected**2) / 32.0))
+
+
+def test_fewer_than_fifteen_pairs_tell_nothing() -> None:
+    follows = np.ones(14, dtype=bool)
+    assert lag_one(np.ones((15, 2)), np.ones(15), follows) == (0.0, 1.0)
+    assert lag_one(np.ones((16, 2)), np.ones(16), np.ones(15, dtype=bool))[0] == pytest.approx(1.0)
+
+
+def test_sightings_without_weight_make_no_pair() -> None:
+    residual, weight = _ar1(400, 0.8, seed=1), np.ones(400)
+    residual[::7], weight[::7] = 1e3, 0.0
+    rho, _ = lag_one(residual, weight, np.ones(399, dtype=bool))
+    assert rho == pytest.approx(0.8, abs=0.1)
+
+
+def test_residuals_of_nothing_have_no_correlation() -> None:
+    assert lag_one(np.zeros((60, 2)), np.ones(60), np.ones(59, dtype=bool))[0] == 0.0
+
+
+@pytest.mark.parametrize("rho", [-0.5, 0.0, 0.3, 0.7, 0.95])
+def test_the_correlation_is_unbiased_and_its_error_covers(rho: float) -> None:
+    follows = np.ones(799, dtype=bool)
+    found = np.array([lag_one(_ar1(800, rho, seed=s), np.ones(800), follows) for s in range(40)])
+    assert np.mean(found[:, 0]) == pytest.approx(rho, abs=0.02)
+    inside = np.abs(found[:, 0] - rho) < 2.0 * found[:, 1]
+    assert 0.85 < inside.mean() <= 1.0
+    # two axes, each with the error of a correlation (Bartlett): sqrt((1 - rho^2) / 2n)
+    assert 0.7 < np.std(found[:, 0]) / np.mean(found[:, 1]) < 1.4
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.8])
+def test_the_inflation_is_that_of_the_variance_of_a_mean(rho: float) -> None:
+    means = [_ar1(500, rho, seed=s).mean(axis=0) for s in range(200)]
+    follows = np.ones(499, dtype=bool)
+    found = np.mean([inflation(_ar1(500, rho, seed=s), np.ones(500), follows, _run(500))[0] for s in range(20)])
+    assert found == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.1)
+    assert np.mean(np.square(means)) * 500.0 == pytest.approx(found, rel=0.2)
+
+
+def test_white_noise_is_not_inflated() -> None:
+    follows = np.ones(999, dtype=bool)
+    found = [inflation(_ar1(1000, 0.0, seed=s), np.ones(1000), follows, _run(1000))[0] for s in range(20)]
+    assert np.min(found) == 1.0
+    assert np.mean(found) < 1.05
+
+
+def test_negative_correlation_does_not_deflate() -> None:
+    follows = np.ones(999, dtype=bool)
+    np.testing.assert_array_equal(inflation(_ar1(1000, -0.6, seed=3), np.ones(1000), follows, _run(1000)), 1.0)
+
+
+def test_the_inflation_is_bounded() -> None:
+    same = np.ones((100, 2))
+    found = inflation(same, np.ones(100), np.ones(99, dtype=bool), _run(100))
+    np.testing.assert_allclose(found, 1.995 / 0.005)
+
+
+def test_a_short_run_has_the_correlation_of_all() -> None:
+    run = np.r_[np.zeros(1000, dtype=np.int64), np.ones(10, dtype=np.int64)]
+    residual = _ar1(1010, 0.8, seed=4)
+    times = 30.0 * np.arange(1010.0)
+    found = inflation(residual, np.ones(1010), neighbours(times, run), run)
+    assert found[0] == pytest.approx(9.0, rel=0.25)
+    assert found[-1] == pytest.approx(found[0], rel=0.1)
+
+
+def test_runs_keep_their_own_correlation_where_it_is_well_known() -> None:
+    run = np.repeat([0, 1], 3000).astype(np.int64)
+    residual = np.concatenate([_ar1(3000, 0.2, seed=5), _ar1(3000, 0.8, seed=6)])
+    found = inflation(residual, np.ones(6000), neighbours(np.arange(6000.0), run), run)
+    assert found[0] == pytest.approx(1.2 / 0.8, rel=0.2)
+    assert found[-1] == pytest.approx(9.0, rel=0.2)
 
 
 def test_white_noise_is_not_inflated_and_a_bad_day_alone_is() -> None:
@@ -56,12 +125,7 @@ def test_white_noise_is_not_inflated_and_a_bad_day_alone_is() -> None:
     noise = np.random.default_rng(6).standard_normal((2000, 2))
     follows = neighbours(times, run)
     np.testing.assert_allclose(inflation(noise, np.ones(2000), follows, run), 1.0, atol=0.15)
-    noise[1000:] = _correlated(1000, 0.9)
+    noise[1000:] = _ar1(1000, 0.9, seed=5)
     mixed = inflation(noise, np.ones(2000), follows, run)
     assert mixed[0] < mixed[-1]
     assert mixed[-1] > 8.0
-
-
-def test_gaps_are_no_neighbours() -> None:
-    follows = neighbours(np.array([0.0, 30.0, 60.0, 300.0, 330.0]), np.array([0, 0, 0, 0, 1]))
-    assert follows.tolist() == [True, True, False, False]

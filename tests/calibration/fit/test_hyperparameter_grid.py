@@ -1,0 +1,131 @@
+"""The grid of scales: its priors as densities, and the probabilities of its places."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from sunarc.calibration.fit.hyperparameter_grid import (
+    HyperparameterGrid,
+    likely_scales,
+    log_evidence,
+    scale_grid,
+    scale_weights,
+)
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, log_evidences, normal_sums
+
+FloatArray = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def grid() -> HyperparameterGrid:
+    return scale_grid(width=1000, height=800, floor_px=0.002, radial_px=2.0, decentering_px=0.7)
+
+
+def _normal(grid: HyperparameterGrid, *, amplitude_px: float = 0.0, seed: int = 1) -> NormalEquations:
+    """Return the sums of sightings of a field of some amplitude, and noise of 0.05 px; the lens is known."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform(0.0, 800.0, (120, 2))
+    waves = grid.basis.values(pixels)
+    sigma = amplitude_px * np.sqrt(grid.basis.variances(length_px=float(grid.lengths[1])))
+    field = waves @ (rng.standard_normal((2, sigma.size)) * sigma).T
+    residual = field + 0.05 * rng.standard_normal((120, 2))
+    return normal_sums(np.zeros((120, 2, 17)), waves, residual, np.full(120, 400.0), at=np.zeros(17))
+
+
+def test_the_grid_reaches_from_the_floor_to_eight_pixels(grid: HyperparameterGrid) -> None:
+    assert grid.amplitudes[0] == pytest.approx(0.002)
+    assert grid.amplitudes[-1] == pytest.approx(8.0)
+    ratio = grid.amplitudes[1:] / grid.amplitudes[:-1]
+    np.testing.assert_allclose(ratio, (8.0 / 0.002) ** (1.0 / 15.0))
+    np.testing.assert_allclose(grid.lengths, [128.0, 192.0, 288.0])  # shares of the shorter side
+    assert grid.log_prior.shape == (16, 3, 50)
+    assert grid.lens_scales.shape == (50, 2)
+
+
+def test_a_floor_of_nothing_is_a_tenth_of_a_micrometre() -> None:
+    assert scale_grid(width=100, height=100, floor_px=0.0, radial_px=1.0, decentering_px=1.0).amplitudes[0] == 1e-4
+
+
+def test_the_lens_scales_are_the_usual_ones_times_factors(grid: HyperparameterGrid) -> None:
+    radial, decentering = np.unique(grid.lens_scales[:, 0]), np.unique(grid.lens_scales[:, 1])
+    np.testing.assert_allclose(radial, [0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
+    np.testing.assert_allclose(decentering, 0.7 * np.array([0.5, 1.0, 2.0, 4.0, 10.0]))
+
+
+def test_the_most_plausible_lens_before_the_sightings_is_the_usual_one(grid: HyperparameterGrid) -> None:
+    of_lens = logsumexp(grid.log_prior, axis=(0, 1))
+    radial, decentering = grid.lens_scales[int(np.argmax(of_lens))]
+    assert 1.4 <= radial <= 4.0
+    assert 0.35 <= decentering <= 1.4
+    # the prior of the logarithm is Gaussian: its weight over the cell, twice the scale against the scale
+    cell = np.log(np.gradient(np.log(np.unique(grid.lens_scales[:, 0]))))
+    table = of_lens.reshape(10, 5)[:, 1] - cell
+    at_two, at_four = table[3], table[5]
+    assert at_two - at_four == pytest.approx(0.5 * (math.log(2.0) / math.log(2.5)) ** 2)
+
+
+def test_no_field_has_the_odds_of_three_to_two(grid: HyperparameterGrid) -> None:
+    of_amplitude = logsumexp(grid.log_prior[:, 0], axis=1)
+    share = np.exp(of_amplitude - logsumexp(of_amplitude))
+    # 1.5 times all fields together, and the floor's own
+    assert share[0] == pytest.approx(0.6, abs=0.01)
+
+
+def test_the_field_s_prior_is_log_normal_about_three_tenths_and_bounded(grid: HyperparameterGrid) -> None:
+    of_amplitude = logsumexp(grid.log_prior[1:, 0], axis=1)
+    amplitude = grid.amplitudes[1:]
+    expected = -0.5 * (np.log(amplitude / 0.3) / math.log(3.0)) ** 2 - 0.5 * (amplitude / 1.5) ** 2
+    np.testing.assert_allclose(of_amplitude - of_amplitude[0], expected - expected[0], atol=1e-9)
+    assert of_amplitude[-1] < np.max(of_amplitude) - 14.0
+
+
+def test_smaller_fields_stay_when_the_grid_is_bounded(grid: HyperparameterGrid) -> None:
+    bounded = grid.up_to(0.1)
+    assert bounded.amplitudes[-1] <= 0.1 < grid.amplitudes[bounded.amplitudes.size]
+    assert bounded.log_prior.shape[0] == bounded.amplitudes.size
+    assert grid.up_to(0.0).amplitudes.size == 1
+    assert grid.up_to(100.0).amplitudes.size == 16
+
+
+def test_weights_are_prior_times_evidence(grid: HyperparameterGrid) -> None:
+    normal = _normal(grid)
+    evidence = log_evidences(
+        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
+    )
+    weight = scale_weights(normal, grid)
+    assert weight.sum() == pytest.approx(1.0)
+    total = grid.log_prior + evidence
+    np.testing.assert_allclose(weight, np.exp(total - logsumexp(total)), rtol=1e-9)
+    assert log_evidence(normal, grid) == pytest.approx(float(logsumexp(total)))
+
+
+def test_the_likely_scales_are_means_under_the_weights(grid: HyperparameterGrid) -> None:
+    normal = _normal(grid, amplitude_px=0.4)
+    weight, found = scale_weights(normal, grid), likely_scales(normal, grid)
+    assert found.amplitude_px == pytest.approx(float(np.sum(weight, axis=(1, 2)) @ grid.amplitudes))
+    of_lens = weight.sum(axis=(0, 1))
+    assert found.radial_px == pytest.approx(math.exp(float(of_lens @ np.log(grid.lens_scales[:, 0]))))
+    assert found.decentering_px == pytest.approx(math.exp(float(of_lens @ np.log(grid.lens_scales[:, 1]))))
+    assert grid.lengths[0] <= found.length_px <= grid.lengths[-1]
+    power = weight.sum(axis=2) * grid.amplitudes[:, None]
+    mean = float(np.sum(power * np.log(grid.lengths)) / power.sum())
+    assert found.length_px == pytest.approx(math.exp(mean))
+
+
+@pytest.mark.parametrize(("truth", "low", "high"), [(0.0, 0.0, 0.02), (0.4, 0.2, 0.8)])
+def test_the_amplitude_of_the_data_is_found(grid: HyperparameterGrid, truth: float, low: float, high: float) -> None:
+    found = [likely_scales(_normal(grid, amplitude_px=truth, seed=seed), grid).amplitude_px for seed in range(4)]
+    assert low <= np.mean(found) <= high
+
+
+def test_evidence_without_a_large_field_is_lower_where_there_is_one(grid: HyperparameterGrid) -> None:
+    normal = _normal(grid, amplitude_px=0.5)
+    assert log_evidence(normal, grid.up_to(0.01)) < log_evidence(normal, grid) - 50.0
+    flat = replace(grid, log_prior=np.zeros_like(grid.log_prior))
+    assert scale_weights(normal, flat).sum() == pytest.approx(1.0)

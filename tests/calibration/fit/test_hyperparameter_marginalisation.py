@@ -1,0 +1,176 @@
+"""The covariance over all plausible scales, against the mixture and against draws from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import observed, random_covariance, small_camera, small_problem, sun_arc
+
+from sunarc.calibration.fit import hyperparameter_marginalisation as module
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_grid, scale_weights
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit
+from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
+from sunarc.calibration.least_squares.problem import Problem
+from sunarc.calibration.least_squares.time_bins import Bins
+
+FloatArray = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def grid() -> HyperparameterGrid:
+    whole = scale_grid(width=640, height=480, floor_px=0.01, radial_px=2.0, decentering_px=0.7)
+    few = np.array([6, 11, 16])  # three of the lens's scales
+    return replace(whole, lens_scales=whole.lens_scales[few], log_prior=whole.log_prior[..., few])
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return small_problem(small_camera())
+
+
+@pytest.fixture(scope="module")
+def at(problem: Problem) -> FloatArray:
+    return problem.unknowns([small_camera()])
+
+
+@pytest.fixture(scope="module")
+def system(problem: Problem, at: FloatArray, grid: HyperparameterGrid) -> LinearSystem:
+    seen = observed(small_camera(), sun_arc(60), sigma_px=0.2)
+    bins = Bins(member=np.arange(60) // 4, count=15)
+    return linear_system(problem, seen, bins, at, information=np.full(60, 25.0), basis=grid.basis)
+
+
+@pytest.fixture(scope="module")
+def posterior(system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray) -> PosteriorCovariance:
+    return marginalised_covariance(system.normal(), grid, problem, at)
+
+
+def _one_amplitude(grid: HyperparameterGrid) -> HyperparameterGrid:
+    return replace(grid, amplitudes=grid.amplitudes[5:6], log_prior=grid.log_prior[5:6])
+
+
+def _mixture(normal: NormalEquations, grid: HyperparameterGrid, at: FloatArray) -> FloatArray:
+    """Return the second moments about `at` of the whole mixture over the grid."""
+    weight = scale_weights(normal, grid)
+    total = np.zeros((at.size, at.size))
+    for (i, j, k), share in np.ndenumerate(weight):
+        scales = Scales(float(grid.amplitudes[i]), float(grid.lengths[j]), *map(float, grid.lens_scales[k]))
+        fit = marginal_fit(normal, grid.basis, scales)
+        shift = fit.unknowns - at
+        total += share * (fit.covariance + np.outer(shift, shift))
+    return total
+
+
+def test_with_one_amplitude_it_is_the_mixture_s_covariance(
+    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+) -> None:
+    one = _one_amplitude(grid)
+    found = marginalised_covariance(system.normal(), one, problem, at)
+    expected = _mixture(system.normal(), one, at)
+    # 1.5 % of the probability is left out
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found.covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.06)
+    assert found.amplitude_px == pytest.approx(float(grid.amplitudes[5]))
+    assert grid.lengths[0] <= found.length_px <= grid.lengths[-1]
+
+
+def test_with_one_choice_it_is_that_fit_s_own(system: LinearSystem, grid: HyperparameterGrid, problem: Problem) -> None:
+    single = replace(
+        grid,
+        amplitudes=grid.amplitudes[5:6],
+        lengths=grid.lengths[1:2],
+        lens_scales=grid.lens_scales[1:2],
+        log_prior=grid.log_prior[5:6, 1:2, 1:2],
+    )
+    scales = Scales(float(grid.amplitudes[5]), float(grid.lengths[1]), *map(float, grid.lens_scales[1]))
+    fit = marginal_fit(system.normal(), grid.basis, scales)
+    found = marginalised_covariance(system.normal(), single, problem, fit.unknowns)
+    np.testing.assert_allclose(found.covariance, fit.covariance, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found.cross, fit.cross, rtol=1e-9, atol=1e-15)
+    assert found.length_px == pytest.approx(scales.length_px)
+
+
+def test_a_fit_that_is_off_is_charged_with_its_distance(
+    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+) -> None:
+    one = _one_amplitude(grid)
+    off = np.zeros(at.size)
+    off[17] = 0.5
+    near = marginalised_covariance(system.normal(), one, problem, at).covariance
+    far = marginalised_covariance(system.normal(), one, problem, at + off).covariance
+    assert far[17, 17] - near[17, 17] == pytest.approx(0.25, rel=0.1)
+
+
+def test_the_covariance_is_positive_and_of_every_unknown(posterior: PosteriorCovariance, at: FloatArray) -> None:
+    assert posterior.covariance.shape == (at.size, at.size)
+    np.testing.assert_allclose(posterior.covariance, posterior.covariance.T, atol=1e-12)
+    scale = np.sqrt(np.diag(posterior.covariance))
+    assert np.min(np.linalg.eigvalsh(posterior.covariance / np.outer(scale, scale))) > 0.0
+    assert posterior.cross.shape[:2] == (2, at.size)
+
+
+def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
+    moments = np.stack([random_covariance(2, seed=s) for s in range(3)])[:, None]
+    stated = random_covariance(2, seed=9)[None]
+    rng = np.random.default_rng(4)
+    found = module._held(moments, stated)
+    for k in range(3):
+        draws = rng.multivariate_normal(np.zeros(2), moments[k, 0], 40_000)
+        inside = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(stated[0]), draws) < -2.0 * math.log(0.05)
+        assert found[k] == pytest.approx(inside.mean(), abs=0.006)
+
+
+def test_a_gaussian_holds_its_own_95_percent() -> None:
+    one = random_covariance(2, seed=3)[None]
+    assert module._held(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
+    assert module._held(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
+
+
+def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
+    system: LinearSystem, grid: HyperparameterGrid, problem: Problem, at: FloatArray
+) -> None:
+    choices = module._plausible(system.normal(), grid, at)
+    moments = module._at_probes(choices, grid.basis, problem, at)
+    tilt = module._honest_tilt(choices, moments)
+    assert -3.0 < tilt < 1.5
+    stated = np.tensordot(choices.tilted(tilt), moments, 1)
+    held = float(choices.share @ module._held(moments, stated))
+    assert held == pytest.approx(0.95, abs=0.005)
+
+
+def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
+    choices = module._plausible(system.normal(), grid, at)
+    np.testing.assert_allclose(choices.tilted(0.0), choices.share)
+    expected = choices.share * choices.amplitude**1.5
+    np.testing.assert_allclose(choices.tilted(1.5), expected / expected.sum())
+    assert choices.share.sum() == pytest.approx(1.0)
+
+
+def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
+    choices = module._plausible(system.normal(), grid, at)
+    assert module._honest_tilt(choices, np.zeros((len(choices.fits), 0, 2, 2))) == 0.0
+
+
+def test_the_plausible_choices_hold_nearly_all_probability(
+    system: LinearSystem, grid: HyperparameterGrid, at: FloatArray
+) -> None:
+    weight = scale_weights(system.normal(), grid)
+    choices = module._plausible(system.normal(), grid, at)
+    kept = len(choices.fits)
+    assert kept < weight.size
+    largest = np.sort(weight.ravel())[::-1]
+    assert largest[:kept].sum() > 0.95
+
+
+def test_probes_are_the_sky_that_the_image_shows(problem: Problem, at: FloatArray, grid: HyperparameterGrid) -> None:
+    rows, waves = module._probes(problem, at, grid.basis)
+    assert 20 < rows.shape[0] < 60
+    assert rows.shape[1:] == (2, at.size)
+    assert waves.shape == (rows.shape[0], len(grid.basis.orders))
+    narrow = replace(problem, template=replace(problem.template, width=100, height=100))
+    assert module._probes(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]

@@ -1,0 +1,169 @@
+"""The bins' linear equations: derivatives, residuals and the solve, against their definitions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from tests.fixtures.calibration import numerical_derivative, observed, small_camera, small_problem, sun_arc
+
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, penalty
+from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
+from sunarc.calibration.least_squares.priors import LENS, precisions
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+
+FloatArray = NDArray[np.float64]
+
+SCALES = Scales(0.2, 120.0, 2.0, 0.7)
+BINS = Bins(member=np.arange(60) // 4, count=15)
+
+
+@pytest.fixture(scope="module")
+def basis() -> WaveBasis:
+    return wave_basis(width=640, height=480, shortest_px=100.0, longest_px=160.0)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return small_problem(small_camera())
+
+
+@pytest.fixture(scope="module")
+def seen() -> Observations:
+    return observed(small_camera(), sun_arc(60), sigma_px=0.2)
+
+
+@pytest.fixture(scope="module")
+def at(problem: Problem) -> FloatArray:
+    unknowns = problem.unknowns([small_camera()])
+    unknowns[17:20] += 0.002
+    return unknowns
+
+
+@pytest.fixture
+def system(problem: Problem, seen: Observations, at: FloatArray, basis: WaveBasis) -> LinearSystem:
+    return linear_system(problem, seen, BINS, at, information=np.full(60, 25.0), basis=basis)
+
+
+def test_a_bin_has_the_mean_residual_of_its_sightings(
+    system: LinearSystem, problem: Problem, seen: Observations, at: FloatArray
+) -> None:
+    expected = problem.residuals(at, seen).reshape(15, 4, 2).mean(axis=1)
+    np.testing.assert_allclose(system.residual, expected, atol=1e-12)
+    np.testing.assert_allclose(problem.residuals(at, system.seen), expected, atol=1e-9)
+    np.testing.assert_allclose(system.seen.information, 100.0)
+
+
+def test_the_rows_are_the_derivatives_at_the_bin_s_direction(
+    system: LinearSystem, problem: Problem, at: FloatArray
+) -> None:
+    expected = numerical_derivative(lambda x: -problem.residuals(x, system.seen), at, step=1e-5)
+    np.testing.assert_allclose(system.rows, expected, rtol=1e-5, atol=2e-5)
+
+
+def test_the_waves_are_taken_where_the_model_sees_the_sun(system: LinearSystem, basis: WaveBasis) -> None:
+    modelled = system.seen.pixels - system.residual
+    np.testing.assert_allclose(system.waves, basis.values(modelled), atol=1e-9)
+    np.testing.assert_allclose(system.wave_products, system.waves.T @ (system.waves * 100.0), rtol=1e-12)
+
+
+def test_the_system_about_other_unknowns_has_their_residuals(
+    system: LinearSystem, problem: Problem, at: FloatArray
+) -> None:
+    other = at.copy()
+    other[18] += 0.01
+    moved = system.moved(problem, other)
+    np.testing.assert_allclose(moved.residual, problem.residuals(other, system.seen), atol=1e-9)
+    np.testing.assert_allclose(moved.at, other)
+    # the linear prediction of the residuals holds to second order
+    np.testing.assert_allclose(moved.residual, system.residual - system.rows @ (other - at), atol=0.03)
+    np.testing.assert_allclose(moved.waves, system.waves)
+
+
+def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) -> None:
+    which = np.arange(15) % 3 == 0
+    whole, one, other = system.normal(), system.normal_of(which), system.normal_of(~which)
+    for name in ("jj", "jf", "ff", "jr", "fr", "rr"):
+        np.testing.assert_allclose(
+            getattr(one, name) + getattr(other, name), getattr(whole, name), rtol=1e-9, atol=1e-9
+        )
+
+
+def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem, problem: Problem) -> None:
+    found, waves = irls_converged(problem, system, SCALES)
+    rested = system.moved(problem, found)
+    now = penalty(rested.normal(), system.basis, SCALES)
+    assert now < penalty(system.normal(), system.basis, SCALES)
+    assert marginal_fit(rested.normal(), system.basis, SCALES).gain < 1e-3
+    np.testing.assert_allclose(waves, marginal_fit(rested.normal(), system.basis, SCALES).waves, atol=1e-9)
+
+    def of_pose(change: FloatArray) -> float:
+        other = found.copy()
+        other[17:20] += 1e-4 * change
+        return penalty(system.moved(problem, other).normal(), system.basis, SCALES)
+
+    lowest = minimize(of_pose, np.zeros(3), method="Nelder-Mead", options={"maxiter": 80})
+    assert lowest.fun > now - 2e-3
+
+
+def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: Problem) -> None:
+    found, _ = irls_converged(problem, system, SCALES)
+    again, _ = irls_converged(problem, system.moved(problem, found), SCALES)
+    np.testing.assert_allclose(again, found, atol=1e-9)
+
+
+@pytest.mark.parametrize("off", [0.02, 0.3])
+def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: Problem, at: FloatArray, off: float) -> None:
+    begin = at.copy()
+    begin[17:20] += [off, 0.0, -off]
+    found, _ = irls_converged(problem, system.moved(problem, begin), SCALES)
+    near, _ = irls_converged(problem, system, SCALES)
+    costs = [penalty(system.moved(problem, one).normal(), system.basis, SCALES) for one in (found, near, begin)]
+    assert costs[0] < 0.01 * costs[2]
+    if off < 0.1:
+        assert costs[0] == pytest.approx(costs[1], abs=0.05)
+
+
+def test_unknown_air_is_among_the_equations(problem: Problem, seen: Observations, basis: WaveBasis) -> None:
+    with_air = replace(problem, n_air=1)
+    sd = np.full((60, 1), 1e-3)
+    unknowns = with_air.unknowns([small_camera()])
+    system = linear_system(
+        with_air, replace(seen, refraction_sd=sd), BINS, unknowns, information=np.ones(60), basis=basis
+    )
+    assert system.n_air == 1
+    assert system.normal().prior_precision(1.0, 1.0)[-1] == 1.0
+    assert system.rows.shape == (15, 2, 21)
+    # a rise by 1 mrad moves the image by about the focal length over 1000
+    assert 0.1 < np.max(np.linalg.norm(system.rows[..., -1], axis=-1)) < 0.3
+
+
+def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: Problem, basis: WaveBasis) -> None:
+    """Lenses drawn from the prior, 40 noisy arcs: the pose's stated error is neither too small nor too large."""
+    camera, directions = small_camera(), sun_arc(60)
+    scales = Scales(1e-4, 120.0, 2.0, 0.7)
+    narrow = problem.prior.basis / np.sqrt(precisions(2.0, 0.7))
+    rng = np.random.default_rng(2)
+    inside = []
+    for _ in range(40):
+        z = np.where(np.arange(17) < 13, 0.1, 0.0) * rng.standard_normal(17)
+        vector = camera.to_vector()
+        vector[LENS] += narrow @ z
+        drawn = camera.with_parameters(vector)
+        prior = replace(problem.prior, mean=camera.to_vector()[LENS], basis=0.1 * narrow)
+        here = replace(problem, prior=prior)
+        begin = here.unknowns([camera])
+        seen = observed(drawn, directions, sigma_px=0.2, seed=int(rng.integers(1 << 30)))
+        system = linear_system(here, seen, BINS, begin, information=np.full(60, 25.0), basis=basis)
+        found, _ = irls_converged(here, system, scales._replace(radial_px=1.0, decentering_px=1e-3))
+        fit = marginal_fit(
+            system.moved(here, found).normal(), basis, scales._replace(radial_px=1.0, decentering_px=1e-3)
+        )
+        off = (found - begin)[17:20]
+        inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(fit.covariance)[17:20]))
+    assert 0.88 < np.mean(inside) < 0.995

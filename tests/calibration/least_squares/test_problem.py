@@ -1,0 +1,164 @@
+"""Residuals and derivatives of a fit's unknowns, against projection and finite differences."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import (
+    SGP,
+    ideal_camera,
+    numerical_derivative,
+    observed,
+    small_camera,
+    small_problem,
+    spread_directions,
+)
+
+from sunarc.calibration.least_squares.priors import N_LENS
+from sunarc.calibration.least_squares.problem import Observations, by_elevation, observations, problem_for
+from sunarc.calibration.model.sightings import SunPoints, filter_sightings
+from sunarc.optics import Camera, Projection, angle_limit, project, project_with_rows_fast
+from sunarc.sky import raised
+
+FloatArray = NDArray[np.float64]
+
+
+def _turned(camera: Camera, by: float) -> Camera:
+    x, y, z = camera.rotation_cam_enu
+    return replace(camera, rotation_cam_enu=(x + by, y - by, z))
+
+
+def test_the_unknowns_of_cameras_give_the_cameras_back() -> None:
+    camera = small_camera()
+    problem = small_problem(camera, n_epochs=2)
+    assert problem.size == N_LENS + 6
+    unknowns = problem.unknowns([camera, _turned(camera, 0.01)])
+    for epoch, expected in enumerate([camera, _turned(camera, 0.01)]):
+        found = problem.camera(unknowns, epoch)
+        np.testing.assert_allclose(found.to_vector(), expected.to_vector(), rtol=1e-8, atol=1e-10)
+    assert problem.pose_slice(1) == slice(20, 23)
+
+
+def test_air_adds_unknowns_after_the_poses() -> None:
+    problem = replace(small_problem(small_camera(), n_epochs=2), n_air=3)
+    assert problem.size == N_LENS + 6 + 3
+    unknowns = problem.unknowns([small_camera(), small_camera()])
+    np.testing.assert_allclose(unknowns[-3:], 0.0)
+
+
+def test_residuals_are_observed_minus_predicted() -> None:
+    camera = small_camera()
+    seen = observed(camera, spread_directions(20))
+    shifted = replace(seen, pixels=seen.pixels + np.array([0.5, -0.25]))
+    problem = small_problem(camera)
+    np.testing.assert_allclose(problem.residuals(problem.unknowns([camera]), seen), 0.0, atol=1e-8)
+    residual = problem.residuals(problem.unknowns([camera]), shifted)
+    np.testing.assert_allclose(residual, np.tile([0.5, -0.25], (20, 1)), atol=1e-8)
+
+
+def test_a_direction_that_the_camera_cannot_see_is_ten_thousand_pixels_off() -> None:
+    camera = small_camera("orthographic")
+    down = np.array([[0.1, 0.2, -math.sqrt(0.95)]])
+    seen = Observations(
+        directions=down, pixels=np.zeros((1, 2)), information=np.ones(1), epoch=np.zeros(1, dtype=np.int64)
+    )
+    problem = small_problem(camera)
+    at = problem.unknowns([camera])
+    np.testing.assert_allclose(problem.residuals(at, seen), 1e4)
+    np.testing.assert_allclose(problem.linearised(at, seen)[0], 1e4)
+
+
+@pytest.mark.parametrize("projection", ["equisolid", "perspective", "stereographic"])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_derivatives_are_finite_differences_of_the_prediction(projection: Projection, *, mirrored: bool) -> None:
+    camera = small_camera(projection, mirrored=mirrored)
+    directions = spread_directions(7, widest_deg=50.0)
+    seen = observed(camera, directions)
+    problem = small_problem(camera)
+    at = problem.unknowns([camera]) + 0.01
+    residual, rows = problem.linearised(at, seen)
+    np.testing.assert_allclose(residual, problem.residuals(at, seen), atol=1e-9)
+    expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-5)
+    np.testing.assert_allclose(rows, expected, rtol=1e-5, atol=2e-5)
+
+
+def test_derivatives_of_two_poses_belong_to_their_own_sightings() -> None:
+    camera = small_camera()
+    directions = spread_directions(10)
+    seen = observed(camera, directions)
+    seen = replace(seen, epoch=np.arange(10) % 2)
+    problem = small_problem(camera, n_epochs=2)
+    at = problem.unknowns([camera, _turned(camera, 0.02)])
+    _, rows = problem.linearised(at, seen)
+    expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-5)
+    np.testing.assert_allclose(rows, expected, rtol=1e-5, atol=2e-5)
+    np.testing.assert_allclose(rows[seen.epoch == 0][..., 20:23], 0.0)
+    np.testing.assert_allclose(rows[seen.epoch == 1][..., 17:20], 0.0)
+
+
+def test_derivatives_by_the_air_are_finite_differences() -> None:
+    camera = small_camera()
+    directions = spread_directions(8)
+    sd = np.random.default_rng(2).uniform(1e-4, 1e-3, (8, 2))
+    seen = replace(observed(camera, directions), refraction_sd=sd)
+    problem = replace(small_problem(camera), n_air=2)
+    at = np.concatenate([problem.unknowns([camera])[:-2], [0.4, -0.7]])
+    _, rows = problem.linearised(at, seen)
+    expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-4)
+    np.testing.assert_allclose(rows[..., -2:], expected[..., -2:], rtol=1e-4, atol=1e-5)
+
+
+def test_directions_rise_by_the_sum_over_the_causes() -> None:
+    problem = replace(small_problem(small_camera()), n_air=2)
+    directions = spread_directions(5)
+    sd = np.array([[1e-3, 2e-3]])
+    seen = replace(observed(small_camera(), directions), refraction_sd=np.repeat(sd, 5, axis=0))
+    at = np.zeros(problem.size)
+    at[-2:] = 1.0, -2.0
+    np.testing.assert_allclose(problem.directions(at, seen), raised(directions, np.full(5, 1e-3 - 4e-3)))
+    np.testing.assert_allclose(replace(problem, n_air=0).directions(at, seen), directions)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_by_elevation_is_the_finite_difference_of_a_rising_direction(*, mirrored: bool) -> None:
+    camera = small_camera(mirrored=mirrored)
+    directions = spread_directions(9)
+    rows = project_with_rows_fast(camera, directions)[1]
+    step = 1e-6
+    up, down = (project(camera, raised(directions, np.full(9, sign * step))) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(by_elevation(camera, directions, rows), (up - down) / (2.0 * step), rtol=1e-5, atol=1e-3)
+
+
+def test_the_fit_answers_as_far_as_the_projection_has_angles() -> None:
+    camera = replace(small_camera("orthographic"), max_angle=0.3)
+    problem = small_problem(camera)
+    assert problem.template.max_angle == pytest.approx(angle_limit("orthographic"), rel=1e-5)
+    assert problem.template.max_angle < angle_limit("orthographic")
+    assert problem_for(camera, problem.prior, n_epochs=3).n_epochs == 3
+
+
+def test_observations_hold_the_inverse_square_of_the_relative_sigma() -> None:
+    times = 1_368_468_000.0 + 600.0 * np.arange(30.0)
+    pixels = np.stack([100.0 + 5.0 * np.arange(30.0), 200.0 + 3.0 * np.arange(30.0)], axis=-1)
+    sigma = np.where(np.arange(30) % 2, 0.2, 0.1)
+    usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels, sigma_px=sigma), site=SGP)
+    seen = observations(usable)
+    ratio = seen.information[usable.index % 2 == 0][0] / seen.information[usable.index % 2 == 1][0]
+    assert ratio == pytest.approx(4.0)
+    assert len(seen) == len(usable)
+
+
+def test_a_selection_and_new_information_keep_the_rest() -> None:
+    seen = observed(ideal_camera(), spread_directions(6))
+    assert seen.refraction_sd.shape == (6, 1)
+    some = seen.select(np.array([4, 1]))
+    np.testing.assert_allclose(some.pixels, seen.pixels[[4, 1]])
+    np.testing.assert_allclose(some.directions, seen.directions[[4, 1]])
+    heavier = seen.weighted(np.full(6, 9.0))
+    np.testing.assert_allclose(heavier.information, 9.0)
+    np.testing.assert_allclose(heavier.pixels, seen.pixels)
+    assert len(seen.select(slice(0, 0))) == 0

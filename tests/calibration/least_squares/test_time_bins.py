@@ -1,0 +1,113 @@
+"""Bins of neighbouring sightings: which belong together, and their weighted means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.least_squares.time_bins import Bins, time_bins
+from sunarc.calibration.model.sightings import FilteredSightings
+
+FloatArray = NDArray[np.float64]
+
+
+def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> FilteredSightings:
+    n = unix_s.size
+    return FilteredSightings(
+        index=np.arange(n),
+        unix_s=unix_s,
+        pixels=np.zeros((n, 2)),
+        directions=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        sigma_px=np.ones(n),
+        epoch=np.broadcast_to(np.asarray(epoch, dtype=np.int64), (n,)),
+        day=np.broadcast_to(np.asarray(day, dtype=np.int64), (n,)),
+        refraction_sd=np.zeros((n, 1)),
+        n_dropped=0,
+        dropped=(),
+    )
+
+
+def test_no_sightings_have_no_bins() -> None:
+    bins = time_bins(_usable(np.zeros(0)))
+    assert (bins.count, bins.member.size) == (0, 0)
+
+
+def test_one_sighting_is_one_bin() -> None:
+    bins = time_bins(_usable(np.array([5.0])))
+    assert (bins.count, bins.member.tolist()) == (1, [0])
+
+
+def test_a_bin_has_at_most_sixteen_sightings() -> None:
+    bins = time_bins(_usable(np.arange(40.0)))
+    assert np.bincount(bins.member).tolist() == [16, 16, 8]
+
+
+def test_a_bin_spans_at_most_six_minutes() -> None:
+    bins = time_bins(_usable(60.0 * np.arange(20.0)))
+    assert np.bincount(bins.member).tolist() == [6, 6, 6, 2]
+    assert time_bins(_usable(359.0 * np.arange(2.0))).count == 1
+    assert time_bins(_usable(360.0 * np.arange(2.0))).count == 2
+
+
+def test_days_and_epochs_are_never_taken_together() -> None:
+    times = np.arange(6.0)
+    assert time_bins(_usable(times, day=[0, 0, 1, 1, 1, 2])).member.tolist() == [0, 0, 1, 1, 1, 2]
+    assert time_bins(_usable(times, epoch=[0, 0, 0, 1, 1, 1])).member.tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def test_the_slots_of_a_day_begin_with_its_first_sighting() -> None:
+    times = np.array([100.0, 200.0, 86_400.0 + 50.0, 86_400.0 + 300.0])
+    assert time_bins(_usable(times, day=[0, 0, 1, 1])).member.tolist() == [0, 0, 1, 1]
+
+
+@pytest.fixture
+def seen() -> Observations:
+    directions = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
+    return Observations(
+        directions=directions,
+        pixels=np.array([[0.0, 0.0], [4.0, 8.0], [7.0, 7.0]]),
+        information=np.ones(3),
+        epoch=np.array([0, 0, 1]),
+        refraction_sd=np.array([[1e-3, 0.0], [5e-3, 4e-3], [2e-3, 2e-3]]),
+    )
+
+
+BINS = Bins(member=np.array([0, 0, 1]), count=2)
+
+
+def test_means_are_weighted_by_information(seen: Observations) -> None:
+    residual = np.array([[1.0, 0.0], [5.0, -4.0], [2.0, 3.0]])
+    gathered, mean = BINS.gathered(seen, residual, np.array([3.0, 1.0, 2.0]))
+    np.testing.assert_allclose(mean, [[2.0, -1.0], [2.0, 3.0]])
+    np.testing.assert_allclose(gathered.pixels, [[1.0, 2.0], [7.0, 7.0]])
+    np.testing.assert_allclose(gathered.information, [4.0, 2.0])
+    np.testing.assert_allclose(gathered.refraction_sd, [[2e-3, 1e-3], [2e-3, 2e-3]])
+    direction = np.array([0.15, 0.0, 0.95])
+    np.testing.assert_allclose(gathered.directions[0], direction / np.linalg.norm(direction))
+    assert gathered.epoch.tolist() == [0, 1]
+
+
+def test_a_bin_without_information_keeps_its_first_sighting_and_says_nothing(seen: Observations) -> None:
+    gathered, mean = BINS.gathered(seen, np.ones((3, 2)), np.array([0.0, 0.0, 2.0]))
+    assert gathered.information.tolist() == [0.0, 2.0]
+    np.testing.assert_allclose(gathered.directions[0], seen.directions[0])
+    np.testing.assert_allclose(gathered.pixels[0], seen.pixels[0])
+    assert np.all(np.isfinite(mean))
+
+
+def test_the_mean_of_a_bin_has_the_variance_of_its_information() -> None:
+    rng = np.random.default_rng(4)
+    information = np.array([1.0, 4.0, 0.25, 2.0])
+    bins = Bins(member=np.zeros(4, dtype=np.int64), count=1)
+    directions = np.tile([0.0, 0.0, 1.0], (4, 1))
+    means = []
+    for _ in range(2000):
+        noise = rng.standard_normal((4, 2)) / np.sqrt(information)[:, None]
+        data = Observations(
+            directions=directions, pixels=noise, information=information, epoch=np.zeros(4, dtype=np.int64)
+        )
+        gathered, mean = bins.gathered(data, noise, information)
+        means.append(mean[0])
+    assert 0.9 < np.var(means) * gathered.information[0] < 1.1
