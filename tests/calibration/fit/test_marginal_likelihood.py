@@ -142,7 +142,7 @@ def test_the_penalty_is_the_log_posterior_with_the_field_at_its_best(basis: Wave
     weight = case.information[:, None] * case.waves
     variance = SCALES.amplitude_px**2 * basis.variances(length_px=SCALES.length_px)
     best = np.linalg.solve(case.waves.T @ weight + np.diag(1.0 / variance), weight.T @ case.residual).T
-    expected = _log_posterior(case, basis, SCALES, nothing, best)
+    expected = _log_posterior(case, basis, SCALES, nothing, np.asarray(best, dtype=np.float64))
     assert penalty(case.normal(), basis, SCALES) == pytest.approx(expected, rel=1e-9)
 
 
@@ -154,7 +154,7 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
     rng = np.random.default_rng(1)
     for _ in range(20):
         other = 1e-3 * rng.standard_normal(step.size)
-        bent: FloatArray = found.waves + 1e-3 * rng.standard_normal(found.waves.shape)
+        bent = np.asarray(found.waves + 1e-3 * rng.standard_normal(found.waves.shape), dtype=np.float64)
         assert _log_posterior(case, basis, SCALES, step + other, bent) > lowest
     moved = normal_sums(case.rows, case.waves, case.residual - case.rows @ step, case.information, at=found.unknowns)
     gain = penalty(case.normal(), basis, SCALES) - penalty(moved, basis, SCALES)

@@ -1,0 +1,65 @@
+"""The backward model of Eqs. 14 to 19, against the forward model and the ideal projections."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.fixtures.calibration import ideal_camera, small_camera, spread_directions
+
+from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
+from sunarc.optics import Projection, project, unproject
+
+NOTHING = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.0)
+
+
+@pytest.mark.parametrize("projection", ["equisolid", "equidistant", "stereographic", "orthographic", "perspective"])
+def test_an_ideal_lens_needs_no_coefficients(projection: Projection) -> None:
+    camera = replace(ideal_camera(), projection=projection, rotation_cam_enu=(0.3, -0.2, 1.0))
+    directions = spread_directions(20, widest_deg=45.0)
+    found = back_project(camera, NOTHING, project(camera, directions))
+    np.testing.assert_allclose(found, directions, atol=1e-9)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_pixels_come_back_to_within_the_stated_error(*, mirrored: bool) -> None:
+    camera = small_camera(mirrored=mirrored)
+    model = fit_backward(camera)
+    assert 0.0 < model.max_error_px < 0.3
+    x, y = np.meshgrid(np.linspace(100.0, 540.0, 12), np.linspace(60.0, 420.0, 10))
+    pixels = np.stack([x, y], axis=-1)
+    again = project(camera, back_project(camera, model, pixels))
+    assert np.nanmax(np.linalg.norm(again - pixels, axis=-1)) < 1.5 * model.max_error_px
+    np.testing.assert_allclose(back_project(camera, model, pixels), unproject(camera, pixels), atol=2e-3)
+
+
+def test_an_ideal_lens_is_fitted_with_an_error_of_nothing() -> None:
+    model = fit_backward(ideal_camera())
+    assert model.max_error_px < 1e-3
+    assert np.max(np.abs(model.radial)) < 1e-2
+
+
+def test_a_lens_that_shows_nothing_has_no_backward_model() -> None:
+    assert fit_backward(replace(ideal_camera(), max_angle=1e-9)).max_error_px == pytest.approx(0.0, abs=1e-6)
+    outside = replace(ideal_camera(), principal_point_px=(-5000.0, -5000.0))
+    assert fit_backward(outside) is NO_BACKWARD
+    assert math.isnan(NO_BACKWARD.max_error_px)
+
+
+def test_a_radius_without_an_angle_has_no_direction() -> None:
+    camera = replace(ideal_camera(), projection="orthographic")
+    assert np.all(np.isnan(back_project(camera, NOTHING, [319.5 + 201.0, 239.5])))
+    assert np.all(np.isfinite(back_project(camera, NOTHING, [319.5 + 199.0, 239.5])))
+
+
+def test_the_axis_is_answered() -> None:
+    np.testing.assert_allclose(back_project(ideal_camera(), NOTHING, [319.5, 239.5]), [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_a_camera_sees_what_lies_within_its_outer_pixels_edges() -> None:
+    pixels = np.array(
+        [[-0.5, -0.5], [639.5, 479.5], [-0.6, 0.0], [639.6, 0.0], [0.0, -0.6], [0.0, 479.6], [np.nan, 1.0]]
+    )
+    assert camera_sees(ideal_camera(), pixels).tolist() == [True, True, False, False, False, False, False]
