@@ -45,8 +45,8 @@ def test_a_bin_has_at_most_sixteen_sightings() -> None:
 
 
 def test_a_bin_spans_at_most_six_minutes() -> None:
-    bins = time_bins(_usable(60.0 * np.arange(20.0)))
-    assert np.bincount(bins.member).tolist() == [6, 6, 6, 2]
+    bins = time_bins(_usable(60.0 * np.arange(15.0)))
+    assert np.bincount(bins.member).tolist() == [6, 6, 3]
     assert time_bins(_usable(359.0 * np.arange(2.0))).count == 1
     assert time_bins(_usable(360.0 * np.arange(2.0))).count == 2
 

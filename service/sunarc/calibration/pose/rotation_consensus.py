@@ -22,7 +22,7 @@ _LOOKED_AT = 64
 _PAIRS = 400
 _CLOSE_SIGMAS = 4.0
 _SMALL_TURN = 0.5
-"""How many agreeing sightings a turn by one more power of e must bring."""
+"""How many agreeing sightings a turn ten times as large must bring."""
 _LEAST_APART = 1e-4
 """Radians; two directions that are nearer span no plane that a rotation could be read from."""
 _SEED = 20130513
