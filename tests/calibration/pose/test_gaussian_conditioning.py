@@ -41,8 +41,7 @@ ALL = np.ones(6, dtype=bool)
 
 def test_the_density_of_false_sightings_is_one_over_the_plane() -> None:
     def density(y: float, x: float) -> float:
-        near = float(np.exp(false_density(np.array([[x, y]]), area_px2=1e30))[0])
-        return near
+        return float(np.exp(false_density(np.array([[x, y]]), area_px2=1e30))[0])
 
     total, _ = dblquad(density, -120.0, 120.0, -120.0, 120.0, epsabs=1e-4)
     assert total == pytest.approx(0.5, abs=1e-3)  # the other half lies anywhere in the image
@@ -124,7 +123,7 @@ def test_the_surprise_of_true_sightings_is_two_on_average() -> None:
 
 
 def test_an_outlier_s_residual_is_by_the_inliers() -> None:
-    covariance = np.kron(np.ones((4, 4)), np.eye(2))  # one error, shared by all
+    covariance = np.asarray(np.kron(np.ones((4, 4)), np.eye(2)), dtype=np.float64)  # one error, shared by all
     residual = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [21.0, 0.0]])
     found = fit_inlier_mixture(covariance, _seen(residual, variance=1e-4), np.array([True, True, True, False]))
     assert found.inlier.tolist() == [True, True, True, False]

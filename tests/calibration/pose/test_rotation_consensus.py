@@ -10,15 +10,13 @@ from tests.fixtures.calibration import ideal_camera, small_camera, spread_direct
 
 from sunarc.calibration.pose.error_model import at_every_angle, turned
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
-from sunarc.optics import Camera, project
+from sunarc.optics import project
 
 FloatArray = NDArray[np.float64]
 
 
-def _found(
-    turn: FloatArray, directions: FloatArray, *, camera: Camera | None = None, noise_px: float = 0.0
-) -> FloatArray:
-    start = small_camera() if camera is None else camera
+def _found(turn: FloatArray, directions: FloatArray, *, noise_px: float = 0.0) -> FloatArray:
+    start = small_camera()
     pixels = project(at_every_angle(turned(start, turn)), directions)
     pixels += np.random.default_rng(1).normal(0.0, 1.0, pixels.shape) * noise_px
     return ransac_rotation(start, directions, pixels, np.full(len(directions), max(noise_px, 0.05)))
