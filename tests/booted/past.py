@@ -21,7 +21,7 @@ from sunarc.sky import sun_angles, sun_directions
 
 SENSOR_PX = 1748
 
-midnight, days, a_day = float(sys.argv[-3]) if len(sys.argv) > 3 else 1368426600.0, int(sys.argv[-2]), int(sys.argv[-1])
+midnight, days, a_day = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 settings = load_settings(Path("/etc/sunarc/sunarc.toml"))
 archive = open_archive(settings.database)
 binning = SENSOR_PX / archive.cameras()[0].width
