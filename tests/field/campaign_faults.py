@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from .campaign_processes import SHIM, SLOT_S, Processes, free_port, now, pause
+from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, free_port, now, pause
 
 FAULTS = (
     "kill",
@@ -161,9 +161,8 @@ class Faults(Processes):
 
     def _backup(self) -> None:
         command = [sys.executable, "-m", "sunarc", "db", "backup", str(self.folder / "backups"), "--keep", "2"]
-        done = subprocess.run(
-            [*command, "--state", str(self.state)], capture_output=True, text=True, timeout=60.0, check=False
-        )
+        command += ["--state", str(self.state)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=START_WITHIN_S, check=False)
         if done.returncode:
             self.exits.append(f"backup: {done.stderr.strip()}")
 
@@ -202,7 +201,7 @@ class Faults(Processes):
         settings = self.write_settings("second.toml", port=free_port())
         command = [sys.executable, str(SHIM), str(self.clock_file), "serve", "--config", str(settings)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=START_WITHIN_S, check=False)
         except subprocess.TimeoutExpired:
             self.exits.append("a second service on the state folder was not refused")
             return
