@@ -19,6 +19,12 @@ KILLS = 20
 START_PROCESSOR_S = 4.0
 """Of a start until ready; 1.8 to 2.3 s in 20 kills beside a load of 12 on 2 cores."""
 DROP_IN = "/etc/systemd/system/sunarc.service.d/test.conf"
+OCCUPYING = """
+import pathlib, socket, time
+occupied = socket.create_server(("127.0.0.1", 8080))
+pathlib.Path("/run/occupied").touch()
+time.sleep(9e6)
+"""
 HANGING = """
 import runpy, sys, threading
 sys.path.insert(0, "/usr/lib/sunarc/site")
@@ -84,8 +90,8 @@ def test_a_service_that_cannot_stay_up_is_told_of_and_tried_again(field_computer
     field.write(DROP_IN, "[Unit]\nStartLimitBurst=3\n")
     field.do("systemctl", "daemon-reload")
     field.do("systemctl", "stop", "sunarc")
-    occupied = "import socket, time; s = socket.socket(); s.bind(('127.0.0.1', 8080)); s.listen(); time.sleep(9e9)"
-    field.do("systemd-run", "--unit=occupier", "python3", "-c", occupied)
+    field.do("systemd-run", "--unit=occupier", "python3", "-c", OCCUPYING)
+    wait_for(lambda: field.call("test", "-e", "/run/occupied").returncode == 0, within_s=60.0, what="the occupier")
     field.call("systemctl", "start", "sunarc")
 
     def failed() -> bool:
