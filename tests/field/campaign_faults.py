@@ -135,10 +135,10 @@ class Faults(Processes):
         self.order(self.random.choice(["GAIN_AUTO", "EXPOSURE_AUTO", "GAMMA", "GAIN"]), 1)
 
     def _repeated_frames(self) -> None:
-        begin = self.frame_time()
+        begin = self.frame_time() or self._known[0]
         self._ordered("REPEAT_FRAME", 1)
         if self.judge is not None:
-            self.judge.repeated(begin, self.frame_time())
+            self.judge.repeated(begin, self.latest_time())
 
     def _black_frames(self) -> None:
         self._ordered("BLACK", 1)

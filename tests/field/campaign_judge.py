@@ -169,10 +169,9 @@ class Judge:
             found.not_calibrated = f"no calibration was served in {n_faults} faults"
         return found
 
-    def repeated(self, begin: float | None, end: float | None) -> None:
+    def repeated(self, begin: float, end: float) -> None:
         """Note that the camera repeated its images between two of its times."""
-        if begin is not None and end is not None:
-            self._repeated.append((begin - self._cadence_s, end + self._cadence_s))
+        self._repeated.append((begin - self._cadence_s, end + self._cadence_s))
 
     def _is_copy(self, moment: float) -> bool:
         return any(begin <= moment <= end for begin, end in self._repeated)

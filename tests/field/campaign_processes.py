@@ -174,6 +174,11 @@ class Processes:
         self._known = (max(frame_time, self._known[0]), now())
         return frame_time
 
+    def latest_time(self) -> float:
+        """Return the imager's time; while the service does not tell it, the latest that it can have, unix seconds."""
+        known, at = self._known
+        return self.frame_time() or known + (now() - at) * self.setting.speed
+
     def start_imager(self) -> None:
         """Start the imager a slot after the latest time that it can have shown, by day."""
         truth = self.folder / "truth.json"
