@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
@@ -20,6 +20,7 @@ class Options:
     share: Annotated[float, Ge(0.0), Lt(1.0)] | None = None
     exposures_us: tuple[Annotated[float, Gt(0.0)], ...] = (3000.0,)
     name: str = "roof"
+    transport: Literal["gige", "usb3"] | None = "gige"
     free: float = 0.0
 
     def __post_init__(self) -> None:
@@ -54,6 +55,7 @@ def test_what_is_within_the_bounds_is_taken(given: dict[str, object]) -> None:
         ({"share": 1.0}, "capture.share", "at least 0 and below 1"),
         ({"share": -0.1}, "capture.share", "at least 0 and below 1"),
         ({"exposures_us": (3.0, 0.0)}, "capture.exposures_us", "above 0"),
+        ({"transport": "mail"}, "capture.transport", 'one of "gige", "usb3"'),
     ],
 )
 def test_what_is_beyond_them_is_refused_with_its_path_and_what_is_allowed(
@@ -65,7 +67,7 @@ def test_what_is_beyond_them_is_refused_with_its_path_and_what_is_allowed(
 
 
 def test_fields_without_bounds_are_not_listed() -> None:
-    assert sorted(bounds_of(Options)) == ["attempts", "cadence_s", "exposures_us", "share"]
+    assert sorted(bounds_of(Options)) == ["attempts", "cadence_s", "exposures_us", "share", "transport"]
     assert bounds_text(bounds_of(Options)["share"]) == "at least 0 and below 1"
     assert bounds_text(()) == "a finite number"
 

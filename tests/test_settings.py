@@ -1,13 +1,57 @@
+"""Every setting: what is out of bounds, of a wrong type, misspelt or gone is refused with its dotted path."""
+
 from __future__ import annotations
 
+import json
+import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+from annotated_types import Ge, Gt, Le, Lt
 
-from sunarc.errors import ConfigurationError
-from sunarc.settings import load_settings
+from sunarc.bounds import OneOf, bounds_of
+from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions
+from sunarc.calibration.change_detection import WatchOptions
+from sunarc.cameras import AravisOptions
+from sunarc.detection import DiscOptions
+from sunarc.errors import ConfigurationError, InputError
+from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.supervisor import SupervisorOptions
+from sunarc.settings import REMOVED, Settings, all_settings, load_settings
+from sunarc.settings.reference import dataclass_in
+from sunarc.workers import CaptureOptions, RefitOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from sunarc.bounds import Bound
 
 SITE = "[site]\nlatitude = 36.6\nlongitude = -97.5\n"
+ROOT = Path(__file__).parents[1]
+STORED = Path(__file__).with_name("settings_0.2.0.toml")
+ALLOWED = {setting.name: setting.allowed for setting in all_settings()}
+NAMES = list(ALLOWED)
+
+
+def bounds_by_name() -> dict[str, tuple[Bound, ...]]:
+    """Return the declared bounds of every setting in a section."""
+    sections = {name: dataclass_in(field.annotation) for name, field in Settings.model_fields.items()}
+    found = {
+        f"{section}.{field}": bounds
+        for section, options in sections.items()
+        if options is not None
+        for field, bounds in bounds_of(options).items()
+    }
+    return {name: found.get(name, ()) for name in NAMES}
+
+
+BOUNDS = bounds_by_name()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("settings")
 
 
 def write(folder: Path, text: str) -> Path:
@@ -16,60 +60,220 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_sections_are_the_rooms_own_options(tmp_path: Path) -> None:
-    settings = load_settings(write(tmp_path, SITE + "[capture]\ncadence_s = 60\nhdr_exposures_us = [100, 200]\n"))
-    assert settings.capture.cadence_s == 60.0
-    assert settings.capture.hdr_exposures_us == (100.0, 200.0)
-    assert settings.site.latitude == 36.6
+def stored_with(folder: Path, name: str, value: str) -> Path:
+    """Write the stored settings with one value in place of another; `name` may be new."""
+    tables = tomllib.loads(STORED.read_text())
+    section, _, key = name.rpartition(".")
+    table = tables.setdefault(section, {}) if section else tables
+    table.pop(key, None)
+    lines = [f"{key} = {value}"] if not section else []
+    lines += [f"{one} = {json.dumps(other)}" for one, other in tables.items() if not isinstance(other, dict)]
+    for one, other in tables.items():
+        if isinstance(other, dict):
+            lines += [f"[{one}]", *(f"{field} = {json.dumps(given)}" for field, given in other.items())]
+            lines += [f"{key} = {value}"] if one == section else []
+    return write(folder, "\n".join(lines) + "\n")
 
 
-def test_the_environment_goes_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SUNARC_CAPTURE__CADENCE_S", "15")
-    monkeypatch.setenv("SUNARC_CAPTURE__HDR_EXPOSURES_US", "[50, 600]")
-    monkeypatch.setenv("SUNARC_NAME", "roof")
-    settings = load_settings(write(tmp_path, SITE + "[capture]\ncadence_s = 60\n"))
-    assert (settings.capture.cadence_s, settings.name) == (15.0, "roof")
-    assert settings.capture.hdr_exposures_us == (50.0, 600.0)
+def refusal(path: Path) -> str:
+    with pytest.raises(ConfigurationError) as refused:
+        load_settings(path)
+    text = str(refused.value)
+    assert "\n" not in text
+    return text.removeprefix(f"{path}: ")
+
+
+def in_toml(name: str, text: str) -> str:
+    """Write a value as the setting's list where it is one."""
+    section, _, key = name.rpartition(".")
+    value = tomllib.loads(STORED.read_text())[section][key]
+    return f"[{', '.join([text] * len(value))}]" if isinstance(value, list) else text
+
+
+def beyond(bounds: tuple[Bound, ...]) -> Iterator[float]:
+    """Yield a number beyond each bound, and the bound itself where it is excluded."""
+    for bound in bounds:
+        match bound:
+            case Gt(gt=limit) | Lt(lt=limit):
+                yield float(limit)  # type: ignore[arg-type]
+            case Ge(ge=limit):
+                yield float(limit) - 1.0  # type: ignore[arg-type]
+            case Le(le=limit):
+                yield float(limit) + 1.0  # type: ignore[arg-type]
+
+
+NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
+
+
+def test_a_settings_file_of_0_2_0_is_read_and_has_every_setting() -> None:
+    tables = tomllib.loads(STORED.read_text())
+    names = {f"{section}.{key}" for section, table in tables.items() if isinstance(table, dict) for key in table}
+    assert names | {name for name, value in tables.items() if not isinstance(value, dict)} == set(NAMES)
+    settings = load_settings(STORED)
+    assert settings.camera is not None
+    assert settings.replay is not None
+    for section, table in tables.items():
+        for key, value in table.items() if isinstance(table, dict) else ():
+            given = getattr(getattr(settings, section), key)
+            plain = list(given) if isinstance(given, tuple) else str(given) if isinstance(given, Path) else given
+            assert plain == value, f"{section}.{key}"
+
+
+def test_there_are_about_fifty_settings() -> None:
+    assert len(NAMES) <= 60
+
+
+def test_every_number_has_a_lower_and_an_upper_bound() -> None:
+    assert [name for name in NUMERIC if len(dict.fromkeys(BOUNDS[name])) != 2] == []
+
+
+@pytest.mark.parametrize("name", NUMERIC)
+def test_a_number_out_of_bounds_or_not_finite_is_refused_by_its_path(folder: Path, name: str) -> None:
+    whole = name in {"camera.packet_size", "camera.binning", "camera.region", "api.port"}
+    for number in dict.fromkeys(beyond(BOUNDS[name])):
+        given = str(int(number) if whole else number)
+        text = refusal(stored_with(folder, name, in_toml(name, given)))
+        assert text.startswith(f"{name}: {given} is ")
+    for given in ("nan", "inf", "true", '"12"'):
+        assert refusal(stored_with(folder, name, in_toml(name, given))).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_value_of_a_wrong_type_is_refused_by_its_path(folder: Path, name: str) -> None:
+    for wrong in ("1979-05-27", "true") if "number" in ALLOWED[name] else ("1.5", "[[1]]"):
+        text = refusal(stored_with(folder, name, wrong))
+        assert text.startswith(f"{name}: ")
+        assert text.endswith(f"give {ALLOWED[name]}")
+
+
+@pytest.mark.parametrize("name", [name for name, bounds in BOUNDS.items() if any(isinstance(b, OneOf) for b in bounds)])
+def test_a_choice_that_is_none_is_refused_with_the_choices(folder: Path, name: str) -> None:
+    text = refusal(stored_with(folder, name, '"other"'))
+    assert text.startswith(f"{name}: ")
+    assert ALLOWED[name] in text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_misspelt_name_is_refused_by_its_path(folder: Path, name: str) -> None:
+    text = refusal(stored_with(folder, f"{name}x", "1"))
+    assert text.startswith(f"{name}x: ")
+    assert name in text.removeprefix(f"{name}x: ")  # the nearest name is suggested
+
+
+def test_a_name_that_went_away_is_refused_with_its_remedy(folder: Path) -> None:
+    for name, remedy in REMOVED.items():
+        assert refusal(write(folder, f"{name} = 1\n{SITE}")) == f"{name}: is no longer a setting; {remedy}"
+
+
+def test_no_removed_name_is_a_setting_or_part_of_a_remedy() -> None:
+    words = {word.strip(",;()") for remedy in REMOVED.values() for word in remedy.split()}
+    assert set(REMOVED) & (set(NAMES) | words) == set()
+
+
+def test_sections_whose_settings_are_all_commented_out_are_read(folder: Path) -> None:
+    empty = "".join(f"[{section}]\n" for section in ("capture", "days", "refit.selection", "calibration.paper"))
+    assert load_settings(write(folder, SITE + empty)).capture == CaptureOptions()
+
+
+def test_a_variable_that_went_away_is_refused_with_its_remedy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUNARC_CALIBRATION__FREE", "pose")
+    assert refusal(write(folder, SITE)).startswith("calibration.free: ")
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("options", "given", "field"),
     [
-        (SITE + "[capture]\ncadance_s = 60\n", r"unknown setting capture\.cadance_s"),
-        ("colour = 1\n" + SITE, "unknown setting colour"),
-        (SITE + '[capture]\ncadence_s = "often"\n', r"capture\.cadence_s: .*number"),
-        (SITE + "[capture]\ncadence_s = -3\n", "capture: a duration is not positive"),
-        ("[site]\nlatitude = 136.6\nlongitude = -97.5\n", "site.latitude: 136.6 is not within -90 to 90"),
-        (
-            "[site]\nlatitude = 36.6\nlongitude = -97.5\ntemperature = 285.0\n",
-            "site.temperature: 285.0 is not within -60 to 60; give degrees Celsius",
-        ),
-        (
-            "[site]\nlatitude = 36.6\nlongitude = -97.5\npressure = 975.0\n",
-            "site.pressure: 975.0 is not within 30000 to 110000; give pascals",
-        ),
+        (DiscOptions, {"min_snr": -5.0}, "detection.min_snr"),
+        (CaptureOptions, {"sun_zenith_deg": 500.0}, "capture.sun_zenith_deg"),
+        (CaptureOptions, {"reopen_after_s": -5.0}, "capture.reopen_after_s"),
+        (CaptureOptions, {"reopen_after_s": 0.0}, "capture.reopen_after_s"),
+        (CaptureOptions, {"hdr_exposures_us": ()}, "capture.hdr_exposures_us"),
+        (AravisOptions, {"address": "192.0.2.7", "answer_timeout_s": 0.0}, "camera.answer_timeout_s"),
+        (CalibrationOptions, {"method": "guess"}, "calibration.method"),
+        (DayOptions, {"clear_share": 0.2}, "days.partly_share"),
+        (SelectionOptions, {"most": 0}, "refit.selection.most"),
+        (RefitOptions, {"image_circle_px": (1.0, 1.0, 0.0)}, "refit.image_circle_px"),
+        (SunExposureOptions, {"target_low": 0.8}, "sun_exposure.target_low"),
+        (SupervisorOptions, {"stale_after_s": 4.9}, "supervisor.stale_after_s"),
+        (WatchOptions, {"least_gain": 9.9}, "watch.least_gain"),
+    ],
+)
+def test_options_made_in_python_are_refused_by_the_same_path(options: Any, given: dict[str, Any], field: str) -> None:  # noqa: ANN401 - any options
+    with pytest.raises(InputError) as refused:
+        options(**given)
+    assert refused.value.field == field
+
+
+def test_the_defaults_are_within_their_bounds() -> None:
+    assert Settings.model_validate_json(load_settings(STORED).model_dump_json()) == load_settings(STORED)
+
+
+def test_the_environment_goes_before_the_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUNARC_CAPTURE__CADENCE_S", "15")
+    monkeypatch.setenv("SUNARC_CAPTURE__HDR_EXPOSURES_US", "[50, 600]")
+    monkeypatch.setenv("SUNARC_NAME", "roof")
+    settings = load_settings(write(folder, SITE + "[capture]\ncadence_s = 60\nsun_zenith_deg = 80\n"))
+    assert (settings.capture.cadence_s, settings.capture.sun_zenith_deg, settings.name) == (15.0, 80.0, "roof")
+    assert settings.capture.hdr_exposures_us == (50.0, 600.0)
+
+
+def test_an_unknown_variable_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUNARC_CAPTURE__CADANCE_S", "15")
+    assert refusal(write(folder, SITE)).startswith("capture.cadance_s: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "start"),
+    [
+        ("colour = 1\n" + SITE, "colour: "),
+        (SITE + "[capture]\ncadence_s = -3\n", "capture.cadence_s: -3"),
+        (SITE + "[capture.more]\ncadence_s = 3\n", "capture.more.cadence_s: "),
+        ("capture = 3\n" + SITE, "capture: "),
+        (SITE + "[day]\n", "day: "),
         ("", "setting site is missing"),
+        ("[site]\nlatitude = 36.6\n", "setting site.longitude is missing"),
         ("[site\n", "is not TOML"),
     ],
 )
-def test_a_wrong_setting_is_named_in_one_line(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(ConfigurationError, match=told) as caught:
-        load_settings(write(tmp_path, text))
-    assert "\n" not in str(caught.value)
+def test_a_wrong_file_is_refused_in_one_line(folder: Path, text: str, start: str) -> None:
+    assert refusal(write(folder, text)).startswith(start)
 
 
-def test_an_unknown_variable_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SUNARC_CAPTURE__CADANCE_S", "15")
-    with pytest.raises(ConfigurationError, match=r"unknown setting capture\.cadance_s"):
-        load_settings(write(tmp_path, SITE))
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"\xef\xbb\xbfname = 'mast'\n" + SITE.encode(), "mast"),
+        (("name = 'mast'\n" + SITE).replace("\n", "\r\n").encode(), "mast"),
+        (b"\xef\xbb\xbf" + SITE.replace("\n", "\r\n").encode(), "imager"),
+    ],
+)
+def test_a_byte_order_mark_and_windows_line_ends_are_read(folder: Path, data: bytes, name: str) -> None:
+    path = folder / "sunarc.toml"
+    path.write_bytes(data)
+    assert load_settings(path).name == name
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"absent\.toml"):
-        load_settings(tmp_path / "absent.toml")
+@pytest.mark.parametrize("data", [("name = 'm\xe4st'\n" + SITE).encode("latin-1"), SITE.encode("utf-16")])
+def test_a_file_that_is_not_utf_8_is_refused_in_one_line(folder: Path, data: bytes) -> None:
+    path = folder / "sunarc.toml"
+    path.write_bytes(data)
+    assert refusal(path).startswith("is not UTF-8")
 
 
-def test_the_shipped_example_can_be_run_with() -> None:
-    settings = load_settings(Path(__file__).parents[1] / "deploy" / "sunarc.toml")
+def test_a_file_that_is_not_there_is_named(folder: Path) -> None:
+    assert refusal(folder / "absent.toml").endswith("--config")
+
+
+def test_the_shipped_example_can_be_run_with_and_names_settings_alone() -> None:
+    path = ROOT / "deploy" / "sunarc.toml"
+    settings = load_settings(path)
     assert settings.camera is not None
     assert settings.camera.address == "192.168.0.2"
+    section, names = "", set()
+    for line in path.read_text().splitlines()[2:]:
+        bare = line.removeprefix("# ")
+        if bare.startswith("["):
+            section = bare[1 : bare.index("]")] + "."
+        elif " = " in bare:
+            names.add(section + bare.partition(" = ")[0])
+    assert names - set(NAMES) == set()

@@ -1,31 +1,46 @@
 """Bounds of options, declared beside their types: `cadence_s: Annotated[float, Gt(0.0), Le(3600.0)]`.
 
 The declaration is the only place: `require_bounds` checks it when options are made, `bounds_text` prints it in messages
-and in the settings reference, and pydantic reads the same marks when settings are loaded.
+and in the settings reference, and pydantic reads the same marks when settings are loaded. The choices of a `Literal`
+are checked in the same way.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.errors import InputError
 
-Bound = Gt | Ge | Lt | Le
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """The values that a `Literal` permits."""
+
+    choices: tuple[object, ...]
+
+
+Bound = Gt | Ge | Lt | Le | OneOf
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+Share = Annotated[float, Ge(0.0), Le(1.0)]
+Count = Annotated[int, Ge(1)]
 
 
 def require_bounds(options: object, *, section: str) -> None:
-    """Raise where a field of a dataclass is not finite or beyond its declared bounds.
+    """Raise where a field of a dataclass is not finite, beyond its declared bounds, or none of its choices.
 
     Parameters
     ----------
-    options : an instance of a dataclass whose fields may be annotated with bounds; None and texts have none.
-    section : dotted path of the options in the settings; prefixes the field's name in the error.
+    options : an instance of a dataclass whose fields may be annotated with bounds or be a `Literal`; None has neither.
+    section : dotted path of the options in the settings; prefixes the field's name in the error, unless empty.
 
     Raises
     ------
@@ -33,11 +48,11 @@ def require_bounds(options: object, *, section: str) -> None:
         Naming `section.field`, the value given and what is allowed.
     """
     for name, bounds in bounds_of(type(options)).items():
-        for value in _numbers(getattr(options, name)):
-            if not math.isfinite(value) or not all(_holds(bound, value) for bound in bounds):
+        for value in _values(getattr(options, name)):
+            if not all(_holds(bound, value) for bound in bounds):
                 raise InputError(
-                    field=f"{section}.{name}",
-                    problem=f"{value:g} is out of bounds",
+                    field=f"{section}.{name}".lstrip("."),
+                    problem=f"{value!r} is not allowed",
                     remedy=f"give {bounds_text(bounds)}",
                 )
 
@@ -49,16 +64,21 @@ def bounds_of(options: type) -> dict[str, tuple[Bound, ...]]:
 
 def bounds_text(bounds: tuple[Bound, ...]) -> str:
     """Return bounds in words, as "above 0 and at most 3600"."""
-    words = {Gt: "above {gt:g}", Ge: "at least {ge:g}", Lt: "below {lt:g}", Le: "at most {le:g}"}
-    texts = [
-        text.format(**limits_of(bound)) for bound in bounds for kind, text in words.items() if isinstance(bound, kind)
-    ]
-    return " and ".join(texts) or "a finite number"
+    return " and ".join(map(_text, bounds)) or "a finite number"
 
 
-def limits_of(bound: Bound) -> dict[str, Any]:
-    """Return the numbers of a bound by name."""
-    return {name: getattr(bound, name) for name in ("gt", "ge", "lt", "le") if hasattr(bound, name)}
+def _text(bound: Bound) -> str:
+    match bound:
+        case Gt():
+            return f"above {bound.gt:.12g}"
+        case Ge():
+            return f"at least {bound.ge:.12g}"
+        case Lt():
+            return f"below {bound.lt:.12g}"
+        case Le():
+            return f"at most {bound.le:.12g}"
+        case OneOf():
+            return "one of " + ", ".join(json.dumps(choice) for choice in bound.choices)
 
 
 @cache
@@ -72,29 +92,34 @@ def _declared(options: type) -> dict[str, tuple[Bound, ...]]:
 
 def _bounds_in(hint: Any) -> Iterator[Bound]:  # noqa: ANN401 - any annotation
     """Yield the bounds anywhere in an annotation: of the value, of an alternative to None, of a tuple's items."""
+    if get_origin(hint) is Literal:
+        yield OneOf(get_args(hint))
+        return
     yield from (mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Gt | Ge | Lt | Le))
     inner = (hint.__origin__,) if hasattr(hint, "__metadata__") else getattr(hint, "__args__", ())
     for one in inner:
         yield from _bounds_in(one)
 
 
-def _numbers(value: object) -> Iterator[float]:
-    if isinstance(value, bool):
-        return
-    if isinstance(value, int | float):
-        yield float(value)
-    elif isinstance(value, tuple):
+def _values(value: object) -> Iterator[Any]:
+    if isinstance(value, tuple):
         for item in value:
-            yield from _numbers(item)
+            yield from _values(item)
+    elif value is not None:
+        yield value
 
 
-def _holds(bound: Bound, value: float) -> bool:
+def _holds(bound: Bound, value: Any) -> bool:  # noqa: ANN401 - a number, or a choice
+    if isinstance(bound, OneOf):
+        return value in bound.choices
+    if not math.isfinite(value):
+        return False
     match bound:
         case Gt():
-            return bool(value > bound.gt)  # type: ignore[operator]
+            return bool(value > bound.gt)
         case Ge():
-            return bool(value >= bound.ge)  # type: ignore[operator]
+            return bool(value >= bound.ge)
         case Lt():
-            return bool(value < bound.lt)  # type: ignore[operator]
+            return bool(value < bound.lt)
         case Le():
-            return bool(value <= bound.le)  # type: ignore[operator]
+            return bool(value <= bound.le)

@@ -31,7 +31,7 @@ from sunarc.errors import InputError
 def test_wrong_settings_are_refused(wrong: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as caught:
         AravisOptions(**{"address": "192.0.2.7", **wrong})
-    assert caught.value.field == field
+    assert caught.value.field == f"camera.{field}"
 
 
 def test_wrong_replays_are_refused() -> None:

@@ -125,9 +125,9 @@ def test_real_detections_of_a_consumer_fisheye_fit_to_less_than_a_pixel(sunarc: 
     ("change", "told"),
     [
         (("--image-size", "big"), "--image-size: 'big' is not W,H"),
-        (("--projection", "mercator"), "projection: 'mercator' is unknown"),
-        (("--latitude", "136"), "latitude: 136.0 is not within -90 to 90"),
-        (("--mirrored", "perhaps"), "mirrored: 'perhaps' is unknown"),
+        (("--projection", "mercator"), "projection: 'mercator' is not allowed"),
+        (("--latitude", "136"), "latitude: 136.0 is not allowed"),
+        (("--mirrored", "perhaps"), "mirrored: 'perhaps' is not allowed"),
         (("--image-size", "500,500"), "is outside the 500x500 image"),
     ],
 )

@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sunarc.offline.settings_reference import all_settings, as_markdown, attributes_of
+from sunarc.settings import all_settings, as_markdown
+from sunarc.settings.reference import attributes_of
 
 if TYPE_CHECKING:
     from .conftest import Sunarc
@@ -29,7 +30,7 @@ def test_the_command_prints_the_same_settings_as_json(sunarc: Sunarc) -> None:
     by_name = {row["name"]: row for row in printed}
     assert by_name["site.latitude"]["default"] == "required"
     assert by_name["capture.cadence_s"]["default"] == "30.0"
-    assert by_name["camera.transport"]["allowed"] == '`"gige"`, `"usb3"`'
+    assert by_name["camera.transport"]["allowed"] == 'one of "gige", "usb3"'
 
 
 def test_an_attribute_section_is_read_over_several_lines() -> None:

@@ -66,7 +66,6 @@ check_every_s = 1.0
 [disk]
 keep_days = 1.0
 keep_free_mb = 100.0
-check_every_s = 1.0
 [api]
 port = {port}
 token_file = "{token}"

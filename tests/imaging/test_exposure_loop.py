@@ -213,7 +213,7 @@ def test_spoiled_cycles_are_counted_over_clouds() -> None:
 def test_options_at_a_bound_that_makes_no_sense_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(InputError) as caught:
         SunExposureOptions(**change)  # type: ignore[arg-type]
-    assert caught.value.field == "SunExposureOptions"
+    assert caught.value.field == f"sun_exposure.{next(iter(change))}"
 
 
 def test_options_just_within_their_bounds_are_taken() -> None:

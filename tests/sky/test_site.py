@@ -38,8 +38,9 @@ def test_what_is_no_place_is_refused_by_name_and_with_the_unit(field: str, value
 )
 def test_the_air_is_bounded_on_both_sides(field: str, accepted: float, refused: float) -> None:
     assert getattr(Site(**{"latitude": 36.6, "longitude": -97.5, field: accepted}), field) == accepted
-    with pytest.raises(InputError, match=f"site.{field}: .* is not within"):
+    with pytest.raises(InputError) as caught:
         Site(**{"latitude": 36.6, "longitude": -97.5, field: refused})
+    assert caught.value.field == f"site.{field}"
 
 
 def test_a_site_in_other_air_keeps_its_place_and_what_was_not_measured() -> None:

@@ -30,8 +30,6 @@ address = "127.0.0.9"
 [api]
 port = {port}
 token_file = "{token}"
-max_connections = 300
-request_within_s = 20.0
 """
 GIGABYTE = 1 << 30
 MEGABYTE = 1 << 20
@@ -157,7 +155,7 @@ def test_a_thousand_open_connections_keep_nobody_out(flat: Running) -> None:
             held.append(connection)
         assert flat.get("/healthz") == 200
         assert flat.get("/readyz") == 200
-        assert flat.open_files() < 400
+        assert flat.open_files() < 612  # api.max_connections is 512
     finally:
         for connection in held:
             connection.close()

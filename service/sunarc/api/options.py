@@ -5,7 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from annotated_types import Ge, Le
+
+from sunarc.bounds import Count, require_bounds
 from sunarc.errors import InputError
 
 MIN_RATE_BYTES_PER_S = 4000.0
@@ -13,16 +17,6 @@ MIN_RATE_BYTES_PER_S = 4000.0
 
 _MAX_ALLOWED_HOSTS = 64
 _HOST_NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9._-]{0,252})")
-_COUNTS = (
-    "max_body_bytes",
-    "max_array_bytes",
-    "max_points",
-    "max_rows",
-    "max_large_at_once",
-    "max_connections",
-    "max_at_once",
-    "burst",
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,34 +47,26 @@ class ApiOptions:
     """
 
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: Annotated[int, Ge(0), Le(65_535)] = 8080
     token_file: Path | None = None
     read_token_file: Path | None = None
     allowed_hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
-    max_body_bytes: int = 8_000_000
-    max_array_bytes: int = 100_000_000
-    max_points: int = 100_000
-    max_rows: int = 4_000_000
-    max_large_at_once: int = 4
+    max_body_bytes: Count = 8_000_000
+    max_array_bytes: Count = 100_000_000
+    max_points: Count = 100_000
+    max_rows: Count = 4_000_000
+    max_large_at_once: Count = 4
     obstruction_mask: Path | None = None
-    max_connections: int = 512
-    max_at_once: int = 128
-    requests_per_s: float = 100.0
-    burst: int = 400
-    request_within_s: float = 30.0
+    max_connections: Count = 512
+    max_at_once: Count = 128
+    requests_per_s: Annotated[float, Ge(0.0), Le(1e6)] = 100.0
+    burst: Count = 400
+    request_within_s: Annotated[float, Ge(0.1), Le(3600.0)] = 30.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be served."""
-        if not 0 <= self.port <= 65_535:
-            raise InputError(field="api.port", problem=f"{self.port} is no port", remedy="give 0 to 65535")
-        for name in _COUNTS:
-            if getattr(self, name) < 1:
-                raise InputError(field=f"api.{name}", problem="not positive", remedy="give a number of at least 1")
-        if self.requests_per_s < 0.0:
-            raise InputError(field="api.requests_per_s", problem="negative", remedy="give 0 for no limit")
-        if not 0.1 <= self.request_within_s <= 3600.0:
-            raise InputError(field="api.request_within_s", problem="out of bounds", remedy="give 0.1 to 3600 seconds")
+        require_bounds(self, section="api")
         _check_hosts(self.allowed_hosts)
         for origin in self.cors_origins:
             if not origin.startswith(("http://", "https://")) or origin.count("/") != 2:

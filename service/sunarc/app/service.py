@@ -13,6 +13,7 @@ import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, ImageStore, Recovery, Refit, Reserve
+from sunarc.calibration import DayOptions
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
@@ -103,7 +104,7 @@ class Service:
             site=settings.site,
             cadence_s=settings.capture.cadence_s,
             sun_zenith_deg=settings.capture.sun_zenith_deg,
-            options=settings.days,
+            options=DayOptions(),
             now=self.frame_time.now,
             request_refit=self.request_refit,
         )

@@ -13,7 +13,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
+from annotated_types import Ge, Gt, Le
+
+from sunarc.bounds import require_bounds
 from sunarc.errors import InputError, OutsideError
 
 _STAMP = "%Y%m%dT%H%M%S"
@@ -34,19 +38,16 @@ class DiskOptions:
     keep_days : images older than this are removed.
     keep_free_mb : megabytes (10⁶ bytes) that images leave free; the oldest go first.
     reserve_mb : megabytes held in a file, and given to the database when the disk is full all the same.
-    check_every_s : seconds from look to look.
     """
 
-    keep_days: float = 30.0
-    keep_free_mb: float = 1200.0
-    reserve_mb: float = 32.0
-    check_every_s: float = 10.0
+    keep_days: Annotated[float, Gt(0.0), Le(36_500.0)] = 30.0
+    keep_free_mb: Annotated[float, Ge(1.0), Le(1e9)] = 1200.0
+    reserve_mb: Annotated[float, Ge(0.0), Le(1e6)] = 32.0
 
     def __post_init__(self) -> None:
         """Refuse what leaves the database no room."""
-        if min(self.keep_days, self.check_every_s) <= 0.0 or self.reserve_mb < 0.0:
-            raise InputError(field="disk", problem="a limit is not positive", remedy="give days, megabytes and seconds")
-        if self.keep_free_mb < max(2.0 * self.reserve_mb, 1.0):
+        require_bounds(self, section="disk")
+        if self.keep_free_mb < 2.0 * self.reserve_mb:
             raise InputError(
                 field="disk.keep_free_mb", problem="less than twice the reserve", remedy="raise it, or lower reserve_mb"
             )

@@ -91,7 +91,7 @@ def calibrate_moved(
         return calibrate(given, site=site, image_size=image_size, options=chosen, circle=circle, start=begin)
 
     solved = fit(points, start)
-    if np.any(points.epoch != points.epoch[:1]) or chosen.method != "robust" or chosen.free != "all":
+    if np.any(points.epoch != points.epoch[:1]) or chosen.method != "robust":
         return Moved(solved, points)
     usable = filter_sightings(points, site=site)
     for _ in range(_MOST):

@@ -71,10 +71,10 @@ def find_pose_steps(
 
     Returns
     -------
-    None are found by a method or options without a free pose and lens, or where no lens fits any few days.
+    None are found by the paper's method, or where no lens fits any few days.
     """
     chosen = CalibrationOptions() if options is None else options
-    if chosen.method != "robust" or chosen.free != "all":
+    if chosen.method != "robust":
         return ()
     search = _Search(site=site, image_size=image_size, options=chosen, circle=circle)
     steps: list[PoseStep] = []

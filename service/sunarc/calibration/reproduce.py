@@ -50,7 +50,7 @@ def _options(stored: Mapping[str, object]) -> CalibrationOptions:
     if not stored:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
     named = _named(stored)
-    if named.get("free") == "pose":
+    if named.pop("free", "all") == "pose":
         raise InputError(
             field="evidence.options.free",
             problem="only the pose was fitted, with another calibration's lens",

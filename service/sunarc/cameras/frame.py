@@ -124,12 +124,12 @@ class SkyCamera(Protocol):
         """Let go of the camera; harmless when done twice."""
 
 
-def full_scale_of(pixel_format: str) -> int:
-    """Return the largest count of a single-channel pixel format (GenICam's names)."""
+def full_scale_of(pixel_format: str, *, field: str = "pixel_format") -> int:
+    """Return the largest count of a single-channel pixel format (GenICam's names); `field` names it in the error."""
     match = _SINGLE_CHANNEL.fullmatch(pixel_format)
     if match is None:
         raise InputError(
-            field="pixel_format",
+            field=field,
             problem=f"{pixel_format!r} is not a single-channel format that can be decoded",
             remedy="use Mono8, Mono10, Mono12, Mono14, Mono16, Mono10p, Mono12p, Mono10Packed, Mono12Packed, or a "
             "Bayer format of the same depths",

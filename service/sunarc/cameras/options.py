@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+from annotated_types import Ge, Le
+
+from sunarc.bounds import require_bounds
 from sunarc.cameras.frame import full_scale_of
 from sunarc.errors import InputError
+
+Pixels = Annotated[int, Ge(0), Le(100_000)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,38 +41,29 @@ class AravisOptions:
 
     address: str
     transport: Literal["gige", "usb3"] = "gige"
-    packet_size: int | None = None
+    packet_size: Annotated[int, Ge(576), Le(65_000)] | None = None
     packet_socket: bool = True
     pixel_format: str = "Mono12"
-    binning: int = 1
-    region: tuple[int, int, int, int] | None = None
-    gain_db: float = 0.0
-    black_level: float | None = None
+    binning: Annotated[int, Ge(1), Le(16)] = 1
+    region: tuple[Pixels, Pixels, Pixels, Pixels] | None = None
+    gain_db: Annotated[float, Ge(-20.0), Le(60.0)] = 0.0
+    black_level: Annotated[float, Ge(-1e6), Le(1e6)] | None = None
     timestamps: Literal["host", "camera"] = "host"
     timestamp_scale: Literal["utc", "tai"] = "utc"
-    timestamp_offset_s: float = 0.0
-    answer_timeout_s: float = 1.0
+    timestamp_offset_s: Annotated[float, Ge(-3600.0), Le(3600.0)] = 0.0
+    answer_timeout_s: Annotated[float, Ge(0.05), Le(60.0)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what no camera could be opened with."""
-        _require_one_of("transport", self.transport, ("gige", "usb3"))
+        require_bounds(self, section="camera")
         if self.transport == "gige":
             _require_address(self.address)
         elif not self.address.strip():
-            raise InputError(field="address", problem="is empty", remedy="give the id that arv-tool-0.8 lists")
-        full_scale_of(self.pixel_format)
-        _require_one_of("timestamps", self.timestamps, ("host", "camera"))
-        _require_one_of("timestamp_scale", self.timestamp_scale, ("utc", "tai"))
-        _require_within("timestamp_offset_s", self.timestamp_offset_s, -3600.0, 3600.0, "give seconds")
-        if self.packet_size is not None:
-            _require_within("packet_size", self.packet_size, 576, 65_000, "give bytes, at most the network's MTU")
-        _require_within("binning", self.binning, 1, 16, "give a whole number of pixels")
-        _require_within("gain_db", self.gain_db, -20.0, 60.0, "give decibels")
-        _require_within("answer_timeout_s", self.answer_timeout_s, 0.05, 60.0, "give seconds")
-        if self.region is not None and (min(self.region[:2]) < 0 or min(self.region[2:]) < 1):
-            raise InputError(
-                field="region", problem=f"{self.region} is no rectangle", remedy="give x, y, width, height in px"
-            )
+            raise InputError(field="camera.address", problem="is empty", remedy="give the id that arv-tool-0.8 lists")
+        full_scale_of(self.pixel_format, field="camera.pixel_format")
+        if self.region is not None and min(self.region[2:]) < 1:
+            problem = f"{self.region} has no width or height"
+            raise InputError(field="camera.region", problem=problem, remedy="give x, y, width, height in px")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,14 +79,13 @@ class ReplayOptions:
 
     folder: Path
     pixel_format: str | None = None
-    exposure_us: float | None = None
+    exposure_us: Annotated[float, Ge(0.01), Le(1e9)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be played."""
+        require_bounds(self, section="replay")
         if self.pixel_format is not None:
-            full_scale_of(self.pixel_format)
-        if self.exposure_us is not None:
-            _require_within("exposure_us", self.exposure_us, 0.01, 1e9, "give microseconds")
+            full_scale_of(self.pixel_format, field="replay.pixel_format")
 
 
 def _require_address(address: str) -> None:
@@ -99,16 +93,5 @@ def _require_address(address: str) -> None:
         ipaddress.ip_address(address)
     except ValueError:
         raise InputError(
-            field="address", problem=f"{address!r} is no IP address", remedy="give the camera's fixed address"
+            field="camera.address", problem=f"{address!r} is no IP address", remedy="give the camera's fixed address"
         ) from None
-
-
-def _require_one_of(field: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        known = " or ".join(repr(choice) for choice in choices)
-        raise InputError(field=field, problem=f"{value!r} is unknown", remedy=f"use {known}")
-
-
-def _require_within(field: str, value: float, low: float, high: float, remedy: str) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(field=field, problem=f"{value} is not within {low:g} to {high:g}", remedy=remedy)

@@ -81,11 +81,11 @@ def calibrate(
             projection=projection,  # type: ignore[arg-type]
             mirrored=mirrored,  # type: ignore[arg-type]
             level_within_deg=level_within,
-            free="pose" if pose_only else "all",
         ),
         clock=SystemClock(),
         circle=None if image_circle is None else offline.image_circle_of(image_circle),
         start=start,
+        pose_only=pose_only,
         plots=plots,
     )
     if as_json:

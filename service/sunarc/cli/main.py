@@ -24,10 +24,9 @@ from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks as doctor
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
-from sunarc.offline import settings_reference
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
-from sunarc.settings import load_settings
+from sunarc.settings import all_settings, as_markdown, load_settings
 from sunarc.sky import Site
 
 _SITE = "Where the camera stands"
@@ -249,9 +248,9 @@ def settings(*, as_json: AsJson = False) -> None:
     Example: sunarc settings --json
     """
     if as_json:
-        print_json([asdict(setting) for setting in settings_reference.all_settings()])
+        print_json([asdict(setting) for setting in all_settings()])
     else:
-        print(settings_reference.as_markdown(), end="")
+        print(as_markdown(), end="")
 
 
 @cli.command()

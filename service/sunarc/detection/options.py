@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
-from sunarc.errors import InputError
+from annotated_types import Ge, Gt, Le, Lt
+
+from sunarc.bounds import NonNegative, Positive, Share, require_bounds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,30 +42,30 @@ class DiscOptions:
         3e-5; behind a filter of density 4 or more set this, or better `clear_level_per_us`, to what the filter leaves.
     """
 
-    psf_px: float = 0.7
-    psf_tolerance: float = 0.3
-    wings_tolerance: float = 0.05
-    limb_darkening: float = 0.6
-    solar_radius_deg: float = 0.2666
-    saturation_fraction: float = 0.98
-    min_peak_fraction: float = 0.01
-    min_accepted_fraction: float = 0.07
-    min_snr: float = 12.0
-    min_radius_px: float = 1.2
-    max_radius_px: float = 10.0
-    max_ellipticity: float = 0.6
-    max_uneven_px: float = 0.03
-    max_residual_fraction: float = 0.02
-    max_sigma_px: float = 0.06
-    veiled_below: float = 0.5
-    max_apparent_zenith_deg: float = 89.6
-    clear_level_per_us: float = 0.0
-    faintest_share: float = 1e-4
-    faintest_level_per_us: float = 1e-4
+    psf_px: Annotated[float, Gt(0.0), Le(20.0)] = 0.7
+    psf_tolerance: Positive = 0.3
+    wings_tolerance: Positive = 0.05
+    limb_darkening: Share = 0.6
+    solar_radius_deg: Annotated[float, Gt(0.0), Le(1.0)] = 0.2666
+    saturation_fraction: Annotated[float, Gt(0.0), Le(1.0)] = 0.98
+    min_peak_fraction: Share = 0.01
+    min_accepted_fraction: Share = 0.07
+    min_snr: Annotated[float, Gt(0.0), Le(1e4)] = 12.0
+    min_radius_px: Positive = 1.2
+    max_radius_px: Positive = 10.0
+    max_ellipticity: Annotated[float, Gt(0.0), Lt(1.0)] = 0.6
+    max_uneven_px: Positive = 0.03
+    max_residual_fraction: Positive = 0.02
+    max_sigma_px: Positive = 0.06
+    veiled_below: Share = 0.5
+    max_apparent_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
+    clear_level_per_us: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    faintest_share: Share = 1e-4
+    faintest_level_per_us: NonNegative = 1e-4
 
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""
-        require_positive(self, self.psf_px, self.solar_radius_deg, self.min_radius_px, self.max_radius_px)
+        require_bounds(self, section="detection")
 
     def binned(self, binning: int) -> DiscOptions:
         """Return the same options in the pixels of an image whose camera joins so many in either direction."""
@@ -75,11 +77,3 @@ class DiscOptions:
             min_radius_px=self.min_radius_px / binning,
             max_radius_px=self.max_radius_px / binning,
         )
-
-
-def require_positive(options: object, *numbers: float) -> None:
-    """Raise InputError unless the numbers are positive and all of the options' own are finite."""
-    name = type(options).__name__
-    own = [getattr(options, field.name) for field in fields(options)]  # type: ignore[arg-type]
-    if not all(math.isfinite(value) for value in own if isinstance(value, float)) or min(numbers) <= 0.0:
-        raise InputError(field=name, problem="a number is not positive or not finite", remedy="give positive numbers")

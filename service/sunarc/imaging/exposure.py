@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
+from annotated_types import Ge, Gt, Le, Lt
+
+from sunarc.bounds import Count, require_bounds
 from sunarc.errors import InputError
 
 _OPTICAL_DEPTH = 0.3
@@ -28,29 +32,22 @@ class SunExposureOptions:
     spoiled_after : cycles in which even the shortest exposure was burnt beyond use, after which it is said.
     """
 
-    target_low: float = 0.4
-    target_high: float = 0.8
-    first_us: float = 20.0
-    bracket_ratio: float = 4.0
-    max_change: float = 16.0
-    lost_after: int = 3
-    steady_after: int = 2
-    low_sun_zenith_deg: float = 80.0
-    spoiled_after: int = 20
+    target_low: Annotated[float, Gt(0.0), Lt(1.0)] = 0.4
+    target_high: Annotated[float, Gt(0.0), Lt(1.0)] = 0.8
+    first_us: Annotated[float, Gt(0.0), Le(1e9)] = 20.0
+    bracket_ratio: Annotated[float, Gt(1.0)] = 4.0
+    max_change: Annotated[float, Gt(1.0)] = 16.0
+    lost_after: Count = 3
+    steady_after: Count = 2
+    low_sun_zenith_deg: Annotated[float, Ge(0.0), Le(180.0)] = 80.0
+    spoiled_after: Count = 20
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        if not 0.0 < self.target_low < self.target_high < 1.0:
-            raise InputError(
-                field="SunExposureOptions", problem="the target is no band within 0 … 1", remedy="say 0.4 and 0.8"
-            )
-        if (
-            min(self.first_us, self.bracket_ratio - 1.0, self.max_change - 1.0) <= 0.0
-            or min(self.lost_after, self.spoiled_after) < 1
-        ):
-            raise InputError(
-                field="SunExposureOptions", problem="a factor or time is out of range", remedy="give factors above 1"
-            )
+        require_bounds(self, section="sun_exposure")
+        if self.target_low >= self.target_high:
+            problem = f"{self.target_low:g} is not below sun_exposure.target_high = {self.target_high:g}"
+            raise InputError(field="sun_exposure.target_low", problem=problem, remedy="give e.g. 0.4 and 0.8")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,9 +35,13 @@ def calibrate_file(
     clock: Clock,
     circle: ImageCircle | None = None,
     start: Path | None = None,
+    pose_only: bool = False,
     plots: Path | None = None,
 ) -> dict[str, Any]:
-    """Fit a file of sightings, draw what it says into a folder where one is named, and return the document."""
+    """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
+
+    `pose_only` keeps the lens of the calibration `start` and fits its pose alone.
+    """
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(
@@ -48,7 +52,7 @@ def calibrate_file(
         pressure=table.pressure,
     )
     known = None if start is None else read_calibration(start)
-    if known is not None and options.free == "pose":
+    if known is not None and pose_only:
         solved = estimate_pose(points, start=_of_size(known, image_size), site=site, options=options)
     else:
         begin = None if known is None else known.camera

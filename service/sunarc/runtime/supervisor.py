@@ -7,9 +7,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
-from sunarc.errors import InputError, OutsideError
+from annotated_types import Ge, Le
+
+from sunarc.bounds import Positive, require_bounds
+from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat, Monitor, Monitored, Staleness
 from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
@@ -19,7 +22,6 @@ _log = logging.getLogger(__name__)
 _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
 _RETRY_FAILED_S = 300.0  # of a worker that died too often; as systemd retries the service (sunarc-retry.timer)
-_LEAST_STALE_S = 5.0
 
 
 class Worker(Protocol):
@@ -39,20 +41,13 @@ class SupervisorOptions:
     stale_after_s : a worker without a heartbeat for longer is stuck; systemd's watchdog is then no longer fed.
     """
 
-    max_restarts: int = 5
-    within_s: float = 600.0
-    stale_after_s: float = 120.0
+    max_restarts: Annotated[int, Ge(0)] = 5
+    within_s: Positive = 600.0
+    stale_after_s: Annotated[float, Ge(5.0), Le(3600.0)] = 120.0  # a worker shows signs of life every second
 
     def __post_init__(self) -> None:
         """Refuse what would give up at once, or take a busy worker for stuck."""
-        if self.max_restarts < 0:
-            raise InputError(field="supervisor.max_restarts", problem="below 0", remedy="give 0 or more")
-        if self.within_s <= 0.0 or self.stale_after_s < _LEAST_STALE_S:
-            raise InputError(
-                field="supervisor",
-                problem=f"within_s is not positive, or stale_after_s below {_LEAST_STALE_S:g}",
-                remedy="give seconds; a worker shows signs of life every second",
-            )
+        require_bounds(self, section="supervisor")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

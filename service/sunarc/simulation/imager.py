@@ -12,10 +12,13 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
+from sunarc.bounds import require_bounds
 from sunarc.cameras import Counts, full_scale_of, pack, packing_of
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
@@ -40,6 +43,7 @@ _DARK_US = 1e-6
 """Exposure, µs, in which even the sun leaves no count: a closed dome."""
 SLOWEST = 10.0
 """Speed that an overloaded host is not slowed below."""
+ExposureUs = Annotated[int, Ge(1), Lt(2**32)]
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -68,15 +72,15 @@ class ImagerOptions:
 
     address: str = "127.0.0.1"
     start: datetime = datetime(2013, 5, 13, 12, tzinfo=UTC)
-    speed: float = 1.0
+    speed: Annotated[float, Gt(0.0), Le(100_000.0)] = 1.0
     skip_nights: bool = True
     site: Site = SGP
     lens_seed: int = 0
     clouds: str = "clear"
     scene: SceneOptions = field(default_factory=SceneOptions)
     sensor: SensorModel = field(default_factory=SensorModel)
-    exposure_min_us: int = 1
-    exposure_max_us: int = 10_000_000
+    exposure_min_us: ExposureUs = 1
+    exposure_max_us: ExposureUs = 10_000_000
     real_exposures: bool = False
     serial: str = "SIM-0001"
     name: str = "simulated"
@@ -87,10 +91,9 @@ class ImagerOptions:
         """Refuse what cannot be simulated."""
         if self.start.tzinfo is None:
             raise InputError(field="start", problem="has no time zone", remedy="give UTC, as 2013-05-13T12:00:00Z")
-        if not 0.0 < self.speed <= 100_000.0:
-            raise InputError(field="speed", problem=f"{self.speed} is not positive", remedy="give 1 for real time")
-        if not 1 <= self.exposure_min_us < self.exposure_max_us < 2**32:
-            raise InputError(field="exposure_min_us", problem="out of bounds", remedy="give whole microseconds")
+        require_bounds(self, section="")
+        if self.exposure_min_us >= self.exposure_max_us:
+            raise InputError(field="exposure_min_us", problem="not below exposure_max_us", remedy="lower it")
         _weathers(self.clouds)
 
 

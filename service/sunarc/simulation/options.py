@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
+from annotated_types import Ge, Gt, Le, Lt
+
+from sunarc.bounds import NonNegative, Positive, Share, require_bounds
 from sunarc.errors import InputError
 
 Weather = Literal["clear", "veil", "broken", "overcast"]
@@ -56,21 +59,16 @@ class SensorModel:
     smear_us_per_row : exposure that every row gets of every other row of its column while the charge is moved.
     """
 
-    full_well_e: float = 20_000.0
-    read_noise_e: float = 12.0
-    black_level: float = 32.0 / 4095.0
-    hot_pixels: int = 40
-    blooming: float = 0.0
-    smear_us_per_row: float = 2e-3
+    full_well_e: Positive = 20_000.0
+    read_noise_e: NonNegative = 12.0
+    black_level: Annotated[float, Ge(0.0), Lt(0.5)] = 32.0 / 4095.0
+    hot_pixels: Annotated[int, Ge(0)] = 40
+    blooming: Share = 0.0
+    smear_us_per_row: NonNegative = 2e-3
 
     def __post_init__(self) -> None:
         """Refuse what is no sensor."""
-        _require(field="full_well_e", good=self.full_well_e > 0.0, remedy="give electrons")
-        _require(field="read_noise_e", good=self.read_noise_e >= 0.0, remedy="give electrons")
-        _require(field="black_level", good=0.0 <= self.black_level < 0.5, remedy="give a fraction of full scale")
-        _require(field="hot_pixels", good=self.hot_pixels >= 0, remedy="give a number of pixels")
-        _require(field="blooming", good=0.0 <= self.blooming <= 1.0, remedy="give 0 to 1")
-        _require(field="smear_us_per_row", good=self.smear_us_per_row >= 0.0, remedy="give microseconds")
+        require_bounds(self, section="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,34 +98,23 @@ class SceneOptions:
     seed: int = 0
     weather: tuple[Weather, ...] = ("clear",)
     first_day: date = date(2013, 5, 13)
-    sun_rate: float = 3.0
-    nd_transmission: float = 1.0
-    limb_darkening: float = 0.6
-    psf_sigma_px: float = 0.7
-    glare_strength: float = 2.5e-4
-    sky_strength: float = 4e-6
-    ghost_strength: float = 0.0
-    sun_cover: float = 0.0
+    sun_rate: Annotated[float, Gt(0.0), Lt(1e6)] = 3.0
+    nd_transmission: Annotated[float, Gt(0.0), Le(1.0)] = 1.0
+    limb_darkening: Share = 0.6
+    psf_sigma_px: Annotated[float, Ge(0.05), Le(20.0)] = 0.7
+    glare_strength: NonNegative = 2.5e-4
+    sky_strength: NonNegative = 4e-6
+    ghost_strength: NonNegative = 0.0
+    sun_cover: Share = 0.0
     moon_at: tuple[float, float] | None = None
-    field_deg: float = 93.0
+    field_deg: Annotated[float, Ge(10.0), Le(120.0)] = 93.0
     obstructions: tuple[Obstruction, ...] = ()
     bump: Bump | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no scene."""
-        known = bool(self.weather) and all(weather in WEATHERS for weather in self.weather)
-        _require(field="weather", good=known, remedy=f"use {', '.join(WEATHERS)}")
-        _require(field="sun_rate", good=0.0 < self.sun_rate < 1e6, remedy="give full scales per microsecond")
-        _require(field="nd_transmission", good=0.0 < self.nd_transmission <= 1.0, remedy="give 0 to 1")
-        _require(field="limb_darkening", good=0.0 <= self.limb_darkening <= 1.0, remedy="give 0 to 1")
-        _require(field="psf_sigma_px", good=0.05 <= self.psf_sigma_px <= 20.0, remedy="give 0.05 to 20 px")
-        _require(field="ghost_strength", good=self.ghost_strength >= 0.0, remedy="give 0 or more")
-        _require(field="sun_cover", good=0.0 <= self.sun_cover <= 1.0, remedy="give 0 to 1")
-        zenith = 0.0 if self.moon_at is None else self.moon_at[0]
-        _require(field="moon_at", good=0.0 <= zenith <= 180.0, remedy="give a zenith angle of 0 to 180, and an azimuth")
-        _require(field="field_deg", good=10.0 <= self.field_deg <= 120.0, remedy="give 10 to 120 degrees")
-
-
-def _require(*, field: str, good: bool, remedy: str) -> None:
-    if not good:
-        raise InputError(field=field, problem="out of its bounds", remedy=remedy)
+        require_bounds(self, section="")
+        if not self.weather:
+            raise InputError(field="weather", problem="is empty", remedy=f"use {', '.join(WEATHERS)}")
+        if self.moon_at is not None and not 0.0 <= self.moon_at[0] <= 180.0:
+            raise InputError(field="moon_at", problem="no zenith angle", remedy="give 0 to 180, and an azimuth")

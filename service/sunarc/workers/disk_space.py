@@ -13,7 +13,9 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
-_POLL_S = 1.0
+_POLL_S = 1.0  # the heartbeat's
+_CHECK_EVERY_S = 5.0
+"""Seconds from check to check: a full cycle's images in between are far below what is kept free."""
 _UNREADABLE = "images_unreadable"
 
 
@@ -57,8 +59,8 @@ class DiskWorker:
             heartbeat()
             if self._clock.monotonic() >= due_s:
                 self.look()
-                due_s = self._clock.monotonic() + self._options.check_every_s
-            self._clock.wait(stop, min(_POLL_S, self._options.check_every_s))
+                due_s = self._clock.monotonic() + _CHECK_EVERY_S
+            self._clock.wait(stop, _POLL_S)
 
     def look(self) -> None:
         """Look once; a folder that cannot be read is shown, and looked at again."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from annotated_types import Ge, Gt, Le, Lt
+
+from sunarc.bounds import require_bounds
 from sunarc.cameras import Frame
 from sunarc.detection import Sensor, bayer_of
-from sunarc.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,17 +24,14 @@ class SensorOptions:
     blooming : a saturated pixel spills into its neighbours.
     """
 
-    full_well_e: float = 20_000.0
-    read_noise_e: float = 12.0
-    black_level_fraction: float = 0.0
+    full_well_e: Annotated[float, Gt(0.0), Le(1e7)] = 20_000.0
+    read_noise_e: Annotated[float, Ge(0.0), Le(1e6)] = 12.0
+    black_level_fraction: Annotated[float, Ge(0.0), Lt(1.0)] = 0.0
     blooming: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no sensor has."""
-        if self.full_well_e <= 0.0 or self.read_noise_e < 0.0 or not 0.0 <= self.black_level_fraction < 1.0:
-            raise InputError(
-                field="sensor", problem="a value is out of bounds", remedy="give electrons, and a fraction below 1"
-            )
+        require_bounds(self, section="sensor")
 
 
 def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:

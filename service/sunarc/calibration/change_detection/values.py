@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
-from sunarc.errors import InputError
+from sunarc.bounds import Positive, require_bounds
 from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
@@ -32,20 +33,14 @@ class WatchOptions:
     least_agreeing : fewest sightings after the change that agree on it.
     """
 
-    wander_deg: float = 0.01
-    wander_hours: float = 2.0
-    least_gain: float = 20.0
-    least_agreeing: int = 4
+    wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
+    wander_hours: Positive = 2.0
+    least_gain: Annotated[float, Ge(10.0)] = 20.0
+    least_agreeing: Annotated[int, Ge(3)] = 4
 
     def __post_init__(self) -> None:
         """Refuse what would find changes everywhere."""
-        positive = self.wander_hours > 0.0 and self.wander_deg >= 0.0 and self.least_gain >= 10.0
-        if not (positive and self.least_agreeing >= 3):
-            raise InputError(
-                field="watch",
-                problem="a number is out of bounds",
-                remedy="give wander_deg from 0, wander_hours above 0, least_gain from 10, least_agreeing from 3",
-            )
+        require_bounds(self, section="watch")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

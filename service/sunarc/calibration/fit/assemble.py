@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ class Job(NamedTuple):
     options: CalibrationOptions
     circle: ImageCircle | None
     start: Camera | None = None
+    free: Literal["all", "pose"] = "all"
 
 
 class Fitted(NamedTuple):
@@ -140,7 +141,7 @@ def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radia
         n_supplied=len(job.points),
         n_used=n_used,
         n_rejected=len(job.points) - n_used,
-        options=asdict(job.options),
+        options={**asdict(job.options), "free": job.free},
         sigma_px=sigma_px,
         inflation=inflation,
         radial_px=radial_px,

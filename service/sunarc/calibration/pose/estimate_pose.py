@@ -78,10 +78,10 @@ def estimate_pose(
     """
     hand: Mirrored = "yes" if start.camera.mirrored else "no"
     chosen = CalibrationOptions() if options is None else options
-    chosen = replace(chosen, free="pose", method="robust", projection=start.camera.projection, mirrored=hand)
+    chosen = replace(chosen, method="robust", projection=start.camera.projection, mirrored=hand)
     usable = filter_sightings(points, site=site)
     size = (start.camera.width, start.camera.height)
-    job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None)
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (f"only {len(usable)} usable sightings; at least {FEWEST} are needed for a pose",))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))

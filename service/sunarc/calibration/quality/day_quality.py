@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
+from sunarc.bounds import Count, Positive, Share, require_bounds
 from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampling_of
@@ -46,26 +48,20 @@ class DayOptions:
     doubtful_share : a day with a larger share of doubtful sightings is unusable.
     """
 
-    clear_share: float = 0.8
-    partly_share: float = 0.3
-    clear_sd_px: float = 1.5
-    smallest_count: int = 20
-    smallest_arc_deg: float = 15.0
-    largest_clock_error_s: float = 2.0
-    doubtful_share: float = 0.5
+    clear_share: Share = 0.8
+    partly_share: Share = 0.3
+    clear_sd_px: Positive = 1.5
+    smallest_count: Count = 20
+    smallest_arc_deg: Positive = 15.0
+    largest_clock_error_s: Positive = 2.0
+    doubtful_share: Annotated[float, Gt(0.0), Le(1.0)] = 0.5
 
     def __post_init__(self) -> None:
         """Refuse shares that are none."""
-        if not 0.0 <= self.partly_share <= self.clear_share <= 1.0:
-            raise InputError(
-                field="days.partly_share",
-                problem="not below days.clear_share, or not within 0 to 1",
-                remedy="give e.g. 0.3 and 0.8",
-            )
-        if not self.largest_clock_error_s > 0.0 or not 0.0 < self.doubtful_share <= 1.0:
-            raise InputError(
-                field="largest_clock_error_s, doubtful_share", problem="out of bounds", remedy="give s, and 0 to 1"
-            )
+        require_bounds(self, section="days")
+        if self.partly_share > self.clear_share:
+            problem = f"{self.partly_share:g} is above days.clear_share = {self.clear_share:g}"
+            raise InputError(field="days.partly_share", problem=problem, remedy="give e.g. 0.3 and 0.8")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -71,7 +71,7 @@ def own_verdict(
         said.append(f"left out before the fit: {', '.join(usable.dropped)}")
     if usable.static:
         said.append(f"a text overlay, a reflection or a hot pixel at {_places(usable)}: mask it")
-    if options.free == "pose":
+    if calibration.evidence.options.get("free") == "pose":
         said.append("provisional: the lens is that of an earlier pose, kept within what was known of it")
     if options.mirrored == "auto":
         said.append("the image is mirrored" if handedness.mirrored else "the image is not mirrored")

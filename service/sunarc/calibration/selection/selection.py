@@ -8,14 +8,15 @@ them the most precise, among alike ones those of days that lie far apart. A dire
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
+from sunarc.bounds import Count, Positive, require_bounds
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.selection.sky_grid import sky_patches
-from sunarc.errors import InputError
 from sunarc.sky import Site, sun_directions
 
 BoolArray = NDArray[np.bool_]
@@ -42,17 +43,15 @@ class SelectionOptions:
     largest_clock_error_s : sightings whose clock may be wrong by more are left out.
     """
 
-    patch_deg: float = 4.0
-    most_per_patch: int = 96
-    most_per_epoch: int = 64
-    most: int = 30_000
-    largest_clock_error_s: float = 2.0
+    patch_deg: Annotated[float, Gt(0.0), Le(90.0)] = 4.0
+    most_per_patch: Count = 96
+    most_per_epoch: Count = 64
+    most: Count = 30_000
+    largest_clock_error_s: Positive = 2.0
 
     def __post_init__(self) -> None:
         """Refuse limits that leave nothing."""
-        for name in ("patch_deg", "most_per_patch", "most_per_epoch", "most", "largest_clock_error_s"):
-            if not getattr(self, name) > 0:
-                raise InputError(field=name, problem="is not positive", remedy="give more than 0")
+        require_bounds(self, section="refit.selection")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

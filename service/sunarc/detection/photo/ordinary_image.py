@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Gt, Le, Lt
 
-from sunarc.detection.options import require_positive
+from sunarc.bounds import Positive, Share, require_bounds
 from sunarc.detection.photo.aureole import Halo, halo_about
 from sunarc.detection.photo.blob import thickest
 from sunarc.detection.photo.blob_bias import Lens, bias_at
@@ -53,21 +54,21 @@ class PaperOptions:
 
     robust: bool = True
     full_image: bool = False
-    min_peak_fraction: float = 0.85
-    max_radius_fraction: float = 0.08
-    min_share: float = 0.5
-    min_edge: float = 0.35
-    max_spread_px: float = 1.5
-    max_scatter: float = 0.04
-    sure_spread_px: float = 0.3
-    max_ellipticity: float = 0.32
-    gamma: float = 2.2
-    sigma_px: float = 0.43
-    max_apparent_zenith_deg: float = 89.6
+    min_peak_fraction: Share = 0.85
+    max_radius_fraction: Annotated[float, Gt(0.0), Le(1.0)] = 0.08
+    min_share: Share = 0.5
+    min_edge: Share = 0.35
+    max_spread_px: Positive = 1.5
+    max_scatter: Positive = 0.04
+    sure_spread_px: Positive = 0.3
+    max_ellipticity: Annotated[float, Gt(0.0), Lt(1.0)] = 0.32
+    gamma: Positive = 2.2
+    sigma_px: Positive = 0.43
+    max_apparent_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
 
     def __post_init__(self) -> None:
         """Refuse values out of bounds."""
-        require_positive(self, self.max_radius_fraction, self.max_spread_px, self.sigma_px, self.gamma)
+        require_bounds(self, section="ordinary image")
 
 
 class _Seen(NamedTuple):

@@ -9,10 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from annotated_types import Ge, Gt, Le
 
 import sunarc
 from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
+from sunarc.bounds import require_bounds
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -43,6 +46,8 @@ from sunarc.workers.calibrating.solver_process import (
 )
 
 _log = logging.getLogger(__name__)
+
+CirclePx = Annotated[float, Ge(-1e5), Le(1e5)]
 _POLL_S = 0.5
 _DAYS_OF_SPREAD = 60
 _Answer = TypeVar("_Answer")
@@ -62,15 +67,17 @@ class RefitOptions:
     selection : how many sightings of the record a fit uses, and which never.
     """
 
-    check_every_s: float = 60.0
-    time_limit_s: float = 900.0
-    image_circle_px: tuple[float, float, float] | None = None
+    check_every_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    time_limit_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 900.0
+    image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
     selection: SelectionOptions = field(default_factory=SelectionOptions)
 
     def __post_init__(self) -> None:
-        """Refuse durations that are none."""
-        if self.check_every_s <= 0.0 or self.time_limit_s <= 0.0:
-            raise InputError(field="refit", problem="a duration is not positive", remedy="give seconds above 0")
+        """Refuse durations that are none, and a circle without a radius."""
+        require_bounds(self, section="refit")
+        if self.image_circle_px is not None and self.image_circle_px[2] <= 0.0:
+            problem = f"the radius {self.image_circle_px[2]:g} is not positive"
+            raise InputError(field="refit.image_circle_px", problem=problem, remedy="give x, y and radius in px")
 
 
 class RefitWorker:

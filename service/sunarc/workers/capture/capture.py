@@ -8,7 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import Annotated
 
+from annotated_types import Ge, Gt, Le
+
+from sunarc.bounds import require_bounds
 from sunarc.cameras import CameraCondition, Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, ConfigurationError, InputError
 from sunarc.runtime.clock import Clock
@@ -44,28 +48,23 @@ class CaptureOptions:
     speed : seconds of the camera's clock in a real second; other than 1 only for a simulated camera.
     """
 
-    cadence_s: float = 30.0
-    hdr_exposures_us: tuple[float, ...] = (3_000.0, 12_000.0, 48_000.0)
-    daylight_zenith_deg: float = 96.0
-    sun_zenith_deg: float = 89.6
-    night_cadence_s: float = 600.0
-    attempts: int = 2
-    reopen_after_s: float = 1.0
-    reopen_at_most_s: float = 30.0
-    camera_clock_error_s: float = 0.001
-    speed: float = 1.0
+    cadence_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
+    hdr_exposures_us: tuple[Annotated[float, Gt(0.0), Le(1e8)], ...] = (3_000.0, 12_000.0, 48_000.0)
+    daylight_zenith_deg: Annotated[float, Gt(0.0), Le(180.0)] = 96.0
+    sun_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
+    night_cadence_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 600.0
+    attempts: Annotated[int, Ge(1), Le(10)] = 2
+    reopen_after_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
+    reopen_at_most_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
+    camera_clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 0.001
+    speed: Annotated[float, Gt(0.0), Le(100_000.0)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse a cycle that cannot be kept."""
-        if self.cadence_s <= 0.0 or self.night_cadence_s <= 0.0 or self.speed <= 0.0:
-            raise InputError(field="capture", problem="a duration is not positive", remedy="give seconds above 0")
-        if not self.hdr_exposures_us or min(self.hdr_exposures_us) <= 0.0:
-            raise InputError(
-                field="capture.hdr_exposures_us", problem="not positive", remedy="give exposures in microseconds"
-            )
+        require_bounds(self, section="capture")
+        if not self.hdr_exposures_us:
+            raise InputError(field="capture.hdr_exposures_us", problem="is empty", remedy="give exposures in µs")
         _require_microseconds(self.hdr_exposures_us)
-        if self.attempts < 1:
-            raise InputError(field="capture.attempts", problem="below 1", remedy="give 1 or more")
 
 
 def _require_microseconds(exposures_us: Sequence[float]) -> None:

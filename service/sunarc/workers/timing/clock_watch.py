@@ -8,9 +8,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import Annotated
+
+from annotated_types import Gt, Le
 
 from sunarc.archive import Archive, Event
-from sunarc.errors import InputError, OutsideError
+from sunarc.bounds import require_bounds
+from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
 from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
@@ -30,6 +34,8 @@ _CAMERA_OFFSET_S = 0.5
 _CLEANING_WAIT_S = 3600.0
 """How long a clock must have been left alone before images are removed by their age."""
 
+Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockOptions:
@@ -44,17 +50,15 @@ class ClockOptions:
     show_step_s : how long a step stands in /readyz.
     """
 
-    check_every_s: float = 1.0
-    step_s: float = 0.1
-    least_error_s: float = 0.02
-    assumed_error_s: float | None = None
-    show_step_s: float = 3600.0
+    check_every_s: Duration = 1.0
+    step_s: Duration = 0.1
+    least_error_s: Duration = 0.02
+    assumed_error_s: Duration | None = None
+    show_step_s: Duration = 3600.0
 
     def __post_init__(self) -> None:
         """Refuse what is no duration."""
-        durations = (self.check_every_s, self.step_s, self.least_error_s, self.assumed_error_s or 1.0, self.show_step_s)
-        if not all(0.0 < seconds < UNKNOWN_ERROR_S for seconds in durations):
-            raise InputError(field="clock", problem="a duration is out of bounds", remedy="give seconds above 0")
+        require_bounds(self, section="clock")
 
 
 class ClockWatch:

@@ -10,8 +10,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from sunarc.bounds import bounds_of, bounds_text
-from sunarc.settings import Settings
+from sunarc.bounds import Bound, OneOf, bounds_of, bounds_text
+from sunarc.settings.model import Settings
+from sunarc.settings.removed import REMOVED
 
 _HEADING = """\
 # Settings
@@ -19,6 +20,14 @@ _HEADING = """\
 Every setting of the TOML file given with `--config`, with its default and its bounds. In the environment a setting is
 `SUNARC_SECTION__NAME=value`. Unknown names and values out of bounds are refused. This page is the output of
 `sunarc settings`.
+"""
+_REMOVED_HEADING = """\
+## Settings that went away
+
+They are refused, with what replaces them.
+
+| setting | instead |
+|---|---|
 """
 _ATTRIBUTE = re.compile(r"^    (\w+(?:, \w+)*) : (.*(?:\n        .*)*)", re.MULTILINE)
 
@@ -31,7 +40,7 @@ class Setting:
     ----------
     name : dotted path.
     default : as in TOML; "required" where there is none, "unset" for None.
-    allowed : bounds in words or the permitted texts; the type where it has neither.
+    allowed : type and bounds in words, or the permitted texts.
     meaning : what it does, with its unit.
     """
 
@@ -43,17 +52,18 @@ class Setting:
 
 def all_settings() -> list[Setting]:
     """Return every setting, those of the top level first."""
-    top, sections = [], []
+    top: list[Setting] = []
+    sections: list[Setting] = []
     meanings = attributes_of(Settings)
     for name, field in Settings.model_fields.items():
-        options = _dataclass_in(field.annotation)
+        options = dataclass_in(field.annotation)
         if options is None:
             default = "required" if field.is_required() else _toml(field.default)
-            allowed = _allowed(field.annotation, "")
+            allowed = _allowed(field.annotation)
             top.append(Setting(name=name, default=default, allowed=allowed, meaning=meanings.get(name, "")))
         else:
             sections += list(_of_options(options, name))
-    return top + sections
+    return [setting for setting in top + sections if setting.name not in REMOVED]
 
 
 def as_markdown() -> str:
@@ -65,7 +75,8 @@ def as_markdown() -> str:
         parts.append(
             "\n".join([f"## {title}\n", "| setting | default | allowed | meaning |", "|---|---|---|---|", *rows, ""])
         )
-    return "\n".join(parts)
+    removed = "\n".join(f"| `{name}` | {remedy} |" for name, remedy in REMOVED.items())
+    return "\n".join([*parts, _REMOVED_HEADING + removed + "\n"])
 
 
 def attributes_of(documented: type) -> dict[str, str]:
@@ -77,14 +88,14 @@ def attributes_of(documented: type) -> dict[str, str]:
 def _of_options(options: type, section: str) -> Iterator[Setting]:
     hints, bounds, meanings = get_type_hints(options), bounds_of(options), attributes_of(options)
     for field in fields(options):
-        name, inner = f"{section}.{field.name}", _dataclass_in(hints[field.name])
+        name, inner = f"{section}.{field.name}", dataclass_in(hints[field.name])
         if inner is not None:
             yield from _of_options(inner, name)
             continue
         yield Setting(
             name=name,
             default=_default(field),
-            allowed=_allowed(hints[field.name], bounds_text(bounds[field.name]) if field.name in bounds else ""),
+            allowed=_allowed(hints[field.name], bounds.get(field.name, ())),
             meaning=meanings.get(field.name, ""),
         )
 
@@ -95,30 +106,29 @@ def _default(field: Field[Any]) -> str:
     return "required" if field.default_factory is MISSING else _toml(field.default_factory())
 
 
-def _dataclass_in(annotation: Any) -> Any:  # noqa: ANN401 - any annotation
+def dataclass_in(annotation: Any) -> Any:  # noqa: ANN401 - any annotation
     """Return the options class of an annotation; None where it is a plain value."""
     return next(
         (one for one in (annotation, *get_args(annotation)) if isinstance(one, type) and is_dataclass(one)), None
     )
 
 
-def _allowed(annotation: Any, bounds: str) -> str:  # noqa: ANN401 - any annotation
-    choices = [
-        choice for one in (annotation, *get_args(annotation)) if get_origin(one) is Literal for choice in get_args(one)
-    ]
-    if choices:
-        return ", ".join(f"`{json.dumps(choice)}`" for choice in choices)
-    return bounds or _type_name(annotation)
+def _allowed(annotation: Any, bounds: tuple[Bound, ...] = ()) -> str:  # noqa: ANN401 - any annotation
+    if get_origin(annotation) is Literal:
+        bounds = (OneOf(get_args(annotation)),)
+    if any(isinstance(bound, OneOf) for bound in bounds):
+        return bounds_text(bounds)
+    return f"{_type_name(annotation)} {bounds_text(tuple(dict.fromkeys(bounds))) if bounds else ''}".strip()
 
 
 def _type_name(annotation: Any) -> str:  # noqa: ANN401 - any annotation
-    names = {str: "text", bool: "true or false", int: "whole number", float: "number", Path: "path"}
+    names = {str: "text", bool: "true or false", int: "a whole number", float: "a number", Path: "a path"}
     if annotation in names:
         return names[annotation]
     if get_origin(annotation) is tuple:
-        return "list of " + " and ".join(
-            dict.fromkeys(_type_name(one) for one in get_args(annotation) if one is not ...)
-        )
+        items = [one for one in get_args(annotation) if one is not ...]
+        number = "" if ... in get_args(annotation) else f"{len(items)} "
+        return f"a list of {number}{_type_name(items[0]).removeprefix('a ')}s"
     alternatives = [_type_name(one) for one in get_args(annotation) if one is not type(None)]
     return " or ".join(dict.fromkeys(alternatives))
 

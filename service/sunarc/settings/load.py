@@ -1,0 +1,123 @@
+"""Reading of settings: the environment before the file before the defaults; what is wrong is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from sunarc.errors import ConfigurationError, InputError
+from sunarc.settings.model import Settings
+from sunarc.settings.reference import all_settings
+from sunarc.settings.removed import REMOVED
+
+_PREFIX = "SUNARC_"
+_CONFIG_VARIABLE = "SUNARC_CONFIG"
+_KNOWN = {setting.name: setting for setting in all_settings()}
+_SECTIONS = {name.partition(".")[0] for name in _KNOWN if "." in name}
+_REMOVED_SECTIONS = {name.rpartition(".")[0] for name in REMOVED} - _SECTIONS
+
+
+def load_settings(path: Path | None) -> Settings:
+    """Return the settings of a TOML file and of the environment, which goes before the file.
+
+    Parameters
+    ----------
+    path : of the file, UTF-8 with or without a byte order mark; None reads the environment alone.
+
+    Raises
+    ------
+    ConfigurationError : naming the file, the setting by its dotted path, what was given and what is allowed.
+    """
+    where = str(path) if path else "settings"
+    given = _merged({} if path is None else _read_toml(path), _environment())
+    try:
+        _refuse_names(given)
+        given = {name: value for name, value in given.items() if name not in _REMOVED_SECTIONS}
+        # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
+        return Settings.model_validate_json(json.dumps(given, default=str), strict=True)
+    except ValidationError as error:
+        raise ConfigurationError(f"{where}: {_first_problem(error)}") from None
+    except InputError as error:
+        raise ConfigurationError(f"{where}: {error}") from None
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}; name a settings file with --config") from None
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
+
+
+def _environment() -> dict[str, Any]:
+    """Return what SUNARC_SECTION__NAME=value sets, where value is written as in TOML (or is a bare text)."""
+    nested: dict[str, Any] = {}
+    for variable, text in sorted(os.environ.items()):
+        if not variable.startswith(_PREFIX) or variable == _CONFIG_VARIABLE:
+            continue
+        *sections, name = variable.removeprefix(_PREFIX).lower().split("__")
+        table = nested
+        for section in sections:
+            table = table.setdefault(section, {})
+        table[name] = _toml_value(text)
+    return nested
+
+
+def _toml_value(text: str) -> Any:  # noqa: ANN401 - whatever TOML holds
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two nested tables as one; where both have a value, that of `above`."""
+    both = {
+        name: _merged(below[name], above[name])
+        for name in below.keys() & above.keys()
+        if isinstance(below[name], dict) and isinstance(above[name], dict)
+    }
+    return {**below, **above, **both}
+
+
+def _refuse_names(given: Mapping[str, Any]) -> None:
+    """Raise where a name is no setting, with the remedy of one that was a setting of an earlier version."""
+    for name, value in _leaves(given):
+        if name in REMOVED:
+            raise InputError(field=name, problem="is no longer a setting", remedy=REMOVED[name])
+        if value == {} and name in _SECTIONS | _REMOVED_SECTIONS:
+            continue  # the example of 0.2.0 has sections whose settings are all commented out
+        if name in _SECTIONS:
+            raise InputError(field=name, problem=f"{value!r} is no section", remedy=f"write [{name}] and its settings")
+        if name not in _KNOWN:
+            near = get_close_matches(name, _KNOWN, n=1)
+            remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"
+            raise InputError(field=name, problem="unknown setting", remedy=remedy)
+
+
+def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted path and the value of everything in nested tables."""
+    for name, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    name = ".".join(part for part in problem["loc"] if isinstance(part, str))
+    others = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if problem["type"] == "missing":
+        return f"setting {name} is missing; add it{others}"
+    return f"{name}: {problem['input']!r} is not allowed; give {_KNOWN[name].allowed}{others}"

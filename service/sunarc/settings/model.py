@@ -1,0 +1,85 @@
+"""What can be set, by section."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from sunarc.api import ApiOptions
+from sunarc.archive import DiskOptions
+from sunarc.calibration import CalibrationOptions
+from sunarc.calibration.change_detection import WatchOptions
+from sunarc.cameras import AravisOptions, ReplayOptions
+from sunarc.detection import DiscOptions
+from sunarc.imaging import SunExposureOptions
+from sunarc.runtime.supervisor import SupervisorOptions
+from sunarc.sky import Site
+from sunarc.workers import CaptureOptions, ClockOptions, RefitOptions, SensorOptions
+
+
+class Settings(BaseModel):
+    """Everything that can be set, by section; fields that `removed.REMOVED` names are for Python only.
+
+    Attributes
+    ----------
+    name : the camera's name in the archive and in documents.
+    state : folder of the database and the images.
+    source : where frames come from.
+    site : where the camera stands.
+    camera, replay : the GigE Vision camera, or the folder to replay.
+    sensor, detection : the sensor's properties, and limits of the detection.
+    capture, sun_exposure : the cycle, and the control of its sun exposures.
+    clock : how the time of the frames is watched.
+    calibration, refit : the fit, when and how it is run.
+    watch : thresholds of a change of the camera.
+    disk : how much of the disk images may have.
+    api : the web server.
+    supervisor : limits of restarts and heartbeats of the workers.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = "imager"
+    state: Path = Path("/var/lib/sunarc")
+    source: Literal["aravis", "replay"] = "aravis"
+    site: Site
+    camera: AravisOptions | None = None
+    replay: ReplayOptions | None = None
+    sensor: SensorOptions = SensorOptions()
+    detection: DiscOptions = DiscOptions()
+    capture: CaptureOptions = CaptureOptions()
+    sun_exposure: SunExposureOptions = SunExposureOptions()
+    clock: ClockOptions = ClockOptions()
+    calibration: CalibrationOptions = CalibrationOptions()
+    refit: RefitOptions = RefitOptions()
+    watch: WatchOptions = WatchOptions()
+    disk: DiskOptions = DiskOptions()
+    api: ApiOptions = ApiOptions()
+    supervisor: SupervisorOptions = SupervisorOptions()
+
+    @property
+    def dated_by_camera(self) -> bool:
+        """Whether frames are dated by the camera's own clock."""
+        return self.camera is None or self.camera.timestamps == "camera"
+
+    @property
+    def database(self) -> Path:
+        """The archive's file."""
+        return self.state / "sunarc.sqlite"
+
+    @property
+    def backups(self) -> Path:
+        """The folder of the dated copies of the archive."""
+        return self.state / "backups"
+
+    @property
+    def reserve(self) -> Path:
+        """The file that holds the database's room."""
+        return self.state / "reserve"
+
+    @property
+    def images(self) -> Path:
+        """The root of the dated image folders."""
+        return self.state / "images"
