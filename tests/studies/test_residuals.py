@@ -1,0 +1,145 @@
+"""Residuals of a calibration, and the scales of their figures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunarc.calibration import Calibration, SunPoints
+from sunarc.optics import project, unproject
+from sunarc.sky import angular_distance, sun_directions
+from sunarc.studies.drawing import key, letter, new_sheet
+from sunarc.studies.residual_plot import _limit, _nice, _some, residual_figure
+from sunarc.studies.residuals import residuals_of
+from sunarc.studies.sky_plot import contour_levels, sky_figure, sky_sigma
+
+
+@pytest.mark.parametrize(
+    ("value", "nice"),
+    [
+        (1.0, 1.0),
+        (1.4, 1.0),
+        (1.5, 2.0),
+        (3.0, 2.0),
+        (3.3, 5.0),
+        (7.0, 5.0),
+        (7.2, 10.0),
+        (0.03, 0.02),
+        (250.0, 200.0),
+        (0.0, 1.0),
+        (-3.0, 1.0),
+    ],
+)
+def test_the_nearest_of_one_two_and_five(value: float, nice: float) -> None:
+    assert _nice(value) == pytest.approx(nice)
+
+
+@pytest.mark.parametrize(("count", "drawn"), [(0, 0), (200, 200), (201, 101), (1000, 200), (1001, 167)])
+def test_at_most_200_arrows_evenly_chosen(count: int, drawn: int) -> None:
+    rows = _some(np.ones(count, np.bool_))
+    assert rows.size == drawn
+    assert rows.size == 0 or rows[0] == 0
+
+
+def test_only_what_belongs_is_chosen() -> None:
+    assert _some(np.array([False, True, False, True])).tolist() == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("size", "used", "limit"),
+    [
+        ([1.0, 9.0], [True, False], 1.4),
+        ([1.0, 9.0], [False, False], 12.6),
+        ([0.0, 9.0], [True, False], 1.0),
+        ([math.nan, 2.0], [True, True], 2.8),
+        ([], [], 1.0),
+    ],
+)
+def test_the_used_sightings_set_the_limit_of_a_panel(size: list[float], used: list[bool], limit: float) -> None:
+    assert _limit(np.array(size), np.array(used, np.bool_)) == pytest.approx(limit)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "levels"),
+    [
+        (0.9, 2.5, [1.0, 1.5, 2.0]),
+        (1.0, 2.0, [1.5]),
+        (0.06, 0.12, [0.07, 0.1]),
+        (2.0, 1.0, []),
+        (-1.0, 1.0, []),
+    ],
+)
+def test_contours_are_strictly_between_the_bounds(low: float, high: float, levels: list[float]) -> None:
+    assert contour_levels(low, high) == pytest.approx(levels)
+
+
+def test_a_sheet_has_its_size_and_room_for_labels() -> None:
+    sheet = new_sheet(width_px=640, height_px=480)
+    assert (sheet.get_size_inches() * sheet.dpi).tolist() == [640.0, 480.0]
+    axes = sheet.subplots()
+    letter(axes, x="time", y="error (px)", title="errors")
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title(loc="left")) == ("time", "error (px)", "errors")
+    key(axes)
+    assert axes.get_legend() is None  # nothing was drawn with a label
+    axes.plot([0.0], [0.0], label="a")
+    key(axes, place="upper left")
+    assert axes.get_legend() is not None
+
+
+def test_residuals_are_observed_minus_predicted(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+    found = residuals_of(cloudy_fit, cloudy_points)
+    directions = sun_directions(cloudy_points.unix_s, cloudy_fit.site)
+    camera = replace(cloudy_fit.camera, rotation_cam_enu=cloudy_fit.poses[0])
+    assert len(found) == len(cloudy_points)
+    assert found.offset_px == pytest.approx(cloudy_points.pixels - project(camera, directions))
+    expected = np.degrees(angular_distance(unproject(camera, cloudy_points.pixels), directions))
+    assert found.offset_deg == pytest.approx(expected)
+
+
+def test_sightings_that_are_not_finite_or_below_the_horizon_are_left_out(
+    cloudy_fit: Calibration, cloudy_points: SunPoints
+) -> None:
+    times, pixels = cloudy_points.unix_s.copy(), cloudy_points.pixels.copy()
+    times[0], pixels[1, 0] = math.nan, math.nan
+    times[2] -= 6 * 3600.0  # at night
+    found = residuals_of(cloudy_fit, replace(cloudy_points, unix_s=times, pixels=pixels))
+    assert len(found) == len(cloudy_points) - 3
+    assert np.isfinite(found.offset_px).all()
+
+
+def test_of_other_sightings_the_nearest_count_as_used(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+    found = residuals_of(replace(cloudy_fit, used=None), cloudy_points)
+    distance = np.linalg.norm(found.offset_px, axis=-1)
+    assert found.used.sum() == cloudy_fit.evidence.n_used
+    assert distance[found.used].max() <= distance[~found.used].min()
+
+
+def test_rejected_sightings_beyond_a_panel_stand_on_its_edge(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+    figure = residual_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
+    panel = figure.axes[0]
+    low, high = panel.get_ylim()
+    assert low == -high
+    beyond = [line for line in panel.lines if "beyond the edge" in str(line.get_label())]
+    assert beyond
+    assert max(float(np.abs(np.asarray(line.get_ydata())).max()) for line in beyond) == pytest.approx(0.97 * high)
+
+
+def test_the_map_of_the_sky_is_turned_as_a_compass(cloudy_fit: Calibration, cloudy_points: SunPoints) -> None:
+    figure = sky_figure(cloudy_fit, residuals_of(cloudy_fit, cloudy_points))
+    axes = figure.axes[0]
+    assert axes.get_theta_direction() == -1  # type: ignore[attr-defined]
+    assert axes.get_theta_offset() == pytest.approx(math.pi / 2)  # type: ignore[attr-defined]
+    drawn = next(line for line in axes.lines if line.get_label() == "the sun, where it was used")
+    assert len(np.asarray(drawn.get_xdata())) == cloudy_fit.evidence.n_used
+
+
+def test_sigma_is_nan_where_the_image_ends(cloudy_fit: Calibration) -> None:
+    narrow = replace(cloudy_fit, camera=replace(cloudy_fit.camera, width=900))
+    zenith, azimuth = np.array([5.0, 80.0]), np.arange(0.0, 360.0, 15.0)
+    whole, part = (sky_sigma(fit, zenith_deg=zenith, azimuth_deg=azimuth) for fit in (cloudy_fit, narrow))
+    assert np.isfinite(whole).all()
+    assert 0 < np.isnan(part[1]).sum() < 24
+    assert np.isfinite(part[0]).sum() > 0
