@@ -1,0 +1,102 @@
+"""Evidence of detections that drift: the kernel, the average over its numbers, and what it competes with."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import gamma, kv, logsumexp
+from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
+
+from sunarc.calibration.change_detection import SightingWindow, WatchOptions
+from sunarc.calibration.change_detection import cloud_drift as module
+from sunarc.calibration.change_detection.cloud_drift import drift_evidence
+from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
+from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence
+from sunarc.optics import project
+
+FloatArray = NDArray[np.float64]
+
+N, FIRST = 20, 12
+
+
+def _window(drift: FloatArray, *, trusted: int = FIRST) -> ResidualModel:
+    calibration = stated_calibration(small_camera(), sigma_px=0.05)
+    directions = sun_arc(N, widest_deg=20.0)
+    noise = np.random.default_rng(4).normal(0.0, 0.05, (N, 2))
+    watch = SightingWindow(
+        unix_s=60.0 * np.arange(N, dtype=np.float64),
+        pixels=project(calibration.camera, directions) + noise + drift,
+        directions=directions,
+        sigma_px=np.full(N, 0.05),
+        trusted=np.arange(N) < trusted,
+        surprise=np.zeros((N, 2)),
+    )
+    return window_of(watch, calibration, WatchOptions())
+
+
+def test_a_drift_is_a_twice_differentiable_matern_process_from_its_begin_on() -> None:
+    window = _window(np.zeros((N, 2)))
+    added = module._with_drift(window, 8, 2.0, 700.0) - window.covariance
+    np.testing.assert_array_equal(added[:16], 0.0)
+    blocks = added.reshape(N, 2, N, 2)
+    np.testing.assert_array_equal(blocks[:, 0, :, 1], 0.0)
+    np.testing.assert_allclose(blocks[8:, 0, 8:, 0], blocks[8:, 1, 8:, 1])
+    scaled = math.sqrt(5.0) * 60.0 * np.arange(1.0, 12.0) / 700.0
+    # Rasmussen and Williams (2006), eq. 4.14 with nu = 5/2
+    expected = 4.0 * 2.0 ** (1.0 - 2.5) / gamma(2.5) * scaled**2.5 * kv(2.5, scaled)
+    np.testing.assert_allclose(blocks[8, 0, 9:, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(blocks[8, 0, 8, 0], 4.0, rtol=1e-9)
+
+
+def test_the_evidence_is_the_mean_over_begins_amplitudes_and_times() -> None:
+    window = _window(np.zeros((N, 2)), trusted=N)
+    each = []
+    for begin, amplitude, time in itertools.product((0, 6, 10, 12), (0.1, 0.5, 2.0, 8.0), (200.0, 700.0, 2400.0)):
+        covariance = module._with_drift(window, begin, amplitude, time)
+        each.append((log_evidence(covariance, window.seen, np.ones(N, dtype=bool)), covariance))
+    mean = float(logsumexp([one for one, _ in each])) - math.log(len(each))
+    best, covariance = max(each, key=lambda pair: pair[0])
+    among_false = fit_inlier_mixture(covariance, window.seen, np.ones(N, dtype=bool)).log_evidence
+    assert len(each) == 48
+    assert drift_evidence(window, 12) == pytest.approx(mean + max(among_false - best, 0.0), rel=1e-9)
+
+
+def test_a_drift_explains_a_drift_better_than_no_drift_does() -> None:
+    drift = np.clip(np.arange(N) - FIRST, 0, None)[:, None] * np.array([0.3, 0.2])
+    window = _window(drift)
+    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted).log_evidence
+    assert drift_evidence(window, FIRST) > nothing + 10.0
+
+
+def test_a_drift_explains_stillness_worse_than_no_drift_does() -> None:
+    window = _window(np.zeros((N, 2)), trusted=N)
+    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted).log_evidence
+    assert nothing - 10.0 < drift_evidence(window, FIRST) < nothing
+
+
+def test_a_false_sighting_among_the_drift_is_counted_as_false() -> None:
+    drift = np.clip(np.arange(N) - FIRST, 0, None)[:, None] * np.array([0.3, 0.2])
+    wild = drift.copy()
+    wild[16] += 150.0
+    # as part of a drift of 8 px it would cost 0.5 (212 / 8)^2 = 351
+    assert -60.0 < drift_evidence(_window(wild), FIRST) < drift_evidence(_window(drift), FIRST)
+
+
+@pytest.mark.parametrize(
+    ("rows", "begin"), [([3], 3), ([3, 4, 5], 3), ([1, 2, 9, 10, 11], 9), ([1, 3, 5], 1), ([2, 5], 5)]
+)
+def test_a_single_row_between_does_not_end_a_run(rows: list[int], begin: int) -> None:
+    assert module._begin_of_last_run(np.array(rows)) == begin
+
+
+def test_sightings_before_the_episode_count_where_they_were_trusted() -> None:
+    window = _window(np.zeros((N, 2)))
+    window = replace(window, watch=replace(window.watch, trusted=np.arange(N) % 2 == 0))
+    found = module._inliers(window, 10)
+    assert found[:10].tolist() == [True, False] * 5
+    assert np.all(found[10:])
