@@ -1,0 +1,97 @@
+"""From sightings to first cameras: the truth is found with and without a start, and plausibility is by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions, sun_arc
+
+from sunarc.calibration.initial_guess.coarse_search import field_angle, first_cameras, single_problem
+from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.optics import Camera, project
+
+FloatArray = NDArray[np.float64]
+
+OPTIONS = CalibrationOptions()
+CIRCLE = ImageCircle(x=315.0, y=243.0, radius=220.5 * math.sqrt(2.0))
+
+
+def _misses(camera: Camera, seen: Observations) -> float:
+    return float(np.median(np.linalg.norm(project(camera, seen.directions) - seen.pixels, axis=-1)))
+
+
+@pytest.fixture(scope="module")
+def seen() -> Observations:
+    return observed(small_camera(), sun_arc(90), sigma_px=0.1)
+
+
+@pytest.mark.parametrize("circle", [CIRCLE, None], ids=["circle", "search"])
+def test_the_camera_is_found_from_an_arc(seen: Observations, circle: ImageCircle | None) -> None:
+    cameras, cost = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=circle, start=None)
+    assert len(cameras) == 1
+    assert math.isfinite(cost)
+    assert _misses(cameras[0], seen) < 0.6
+
+
+def test_a_start_is_taken_in_place_of_a_search(seen: Observations) -> None:
+    start = replace(small_camera(), rotation_cam_enu=(0.0, 0.0, 0.0))
+    cameras, _ = first_cameras(seen, image_size=(640, 480), options=OPTIONS, circle=None, start=start)
+    assert _misses(cameras[0], seen) < 0.3
+
+
+def test_every_epoch_has_its_pose_with_the_lens_of_the_longest() -> None:
+    camera = small_camera()
+    x, y, z = camera.rotation_cam_enu
+    other = replace(camera, rotation_cam_enu=(x + 0.1, y, z - 0.2))
+    first, second = observed(camera, sun_arc(40), epoch=0), observed(other, sun_arc(60, declination_deg=-5.0), epoch=1)
+    both = Observations(
+        directions=np.concatenate([first.directions, second.directions]),
+        pixels=np.concatenate([first.pixels, second.pixels]),
+        information=np.ones(100),
+        epoch=np.concatenate([first.epoch, second.epoch]),
+    )
+    cameras, _ = first_cameras(both, image_size=(640, 480), options=OPTIONS, circle=CIRCLE, start=None)
+    assert len(cameras) == 2
+    assert cameras[0].focal_length_px == cameras[1].focal_length_px
+    assert _misses(cameras[0], first) < 2.0
+    assert _misses(cameras[1], second) < 1.0
+
+
+def test_nothing_that_fits_is_infinitely_implausible() -> None:
+    directions = spread_directions(30)
+    nowhere = replace(observed(small_camera(), directions), pixels=np.full((30, 2), 1e6))
+    options = replace(OPTIONS, projection="orthographic")
+    cameras, cost = first_cameras(nowhere, image_size=(640, 480), options=options, circle=CIRCLE, start=None)
+    assert cost == math.inf
+    assert cameras[0].focal_length_px[0] > 0.0
+
+
+def test_the_field_s_angle_is_that_of_the_horizon_or_of_the_furthest_sighting() -> None:
+    camera = replace(ideal_camera(), max_angle=2.0)
+    near = observed(camera, spread_directions(5, widest_deg=30.0))
+    assert field_angle(camera, near, OPTIONS) == pytest.approx(math.pi / 2)
+    beyond = replace(near, pixels=np.array([[319.5 + 200.0 * 1.7, 239.5]] * 5))
+    assert field_angle(camera, beyond, OPTIONS) == pytest.approx(1.7)
+    far = replace(near, pixels=np.array([[319.5 + 200.0 * 2.5, 239.5]] * 5))
+    assert field_angle(camera, far, OPTIONS) == pytest.approx(math.radians(100.0))
+
+
+def test_a_perspective_lens_is_looked_at_a_little_beyond_its_sightings() -> None:
+    camera = replace(ideal_camera(), projection="perspective")
+    at_45 = replace(observed(camera, spread_directions(5)), pixels=np.array([[519.5, 239.5]] * 5))
+    assert field_angle(camera, at_45, OPTIONS) == pytest.approx(1.05 * math.pi / 4)
+    on_axis = replace(at_45, pixels=np.array([[319.5, 239.5]] * 5))
+    assert field_angle(camera, on_axis, OPTIONS) == pytest.approx(math.radians(20.0))
+    wide = replace(at_45, pixels=np.array([[319.5 + 200.0 * 100.0, 239.5]] * 5))
+    assert field_angle(camera, wide, OPTIONS) == pytest.approx(math.radians(80.0))
+
+
+def test_the_problem_s_prior_is_about_the_camera(seen: Observations) -> None:
+    problem = single_problem(seen, small_camera(), OPTIONS, CIRCLE, n_epochs=2)
+    assert problem.n_epochs == 2
+    np.testing.assert_allclose(problem.prior.mean[[0, 1, 3, 4]], [220.5, 220.5, 315.0, 243.0])
