@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.detection import DiscOptions, Expectation, Image, PaperOptions, Sensor, bayer_of
+from sunarc.detection import DiscOptions, Expectation, Image, Sensor, bayer_of
 from sunarc.detection.frames import require_raw
 from sunarc.errors import InputError
 
@@ -101,13 +101,6 @@ def test_options_follow_the_cameras_binning() -> None:
 def test_lengths_of_the_disc_are_positive_and_finite(field: str, value: float) -> None:
     with pytest.raises(InputError):
         DiscOptions(**{field: value})
-
-
-@pytest.mark.parametrize("field", ["max_radius_fraction", "max_spread_px", "sigma_px", "gamma"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
-def test_lengths_of_the_blob_are_positive_and_finite(field: str, value: float) -> None:
-    with pytest.raises(InputError):
-        PaperOptions(**dict[str, Any]({field: value}))
 
 
 @pytest.mark.parametrize(

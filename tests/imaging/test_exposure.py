@@ -14,6 +14,7 @@ from sunarc.imaging import (
     first_sun_exposures,
     next_sun_exposures,
 )
+from sunarc.imaging.exposure import LOST_AFTER
 
 OPTIONS = SunExposureOptions()
 BOUNDS = ExposureBounds(minimum_us=10.0, maximum_us=1e6, step_us=1.0)
@@ -63,7 +64,7 @@ def test_an_exposure_within_the_band_is_kept() -> None:
 
 def test_a_lost_sun_is_sought_anew_after_some_cycles() -> None:
     state = SunExposureState(exposures_us=(50.0,), cycles_steady=5)
-    for _ in range(OPTIONS.lost_after - 1):
+    for _ in range(LOST_AFTER - 1):
         state = next_sun_exposures(state, CLOUD, options=OPTIONS, bounds=BOUNDS)
         assert state.exposures_us == (50.0,)
     state = next_sun_exposures(state, CLOUD, options=OPTIONS, bounds=BOUNDS)

@@ -14,6 +14,7 @@ from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import UNKNOWN_ERROR_S, ClockOptions, ClockWatch, FrameTime
+from sunarc.workers.timing.clock_watch import LEAST_ERROR_S, SHOW_STEP_S
 
 from .conftest import NOON
 
@@ -91,7 +92,7 @@ def test_a_sighting_carries_the_kernels_bound_and_never_less_than_the_least(
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.3))
     assert watch.error_s(clock.now()) == 0.3
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.0))  # as systemd-timesyncd leaves it
-    assert watch.error_s(clock.now()) == ClockOptions().least_error_s
+    assert watch.error_s(clock.now()) == LEAST_ERROR_S
 
 
 def test_a_clock_without_its_time_service_has_no_bound_stops_calibration_and_says_so(
@@ -140,7 +141,7 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     assert status.last_step_s == pytest.approx(step_s, abs=1e-6)
     assert reasons(board) - {"clock_settling"} == {"clock_stepped"}
     assert ("clock_settling" in reasons(board)) == (abs(step_s) >= 60.0)
-    clock.advance(ClockOptions().show_step_s + 86_400.0)
+    clock.advance(SHOW_STEP_S + 86_400.0)
     watch.look()
     assert reasons(board) == set()
     assert len(archive.events("roof")) == 1
@@ -165,7 +166,7 @@ def test_sightings_around_a_step_carry_its_size_whether_they_were_stored_before_
         just_before: pytest.approx(7.0),
     }
     clock.advance(20.0)
-    assert watch.error_s(clock.now()) == ClockOptions().least_error_s
+    assert watch.error_s(clock.now()) == LEAST_ERROR_S
 
 
 def test_a_slew_of_500_ppm_for_a_day_is_no_step(watch: ClockWatch, clock: VirtualClock, archive: Archive) -> None:

@@ -9,6 +9,7 @@ import pytest
 from sunarc.detection import Detection
 from sunarc.imaging import SunExposureOptions
 from sunarc.workers import SunExposures
+from sunarc.workers.capture.sun_exposure_control import SPOILED_AFTER
 
 from .conftest import INFO
 
@@ -60,7 +61,7 @@ def test_a_cycle_that_was_not_looked_at_yet_changes_nothing(camera: FakeCamera, 
 def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
     camera: FakeCamera, board: StatusRegistry, fitted: float | None
 ) -> None:
-    exposures = SunExposures(SunExposureOptions(spoiled_after=5), board=board)
+    exposures = SunExposures(SunExposureOptions(), board=board)
     burnt = np.zeros((60, 80), np.uint16)
     burnt[:, 30:40] = 4095  # blooming along the columns
 
@@ -71,8 +72,8 @@ def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
             exposures.report(frame, seen(accepted=True, peak=0.9, saturated_px=0) if accepted else streak)
         return [reason.code for reason in board.snapshot().reasons]
 
-    told = [cycle(accepted=False) for _ in range(10)]
-    assert told[3] == []
+    told = [cycle(accepted=False) for _ in range(2 * SPOILED_AFTER)]
+    assert told[SPOILED_AFTER - 2] == []
     assert told[-1] == ["sun_too_bright"]
     assert "neutral filter" in board.snapshot().reasons[0].remedy
     cycle(accepted=True)
@@ -80,7 +81,7 @@ def test_a_sun_that_burns_out_the_shortest_exposure_is_told_with_the_remedy(
 
 
 def test_clouds_are_no_burnt_sun(camera: FakeCamera, board: StatusRegistry) -> None:
-    exposures = SunExposures(SunExposureOptions(spoiled_after=5, first_us=5.0), board=board)
+    exposures = SunExposures(SunExposureOptions(first_us=5.0), board=board)
     for _ in range(50):
         for exposure_us in exposures.choose(INFO):
             exposures.report(camera.expose(exposure_us), seen(accepted=False, peak=0.0, saturated_px=0))

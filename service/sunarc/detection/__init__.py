@@ -5,7 +5,7 @@ from sunarc.detection.disc.brightness import ClearSun, clear_sun
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
-from sunarc.detection.photo.ordinary_image import PaperOptions, detect_sun_in_photo
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
 
@@ -20,7 +20,6 @@ __all__ = [
     "Image",
     "Lens",
     "Method",
-    "PaperOptions",
     "Planes",
     "Sensor",
     "Verdict",

@@ -7,12 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Gt, Le, Lt
 
-from sunarc.bounds import Count, require_bounds
+from sunarc.bounds import require_bounds
 from sunarc.errors import InputError
 
 _OPTICAL_DEPTH = 0.3
+_BRACKET_RATIO = 4.0
+"""The two exposures of a bracket are this factor apart: with a band of a factor of 2 they span a factor of 8."""
+_MAX_CHANGE = 16.0
+"""Factor by which an exposure changes at most from one cycle to the next: it limits what one wrong peak can do."""
+LOST_AFTER = 3
+"""Cycles without a peak after which the search starts anew: 90 s at the default cadence, a small cloud's passage."""
+_STEADY_AFTER = 2
+"""Cycles with the peak in the band, or at a bound, after which one exposure suffices."""
+_LOW_SUN_ZENITH_DEG = 80.0
+"""Beyond this apparent zenith angle (dawn, dusk) the light changes so fast that there are always two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,24 +33,11 @@ class SunExposureOptions:
     ----------
     target_low, target_high : the band of peak levels, fractions of full scale, in which an exposure is kept.
     first_us : the first exposure tried; the camera's shortest where that is longer.
-    bracket_ratio : the two exposures of a bracket are this factor apart.
-    max_change : factor by which an exposure changes at most from one cycle to the next.
-    lost_after : cycles without a peak after which the search starts anew.
-    steady_after : cycles with the peak in the band, or at a bound, after which one exposure suffices.
-    low_sun_zenith_deg : beyond this apparent zenith angle (dawn, dusk) the light changes so fast that there are always
-        two.
-    spoiled_after : cycles in which even the shortest exposure was burnt beyond use, after which it is said.
     """
 
     target_low: Annotated[float, Gt(0.0), Lt(1.0)] = 0.4
     target_high: Annotated[float, Gt(0.0), Lt(1.0)] = 0.8
     first_us: Annotated[float, Gt(0.0), Le(1e9)] = 20.0
-    bracket_ratio: Annotated[float, Gt(1.0)] = 4.0
-    max_change: Annotated[float, Gt(1.0)] = 16.0
-    lost_after: Count = 3
-    steady_after: Count = 2
-    low_sun_zenith_deg: Annotated[float, Ge(0.0), Le(180.0)] = 80.0
-    spoiled_after: Count = 20
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
@@ -107,7 +104,7 @@ class SunLook:
 
 def first_sun_exposures(options: SunExposureOptions, bounds: ExposureBounds) -> SunExposureState:
     """Return the state to start with: a bracket of two."""
-    return SunExposureState(exposures_us=_bracket(options.first_us, options, bounds))
+    return SunExposureState(exposures_us=_bracket(options.first_us, bounds))
 
 
 def next_sun_exposures(
@@ -137,7 +134,7 @@ def next_sun_exposures(
     steady = state.cycles_steady + 1 if _any_good(peaks, options, bounds) else 0
     best = _best(peaks, options)
     level = best.fraction / best.exposure_us / _transmission(look.apparent_zenith)
-    settled = steady >= options.steady_after and look.apparent_zenith < options.low_sun_zenith_deg
+    settled = steady >= _STEADY_AFTER and look.apparent_zenith < _LOW_SUN_ZENITH_DEG
     return SunExposureState(
         exposures_us=_beside_the_clear(wanted, look, options, bounds, settled=settled),
         cycles_steady=steady,
@@ -158,11 +155,11 @@ def _without_sun(
 ) -> SunExposureState:
     """Keep the exposures for a while, then wait for the sun with those of a clear sky at its present height."""
     lost = state.cycles_lost + 1
-    if lost < options.lost_after:
+    if lost < LOST_AFTER:
         return replace(state, cycles_lost=lost, cycles_steady=0)
     clear = _clear_us(state, look, options)
     sought = options.first_us if clear is None else clear
-    return replace(state, exposures_us=_bracket(sought, options, bounds), cycles_lost=lost, cycles_steady=0)
+    return replace(state, exposures_us=_bracket(sought, bounds), cycles_lost=lost, cycles_steady=0)
 
 
 def _beside_the_clear(
@@ -171,9 +168,9 @@ def _beside_the_clear(
     """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
     clear = _aim(options) / look.clear_level_per_us if look.clear_level_per_us > 0.0 else math.inf
     unveiled = _within(clear, bounds)
-    if unveiled * options.bracket_ratio < wanted:
+    if unveiled * _BRACKET_RATIO < wanted:
         return (unveiled, wanted)
-    return (wanted,) if settled else _bracket(wanted, options, bounds)
+    return (wanted,) if settled else _bracket(wanted, bounds)
 
 
 def _clear_us(state: SunExposureState, look: SunLook, options: SunExposureOptions) -> float | None:
@@ -204,7 +201,7 @@ def _best(peaks: Sequence[Peak], options: SunExposureOptions) -> Peak:
 def _wanted_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
     """Return the exposure that brings the peak to the middle of the band, judged from the best exposed frame."""
     best = _best(peaks, options)
-    change = min(max(_aim(options) / best.fraction, 1.0 / options.max_change), options.max_change)
+    change = min(max(_aim(options) / best.fraction, 1.0 / _MAX_CHANGE), _MAX_CHANGE)
     return _within(best.exposure_us * change, bounds)
 
 
@@ -223,9 +220,9 @@ def _good(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bo
     return (peak.fraction > options.target_high and at_shortest) or (peak.fraction < options.target_low and at_longest)
 
 
-def _bracket(shorter_us: float, options: SunExposureOptions, bounds: ExposureBounds) -> tuple[float, ...]:
+def _bracket(shorter_us: float, bounds: ExposureBounds) -> tuple[float, ...]:
     first = _within(shorter_us, bounds)
-    second = _within(first * options.bracket_ratio, bounds)
+    second = _within(first * _BRACKET_RATIO, bounds)
     return (first, second) if second > first else (first,)
 
 

@@ -43,7 +43,7 @@ def calibration() -> Calibration:
 
 def test_a_mount_wanders_as_a_matern_process() -> None:
     times = np.array([0.0, 1800.0, 7200.0, 50_000.0])
-    found = wandering(times, WatchOptions(wander_deg=0.5, wander_hours=2.0))
+    found = wandering(times, WatchOptions(wander_deg=0.5))
     np.testing.assert_allclose(np.diag(found), math.radians(0.5) ** 2)
     # Rasmussen and Williams (2006), eq. 4.14 with nu = 3/2
     scaled = math.sqrt(3.0) * times[1:] / 7200.0

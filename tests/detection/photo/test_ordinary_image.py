@@ -11,14 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection import Detection, Expectation, Lens, PaperOptions, detect_sun_in_photo, radial_bias_px
+from sunarc.detection import Detection, Expectation, Lens, detect_sun_in_photo, radial_bias_px
 from sunarc.detection.photo.aureole import Halo
 from sunarc.detection.photo.circles import Circle
 from sunarc.detection.photo.ordinary_image import _fault, _light_around, _Seen, _verdict
 from sunarc.detection.values import Verdict
 from sunarc.errors import InputError
 
-OPTIONS = PaperOptions()
 HALO = Halo(100.0, 90.0, 0.05, 0.05, 0.9, 0.01, 0.3, 0.6)
 CIRCLES = (Circle(100.4, 90.2, 12.0, 1.0, 0.2), Circle(99.8, 89.9, 13.0, 0.9, 0.2), Circle(100.0, 90.0, 14.0, 0.8, 0.2))
 SEEN = _Seen(CIRCLES, 0.5, HALO)
@@ -40,7 +39,7 @@ def found_in(image: NDArray[np.uint16], **arguments: Any) -> Detection:  # noqa:
 
 
 def fault(spread_px: float = 0.5, **halo: float) -> Verdict | None:
-    answer = _fault(HALO._replace(**halo), spread_px, OPTIONS)
+    answer = _fault(HALO._replace(**halo), spread_px)
     return None if answer is None else answer[0]
 
 
@@ -75,13 +74,13 @@ def test_a_certain_centre_needs_less(share: float, spread_px: float, verdict: Ve
 @pytest.mark.parametrize(("off", "verdict"), [(11.9, "clear"), (12.1, "reflection")])
 def test_a_blob_far_from_the_prediction_is_a_reflection(off: float, verdict: Verdict) -> None:
     expectation = Expectation(x_px=100.0 + 0.6 * off, y_px=90.0 + 0.8 * off, uncertainty_px=2.0)
-    assert _verdict(SEEN, expectation, OPTIONS)[0] == verdict
-    assert _verdict(SEEN, None, OPTIONS)[0] == "clear"
+    assert _verdict(SEEN, expectation)[0] == verdict
+    assert _verdict(SEEN, None)[0] == "clear"
 
 
 def test_a_blob_without_light_around_it_is_partly_covered() -> None:
     bare = SEEN._replace(halo=None)
-    assert _verdict(bare, None, OPTIONS)[0] == "partly_covered"
+    assert _verdict(bare, None)[0] == "partly_covered"
     assert bare.center == (100.0, 90.0)
     assert bare.spread_px == math.inf
 
@@ -122,7 +121,7 @@ def test_the_sun_in_its_glare_is_found(place: tuple[float, float]) -> None:
 
 
 def test_the_papers_medians_are_the_answer_where_asked_for() -> None:
-    found = found_in(glare_image(), options=PaperOptions(robust=False))
+    found = found_in(glare_image(), robust=False)
     assert found.accepted
     assert (found.x_px, found.y_px) == pytest.approx((100.0, 90.0), abs=1.0)
     assert found.spread_px is not None

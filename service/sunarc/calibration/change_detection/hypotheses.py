@@ -30,6 +30,8 @@ BoolArray = NDArray[np.bool_]
 _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _CLEARER = 6.0
+_LEAST_AGREEING = 4
+"""Fewest sightings after a change that agree on it: three fix a rotation with one to check it."""
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
 _CLEARER_THAN_CLOUD = 4.0
 """Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
@@ -77,14 +79,14 @@ def best_hypothesis(
     clock_stepped, posed_from_few : see `update_window`.
     """
     nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted)
-    best = _best_turn(window, small=small, least=options.least_agreeing)
+    best = _best_turn(window, small=small, least=_LEAST_AGREEING)
     best = best or _lens_alone(window)
     if not best:
         return None
     rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
     chosen = _chosen(best[0], rivals, clock_stepped=clock_stepped)
     gain = chosen.evidence - nothing.log_evidence
-    if gain < options.least_gain or chosen.agreeing < options.least_agreeing:
+    if gain < options.least_gain or chosen.agreeing < _LEAST_AGREEING:
         return None
     if chosen.agreeing < int(nothing.inlier[chosen.of.first :].sum()):
         return None

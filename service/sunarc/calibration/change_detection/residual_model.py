@@ -26,7 +26,8 @@ from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, Site, refraction_rad
 
 FloatArray = NDArray[np.float64]
 
-_HOUR_S = 3600.0
+_WANDER_S = 2.0 * 3600.0
+"""Time over which a mast and its mount wander with the sun on them."""
 _AIR_SD = math.hypot(ASSUMED_AIR_SD, DAILY_AIR_SD)
 
 
@@ -86,7 +87,7 @@ def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
-    apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / (options.wander_hours * _HOUR_S)
+    apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / _WANDER_S
     return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + apart) * np.exp(-apart))
 
 

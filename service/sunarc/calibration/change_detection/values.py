@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
-from sunarc.bounds import Positive, require_bounds
+from sunarc.bounds import require_bounds
 from sunarc.optics import Camera
 
 FloatArray = NDArray[np.float64]
@@ -28,15 +28,11 @@ class WatchOptions:
     Attributes
     ----------
     wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
-    wander_hours : time over which they do.
     least_gain : by how many powers of e a change must explain the sightings better than none.
-    least_agreeing : fewest sightings after the change that agree on it.
     """
 
     wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
-    wander_hours: Positive = 2.0
     least_gain: Annotated[float, Ge(10.0)] = 20.0
-    least_agreeing: Annotated[int, Ge(3)] = 4
 
     def __post_init__(self) -> None:
         """Refuse what would find changes everywhere."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from annotated_types import Gt, Le, Lt
 
-from sunarc.bounds import Positive, Share, require_bounds
 from sunarc.detection.photo.aureole import Halo, halo_about
 from sunarc.detection.photo.blob import thickest
 from sunarc.detection.photo.blob_bias import Lens, bias_at
@@ -30,45 +27,29 @@ _EIGHT_BITS = 255
 _JACKKNIFE = 3.0  # errors over the sigma of leaving sectors out, found on stand-ins: a contrail is in many sectors
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PaperOptions:
-    """How ordinary images are searched and judged.
-
-    Attributes
-    ----------
-    robust : answer with the centre of the light around the blob; otherwise with the medians of the paper's estimators.
-    full_image : convolve the whole image as the paper does (slow, the reference).
-    min_peak_fraction : an image darker than this at its brightest shows no sun.
-    max_radius_fraction : a blob wider than this share of the image's smaller side is no sun.
-    min_share : share of the directions around the sun in which the light must fall off as in the others.
-    min_edge : light next to the blob, over its own (linear), below which it is no sun but something white.
-    max_spread_px : largest 1-sigma of the centre, as leaving sectors out tells it.
-    max_scatter : scatter of the light around the sun about what is symmetric, over its fall outwards.
-    sure_spread_px : where that 1-sigma is smaller, a fifth less share and 2.5 times the scatter are no fault: streaks
-        of the lens and contrails are uneven and leave the centre where it is, thin cloud moves it.
-    max_ellipticity : 1 - minor/major axis of that light's ellipses.
-    gamma : of an 8 bit image's tones; deeper ones are taken for linear.
-    sigma_px : 1-sigma per axis of an accepted position, at least (the paper finds 0.43 px).
-    max_apparent_zenith_deg : a lower sun is below the horizon.
-    """
-
-    robust: bool = True
-    full_image: bool = False
-    min_peak_fraction: Share = 0.85
-    max_radius_fraction: Annotated[float, Gt(0.0), Le(1.0)] = 0.08
-    min_share: Share = 0.5
-    min_edge: Share = 0.35
-    max_spread_px: Positive = 1.5
-    max_scatter: Positive = 0.04
-    sure_spread_px: Positive = 0.3
-    max_ellipticity: Annotated[float, Gt(0.0), Lt(1.0)] = 0.32
-    gamma: Positive = 2.2
-    sigma_px: Positive = 0.43
-    max_apparent_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
-
-    def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
-        require_bounds(self, section="ordinary image")
+_MIN_PEAK_FRACTION = 0.85
+"""An image darker than this at its brightest shows no sun: in an ordinary exposure its disc is saturated."""
+_MAX_RADIUS_FRACTION = 0.08
+"""A blob wider than this share of the image's smaller side is no sun."""
+_MIN_SHARE = 0.5
+"""Share of the directions around the sun in which the light must fall off as in the others."""
+_MIN_EDGE = 0.35
+"""Light next to the blob, over its own (linear), below which it is no sun but something white."""
+_MAX_SPREAD_PX = 1.5
+"""Largest 1-sigma of the centre, by leaving sectors out."""
+_MAX_SCATTER = 0.04
+"""Scatter of the light around the sun about what is symmetric, over its fall outwards."""
+_SURE_SPREAD_PX = 0.3
+"""Where the centre's 1-sigma is smaller, a fifth less share and 2.5 times the scatter are no fault: streaks of the lens
+and contrails are uneven and leave the centre where it is, thin cloud moves it."""
+_MAX_ELLIPTICITY = 0.32
+"""Largest 1 - minor/major axis of that light's ellipses."""
+_GAMMA = 2.2
+"""Of an 8 bit image's tones (sRGB's, about); deeper ones are taken for linear."""
+_SIGMA_PX = 0.43
+"""1-sigma per axis of an accepted position, at least: what the paper finds."""
+_MAX_APPARENT_ZENITH_DEG = 89.6
+"""A lower sun is below the horizon: at 89.6 degrees the whole disc (radius 0.27 degrees) is still above it."""
 
 
 class _Seen(NamedTuple):
@@ -101,15 +82,12 @@ class _Seen(NamedTuple):
         return self.around**2 * share * len(self.circles) * math.sqrt(self.radius) * even
 
 
-_DEFAULT_OPTIONS = PaperOptions()
-
-
 def detect_sun_in_photo(
     image: Image,
     *,
     full_scale: int,
     expectation: Expectation | None = None,
-    options: PaperOptions = _DEFAULT_OPTIONS,
+    robust: bool = True,
     lens: Lens | None = None,
     exposure_us: float | None = None,
 ) -> Detection:
@@ -120,7 +98,7 @@ def detect_sun_in_photo(
     image : (rows, columns) or (rows, columns, 3) uint8 or uint16; the colours' order does not matter.
     full_scale : its largest count.
     expectation : where the sun should be, where known; its apparent zenith sets the kernels' width.
-    options : of search and classification.
+    robust : answer with the centre of the light around the blob; otherwise with the medians of the paper's estimators.
     lens : where given, the expected radial bias of the blob is reported (never subtracted).
     exposure_us : returned in the result.
 
@@ -134,25 +112,25 @@ def detect_sun_in_photo(
     """
     planes = planes_of(image, full_scale=full_scale)
     zenith = None if expectation is None else expectation.apparent_zenith
-    if zenith is not None and zenith > math.radians(options.max_apparent_zenith_deg):
+    if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
         return _none("below_horizon", f"the sun is at {math.degrees(zenith):.2f} degrees from the zenith", exposure_us)
     peak = float(planes.counts.max()) / full_scale
-    if peak < options.min_peak_fraction:
+    if peak < _MIN_PEAK_FRACTION:
         return _none("hidden", f"the brightest pixel is {peak:.2f} of full scale", exposure_us, peak)
     if float(np.median(planes.counts[::8, ::8])) >= _ALL_WHITE * full_scale:
         return _none("saturated", "more than half of the image is saturated", exposure_us, peak)
-    seen = _best_blob(planes, peak, expectation, options)
-    estimates = _estimates(planes, seen, zenith, options)
+    seen = _best_blob(planes, peak, expectation)
+    estimates = _estimates(planes, seen, zenith, robust=robust)
     if seen is None or estimates is None:
         return _none("hidden", "no bright region is round", exposure_us, peak)
-    verdict, reason = _verdict(seen, expectation, options)
-    return _detection(seen, estimates, (verdict, reason), planes, options=options, lens=lens, exposure_us=exposure_us)
+    verdict, reason = _verdict(seen, expectation)
+    return _detection(seen, estimates, (verdict, reason), planes, robust=robust, lens=lens, exposure_us=exposure_us)
 
 
-def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, options: PaperOptions) -> Estimates | None:
+def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, *, robust: bool) -> Estimates | None:
     """Return the paper's estimators' answers; where something else may be brighter, from the blob's surroundings."""
-    if seen is None or not options.robust:
-        return locate(planes, apparent_zenith=zenith, full_image=options.full_image)
+    if seen is None or not robust:
+        return locate(planes, apparent_zenith=zenith)
     half = math.ceil(3.0 * seen.radius) + 8
     x0, y0 = (max(0, round(value) - half) for value in seen.center)
     rows, columns = slice(y0, round(seen.center[1]) + half + 1), slice(x0, round(seen.center[0]) + half + 1)
@@ -166,12 +144,12 @@ def _none(verdict: Verdict, reason: str, exposure_us: float | None, peak: float 
     )
 
 
-def _best_blob(planes: Planes, peak: float, expectation: Expectation | None, options: PaperOptions) -> _Seen | None:
+def _best_blob(planes: Planes, peak: float, expectation: Expectation | None) -> _Seen | None:
     """Return the roundest of the brightest regions; with an expectation only those around it count."""
     grey = planes.grey()
     top = float(grey.max())
     mask = (grey >= _LEVELS[1] * min(top, peak)).astype(np.uint8)
-    largest = options.max_radius_fraction * min(mask.shape)
+    largest = _MAX_RADIUS_FRACTION * min(mask.shape)
     inscribed = thickest(mask, most=_SEEDS, least_radius=_LEAST_SEED_PX)
     seeds = [Circle(*found, 0.1, 1.0) for found in inscribed if found[2] <= largest]
     if expectation is not None:
@@ -180,8 +158,8 @@ def _best_blob(planes: Planes, peak: float, expectation: Expectation | None, opt
     seen = sorted((_Seen((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
         -_LOOKED_AT:
     ]
-    outlined = [found for one in seen if (found := _circles(grey, top, one.circles[0], options)) is not None]
-    tones = options.gamma if planes.full_scale == _EIGHT_BITS else 1.0
+    outlined = [found for one in seen if (found := _circles(grey, top, one.circles[0])) is not None]
+    tones = _GAMMA if planes.full_scale == _EIGHT_BITS else 1.0
     best = sorted(seen + outlined, key=lambda each: each.score)[-_HALOS:]
     with_light = [each._replace(halo=_halo_of(grey, top, each, tones)) for each in best]
     return max(with_light, key=lambda each: each.score, default=None)
@@ -198,9 +176,9 @@ def _halo_of(grey: Plane, top: float, seen: _Seen, tones: float) -> Halo | None:
     return None if found is None else found._replace(x=found.x + x0, y=found.y + y0)
 
 
-def _circles(grey: Plane, top: float, seed: Circle, options: PaperOptions) -> _Seen | None:
+def _circles(grey: Plane, top: float, seed: Circle) -> _Seen | None:
     """Return the level circles around a point that look like circles at all."""
-    largest = options.max_radius_fraction * min(grey.shape)
+    largest = _MAX_RADIUS_FRACTION * min(grey.shape)
     half = math.ceil(2.5 * largest)
     x0, y0 = max(0, round(seed.x) - half), max(0, round(seed.y) - half)
     part = np.ascontiguousarray(grey[y0 : round(seed.y) + half + 1, x0 : round(seed.x) + half + 1])
@@ -225,7 +203,7 @@ def _light_around(grey: Plane, circle: Circle) -> float:
     return float(np.median(ring)) if ring.size else 0.0
 
 
-def _verdict(seen: _Seen, expectation: Expectation | None, options: PaperOptions) -> tuple[Verdict, str]:
+def _verdict(seen: _Seen, expectation: Expectation | None) -> tuple[Verdict, str]:
     x, y = seen.center
     if expectation is not None:
         distance = math.hypot(x - expectation.x_px, y - expectation.y_px)
@@ -234,21 +212,21 @@ def _verdict(seen: _Seen, expectation: Expectation | None, options: PaperOptions
     if seen.halo is None:
         return "partly_covered", "too little of the light around the bright region can be seen"
     clear = f"a bright region of {2.0 * seen.radius:.0f} px, the light around it even to {seen.halo.scatter:.3f}"
-    return _fault(seen.halo, seen.spread_px, options) or ("clear", clear)
+    return _fault(seen.halo, seen.spread_px) or ("clear", clear)
 
 
-def _fault(halo: Halo, spread_px: float, options: PaperOptions) -> tuple[Verdict, str] | None:
+def _fault(halo: Halo, spread_px: float) -> tuple[Verdict, str] | None:
     """Return what is wrong with the light around a bright region."""
-    if halo.edge < options.min_edge:
+    if halo.edge < _MIN_EDGE:
         return "hidden", f"a white patch with an edge, no glare: {halo.edge:.2f} of its light next to it"
-    sure = spread_px < options.sure_spread_px
-    if halo.share < (0.8 * options.min_share if sure else options.min_share):
+    sure = spread_px < _SURE_SPREAD_PX
+    if halo.share < (0.8 * _MIN_SHARE if sure else _MIN_SHARE):
         return "partly_covered", f"in only {halo.share:.2f} of the directions around it the light falls off alike"
-    if halo.scatter > (2.5 * options.max_scatter if sure else options.max_scatter):
+    if halo.scatter > (2.5 * _MAX_SCATTER if sure else _MAX_SCATTER):
         return "veiled", f"the light around it is uneven by {halo.scatter:.3f} of its fall"
-    if halo.ellipticity > options.max_ellipticity:
+    if halo.ellipticity > _MAX_ELLIPTICITY:
         return "veiled", f"the light around it is drawn out: 1 - minor/major axis is {halo.ellipticity:.2f}"
-    if spread_px > options.max_spread_px:
+    if spread_px > _MAX_SPREAD_PX:
         return "veiled", f"its centre is known to {spread_px:.1f} px only"
     return None
 
@@ -259,11 +237,11 @@ def _detection(
     verdict: tuple[Verdict, str],
     planes: Planes,
     *,
-    options: PaperOptions,
+    robust: bool,
     lens: Lens | None,
     exposure_us: float | None,
 ) -> Detection:
-    x, y = seen.center if options.robust else estimates.position
+    x, y = seen.center if robust else estimates.position
     return Detection(
         method="paper",
         accepted=verdict[0] == "clear",
@@ -271,7 +249,7 @@ def _detection(
         reason=verdict[1],
         x_px=x,
         y_px=y,
-        sigma_px=math.hypot(options.sigma_px, min(seen.spread_px, seen.radius), _LARGE * seen.radius),
+        sigma_px=math.hypot(_SIGMA_PX, min(seen.spread_px, seen.radius), _LARGE * seen.radius),
         peak_fraction=float(planes.counts.max()) / planes.full_scale,
         background_fraction=float(np.median(planes.counts[::16, ::16])) / planes.full_scale,
         radius_px=seen.radius,

@@ -25,6 +25,8 @@ from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.timing.frame_time import FrameTime
 
 _HEARTBEAT_S = 1.0
+_DAYLIGHT_ZENITH_DEG = 96.0
+"""Composites are made while the sun's apparent zenith angle is below this: until the end of civil twilight."""
 _LEAD_S = 2.0  # before a slot the camera is looked at, and until then the slot before is over
 _LEAD_SHARE = 0.2  # of short cadences
 _SHORTEST_NORMAL_US, _SHORTEST_BRACKET_US = 10.0, 100.0  # no lens shows the sky in less; the sun's are not set
@@ -38,10 +40,8 @@ class CaptureOptions:
     ----------
     cadence_s : seconds from slot to slot; slots are whole multiples of it since 1970-01-01 UTC.
     hdr_exposures_us : the normal exposures, in the order taken.
-    daylight_zenith_deg : composites are made while the sun's apparent zenith angle is below this.
-    sun_zenith_deg : sun exposures are taken while it is below this.
+    sun_zenith_deg : sun exposures are taken while the sun's apparent zenith angle is below this.
     night_cadence_s : seconds between the sign-of-life exposures of the night, which are not kept.
-    attempts : how often one exposure is tried before the cycle goes on without it.
     reopen_after_s, reopen_at_most_s : seconds before a lost camera is tried again: the first pause, doubled up to the
         longest one.
     camera_clock_error_s : bound of the camera's clock's error, where frames are dated by it (PTP).
@@ -50,10 +50,8 @@ class CaptureOptions:
 
     cadence_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
     hdr_exposures_us: tuple[Annotated[float, Gt(0.0), Le(1e8)], ...] = (3_000.0, 12_000.0, 48_000.0)
-    daylight_zenith_deg: Annotated[float, Gt(0.0), Le(180.0)] = 96.0
     sun_zenith_deg: Annotated[float, Gt(0.0), Le(92.0)] = 89.6
     night_cadence_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 600.0
-    attempts: Annotated[int, Ge(1), Le(10)] = 2
     reopen_after_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
     reopen_at_most_s: Annotated[float, Gt(0.0), Le(3600.0)] = 30.0
     camera_clock_error_s: Annotated[float, Ge(0.0), Le(3600.0)] = 0.001
@@ -149,7 +147,7 @@ class CaptureWorker:
         if not self._frame_time.known:
             self._sign_of_life(exposer, camera.info.exposure_min_us)
         while not stop.is_set():
-            daylight = self._apparent_zenith() < self._options.daylight_zenith_deg
+            daylight = self._apparent_zenith() < _DAYLIGHT_ZENITH_DEG
             every_s = self._options.cadence_s if daylight else self._options.night_cadence_s
             real_every_s = every_s / self._frame_time.speed
             slot = self._next_slot(every_s=every_s)
@@ -242,7 +240,6 @@ class CaptureWorker:
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
         return ExposureSequence(
             camera=camera,
-            attempts=self._options.attempts,
             has_time=lambda: self._clock.monotonic() < deadline_s,
             report=self._report,
             received=self._received,

@@ -13,6 +13,9 @@ from sunarc.imaging import Exposed, light_ratio_contradiction
 from sunarc.workers.capture.status import CaptureReport
 
 _log = logging.getLogger(__name__)
+
+_ATTEMPTS = 2
+"""How often one exposure is tried before the cycle goes on without it: a third try would take the next one's slot."""
 _COMPARABLE_S = 5.0  # frames further apart may show another sky
 
 
@@ -23,21 +26,19 @@ class ExposureSequence:
     Parameters
     ----------
     camera : open.
-    attempts : how often one exposure is tried.
     has_time : whether another attempt may begin.
     report : where retries and losses are counted.
     received : called with every frame as soon as it is there.
     """
 
     camera: SkyCamera
-    attempts: int
     has_time: Callable[[], bool]
     report: CaptureReport
     received: Callable[[Frame], None]
 
     def take(self, exposure_us: float) -> Frame | None:
         """Return a frame, or None when every attempt failed; CameraLostError passes."""
-        for attempt in range(self.attempts):
+        for attempt in range(_ATTEMPTS):
             if attempt and not self.has_time():
                 break
             self.report.add(retries=int(attempt > 0))
@@ -74,7 +75,7 @@ class ExposureSequence:
         CameraLostError
             They never agreed: the camera is to be opened anew.
         """
-        for attempt in range(self.attempts):
+        for attempt in range(_ATTEMPTS):
             if attempt and not self.has_time():
                 break
             self.report.add(retries=len(exposures_us) if attempt else 0)
@@ -91,7 +92,7 @@ class ExposureSequence:
 
     def take_consistent_with(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
         """Return a frame whose brightness agrees with those of other exposures, or None."""
-        for attempt in range(self.attempts):
+        for attempt in range(_ATTEMPTS):
             if attempt and not self.has_time():
                 break
             self.report.add(retries=int(attempt > 0))

@@ -25,6 +25,9 @@ _BURNT_PX = 30
 _BURNT_LEVEL = 4.0  # of a sun that left a streak and no disc: "much shorter"
 _CODE = "sun_too_bright"
 
+SPOILED_AFTER = 20
+"""Cycles in which even the shortest exposure was burnt beyond use, after which it is reported: 10 minutes."""
+
 
 class SunExposures:
     """Joins the pure exposure controller to the two workers.
@@ -94,7 +97,7 @@ class SunExposures:
     def _show(self, state: SunExposureState, bounds: ExposureBounds) -> None:
         if self._board is None:
             return
-        if state.cycles_spoiled >= self._options.spoiled_after:
+        if state.cycles_spoiled >= SPOILED_AFTER:
             self._board.set_reason(_too_bright(bounds.minimum_us))
         elif state.cycles_spoiled == 0:
             self._board.clear_reason(_CODE)

@@ -34,6 +34,12 @@ _CAMERA_OFFSET_S = 0.5
 _CLEANING_WAIT_S = 3600.0
 """How long a clock must have been left alone before images are removed by their age."""
 
+_CHECK_EVERY_S = 1.0
+LEAST_ERROR_S = 0.02
+"""The least bound that a sighting carries, s; just after a correction, time services report 0 to the kernel."""
+SHOW_STEP_S = 3600.0
+"""How long a step stands in /readyz, s: an operator who looks once an hour sees it."""
+
 Duration = Annotated[float, Gt(0.0), Le(86_400.0)]
 
 
@@ -43,18 +49,12 @@ class ClockOptions:
 
     Attributes
     ----------
-    check_every_s : seconds from look to look.
     step_s : wall time that moves against monotonic time by more than this was set; slewing moves both alike.
-    least_error_s : the least bound that a sighting carries; just after a correction, time services tell the kernel 0.
     assumed_error_s : bound of the host's clock where it is kept right by something that does not tell the kernel.
-    show_step_s : how long a step stands in /readyz.
     """
 
-    check_every_s: Duration = 1.0
     step_s: Duration = 0.1
-    least_error_s: Duration = 0.02
     assumed_error_s: Duration | None = None
-    show_step_s: Duration = 3600.0
 
     def __post_init__(self) -> None:
         """Refuse what is no duration."""
@@ -115,7 +115,7 @@ class ClockWatch:
         while not stop.is_set():
             heartbeat()
             self.look()
-            self._clock.wait(stop, self._options.check_every_s)
+            self._clock.wait(stop, _CHECK_EVERY_S)
 
     def look(self) -> None:
         """Look at the clock once; write down a step, and show how the clock is."""
@@ -159,7 +159,7 @@ class ClockWatch:
     def _kernel_bound_s(self) -> float:
         state = self._clock.state()
         if state.synchronised:
-            return max(state.error_bound_s, self._options.least_error_s)
+            return max(state.error_bound_s, LEAST_ERROR_S)
         return self._options.assumed_error_s or UNKNOWN_ERROR_S
 
     def _camera_offsets_s(self) -> tuple[float, ...]:
@@ -288,7 +288,7 @@ class ClockWatch:
                 last_step_at=None if last is None else last.at,
             )
         )
-        recent = last is not None and self._clock.monotonic() - last.found_s < self._options.show_step_s
+        recent = last is not None and self._clock.monotonic() - last.found_s < SHOW_STEP_S
         self._put("clock_stepped", stepped(self._whose, last) if last is not None and recent else None)
         self._show_trust()
 
