@@ -34,10 +34,6 @@ class Archive(Sightings, SightingRevisions, EpochClosing, UsedSightings, Journal
         self._witness.close()
         super().close()
 
-    def file_problem(self) -> str | None:
-        """Return what happened to the database's file since it was opened; None when it is in place."""
-        return self._file.problem()
-
     def recover(self, *, now: datetime) -> Recovery | None:
         """Put the database's file back when it is not in place; reads and writes wait meanwhile.
 

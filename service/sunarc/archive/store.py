@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
 
@@ -41,6 +41,12 @@ class Store:
         self._usable = threading.Event()
         self._usable.set()
         self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Close the connections that are not in use."""

@@ -18,7 +18,7 @@ from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, describe
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
 EventSeverity = Literal["info", "warning", "alarm"]
-RefitState = Literal["requested", "running", "accepted", "marginal", "refused", "failed", "interrupted"]
+RefitState = Literal["requested", "running", "accepted", "marginal", "refused", "failed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from sunarc import offline
 from sunarc.calibration import CalibrationOptions
-from sunarc.cli.database import AsJson, Config
+from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
 from sunarc.offline.cameras import parse_image_size
@@ -18,8 +18,6 @@ from sunarc.offline.reproduce import solve_again
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
 from sunarc.sky import Site
-
-_SITE = "Where the camera stands"
 
 Value = TypeVar("Value")
 
@@ -32,13 +30,13 @@ def calibrate(
         ),
     ] = None,
     *,
-    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)] = None,
-    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=_SITE)] = None,
+    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
+    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
     image_size: Annotated[str | None, typer.Option(help="W,H in px.")] = None,
     image_circle: Annotated[
         str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.")
     ] = None,
-    altitude: Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=_SITE)] = 0.0,
+    altitude: Altitude = 0.0,
     pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
     temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
     projection: Annotated[str, typer.Option(help="The lens's ideal projection.")] = "equisolid",

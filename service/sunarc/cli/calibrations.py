@@ -8,12 +8,13 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from sunarc.archive import parse_time
-from sunarc.cli.database import AsJson, Config
+from sunarc.archive import CalibrationRecord, PoseEpoch, open_archive, parse_time
+from sunarc.cli.options import AsJson, Config
 from sunarc.cli.output import print_json, table
-from sunarc.offline import calibration_history as history
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
+
+_SHOWN = ("id", "state", "pinned", "valid_from", "valid_until", "pose_epoch", "parent", "accepted")
 
 calibrations_cli = typer.Typer(no_args_is_help=True, help="The history of calibrations: see it, roll back, pin.")
 epochs_cli = typer.Typer(
@@ -37,7 +38,9 @@ def list_calibrations(
 
     Example: sunarc calibrations list --config sunarc.toml
     """
-    rows = history.list_calibrations(load_settings(config), limit=limit)
+    settings = load_settings(config)
+    with open_archive(settings.database) as archive:
+        rows = [_row(record) for record in archive.calibrations(settings.name, limit=limit)]
     if as_json:
         print_json(rows)
         return
@@ -53,7 +56,8 @@ def activate(
 
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
-    row = history.reinstate(load_settings(config), calibration, at=_moment(start), reason=reason)
+    with open_archive(load_settings(config).database) as archive:
+        row = _row(archive.reinstate(calibration, at=_moment(start), reason=reason))
     _say(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 
@@ -63,7 +67,8 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
 
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
-    row = history.hold(load_settings(config), calibration, at=_moment(None), reason=reason, pinned=True)
+    with open_archive(load_settings(config).database) as archive:
+        row = _row(archive.pin(calibration, at=_moment(None), reason=reason))
     _say(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
 
@@ -73,7 +78,8 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
 
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
-    row = history.hold(load_settings(config), calibration, at=_moment(None), reason=reason, pinned=False)
+    with open_archive(load_settings(config).database) as archive:
+        row = _row(archive.unpin(calibration, at=_moment(None), reason=reason))
     _say(row, f"{row['id']} may be replaced again", as_json=as_json)
 
 
@@ -83,7 +89,9 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
 
     Example: sunarc epochs list --config sunarc.toml
     """
-    rows = history.list_epochs(load_settings(config))
+    settings = load_settings(config)
+    with open_archive(settings.database) as archive:
+        rows = [_epoch_row(epoch) for epoch in archive.epochs(settings.name, include_closed=True)]
     if as_json:
         print_json(rows)
         return
@@ -106,8 +114,9 @@ def close_epoch(
 
     Example: sunarc epochs close imager-2 --reason "the clock was ahead"
     """
-    row = history.close_epoch(load_settings(config), epoch, at=_moment(None), reason=reason)
-    current = row["calibration"]
+    with open_archive(load_settings(config).database) as archive:
+        current = archive.close_epoch(epoch, at=_moment(None), reason=reason)
+    row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"
     _say(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
 
@@ -117,6 +126,23 @@ def _say(row: dict[str, Any], text: str, *, as_json: bool) -> None:
         print_json(row)
     else:
         print(text)
+
+
+def _row(record: CalibrationRecord) -> dict[str, Any]:
+    row = {name: getattr(record, name) for name in _SHOWN}
+    row |= {name: value and value.isoformat() for name, value in row.items() if name.startswith("valid")}
+    sky = record.document.get("uncertainty", {}).get("sky_rms_deg")
+    return {**row, "sky_rms_deg": sky, "reasons": list(record.reasons)}
+
+
+def _epoch_row(epoch: PoseEpoch) -> dict[str, Any]:
+    return {
+        "id": epoch.id,
+        "started_at": epoch.started_at.isoformat(),
+        "ended_at": epoch.ended_at and epoch.ended_at.isoformat(),
+        "reason": epoch.reason,
+        "closed": epoch.ended_at is not None and epoch.ended_at <= epoch.started_at,
+    }
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import lock_holder, parse_time
+from sunarc.cli.options import AsJson, Config, State
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
 from sunarc.offline import import_sightings as importing
@@ -22,12 +23,6 @@ from sunarc.settings import load_settings
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
 db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
-
-Config = Annotated[
-    Path | None, typer.Option("--config", envvar="SUNARC_CONFIG", help="Settings file (TOML).", show_default=False)
-]
-State = Annotated[Path, typer.Option("--state", help="The service's state folder.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @points_cli.command("import")

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from sunarc.cli.options import CalibrationFile
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import FORMATS, MAP_FORMATS, Exported, export, export_map
 from sunarc.offline.files import read_file
@@ -17,7 +18,7 @@ _MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
 
 
 def export_calibration(
-    calibration: Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")],
+    calibration: CalibrationFile,
     *,
     wanted: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
     target: Annotated[

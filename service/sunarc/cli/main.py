@@ -17,8 +17,9 @@ from sunarc import __version__, app, offline
 from sunarc.archive import parse_time
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
-from sunarc.cli.database import Config, db_cli, note_running_service, points_cli
+from sunarc.cli.database import db_cli, note_running_service, points_cli
 from sunarc.cli.export import export_calibration
+from sunarc.cli.options import Altitude, AsJson, CalibrationFile, Config, Latitude, Longitude
 from sunarc.cli.output import print_json, table
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
@@ -28,8 +29,6 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings import all_settings, as_markdown, load_settings
 from sunarc.sky import Site
-
-_SITE = "Where the camera stands"
 
 cli = typer.Typer(
     no_args_is_help=True,
@@ -46,12 +45,7 @@ cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
 cli.command("export")(export_calibration)
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Latitude = Annotated[float, typer.Option(help="Degrees, north positive.", rich_help_panel=_SITE)]
-Longitude = Annotated[float, typer.Option(help="Degrees, east positive.", rich_help_panel=_SITE)]
-Altitude = Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=_SITE)]
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
-CalibrationFile = Annotated[Path, typer.Option("--calibration", help="A calibration document (JSON).")]
 
 Choice = TypeVar("Choice", bound=str)
 

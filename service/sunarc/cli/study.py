@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,6 +14,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from sunarc.calibration import Method
+from sunarc.cli.options import AsJson
+from sunarc.cli.output import print_json
 from sunarc.errors import InputError
 from sunarc.studies.published import CASES
 from sunarc.studies.reports import make_folder, write_tables, write_uncertainty
@@ -28,7 +29,6 @@ AnyRow = Mapping[str, str | int | float]
 Out = Annotated[Path, typer.Option("--out", help="Folder for the CSV and PNG files.")]
 Methods = Annotated[str, typer.Option("--method", help="paper, robust or both.")]
 Seed = Annotated[int, typer.Option(help="Of everything that is drawn.", min=0)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 Sheet = dict[str, str]
 """Columns of a printed table: what stands above, and what a row calls it."""
@@ -124,7 +124,7 @@ def _tell(
     as_json: bool,
 ) -> None:
     if as_json:
-        sys.stdout.write(json.dumps({"rows": list(rows), "files": [str(file) for file in files]}, indent=1) + "\n")
+        print_json({"rows": list(rows), "files": [str(file) for file in files]})
         return
     console = Console(soft_wrap=True, highlight=False)
     for title, (columns, shown) in sheets.items():

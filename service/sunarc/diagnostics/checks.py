@@ -94,7 +94,7 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
         return "ok", "none yet; the service makes it"
     found = check(settings.database)
     if found.sound:
-        with closing(open_archive(settings.database)) as archive:
+        with open_archive(settings.database) as archive:
             require_stored_site(archive, settings)
         return "ok", f"revision {found.revision}, {found.rows.get('sun_point', 0)} sightings"
     if found.revision != found.head:

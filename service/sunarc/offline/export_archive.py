@@ -41,14 +41,12 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
     """
     if folder.exists() and any(folder.iterdir()):
         raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
-    archive = open_archive(database_of(state))
     try:
-        (folder / "calibrations").mkdir(parents=True, exist_ok=True)
-        return _write(archive, folder)
+        with open_archive(database_of(state)) as archive:
+            (folder / "calibrations").mkdir(parents=True, exist_ok=True)
+            return _write(archive, folder)
     except OSError as error:
         raise OutsideError(f"cannot write to {folder}: {error.strerror}; free some space, or name another") from None
-    finally:
-        archive.close()
 
 
 def _write(archive: Archive, folder: Path) -> dict[str, int]:

@@ -40,23 +40,17 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
         )
     require_inside(table.pixels, size, name=path.name)
     upgrade_present(settings.database)
-    archive = open_archive(settings.database)
-    try:
+    with open_archive(settings.database) as archive:
         register_camera(archive, settings, size)
         return archive.add_sun_points(_points(archive, settings, table, path.name)), int(table.unix_s.size)
-    finally:
-        archive.close()
 
 
 def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
     if not settings.database.is_file() or settings.database.stat().st_size == 0:
         return None
     upgrade(settings.database)
-    archive = open_archive(settings.database)
-    try:
+    with open_archive(settings.database) as archive:
         known = known_camera(archive, settings)
-    finally:
-        archive.close()
     return None if known is None else (known.width, known.height)
 
 

@@ -67,15 +67,12 @@ def ingest_folder(
     """
     files = _images(folder)
     upgrade_present(settings.database)
-    archive = open_archive(settings.database)
-    try:
+    with open_archive(settings.database) as archive:
         known_camera(archive, settings)
         known = {point.time for point in archive.sun_points(settings.name)}
         for path in files:
             naming = _Naming(time_pattern, timedelta(hours=utc_offset_h))
             yield _ingested(archive, settings, path, method=method, naming=naming, known=known)
-    finally:
-        archive.close()
 
 
 def _images(folder: Path) -> list[Path]:

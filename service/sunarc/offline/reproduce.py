@@ -21,12 +21,9 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     NotFoundError : there is no such calibration, or nothing was kept with it.
     InputError : its sightings were changed or deleted since.
     """
-    archive = open_archive(settings.database)
-    try:
+    with open_archive(settings.database) as archive:
         record = archive.calibration(calibration_id)
         points = points_of(archive.sightings_of(calibration_id), latest=record.pose_epoch)
-    finally:
-        archive.close()
     past = from_document(record.document)
     solved = reproduce_calibration(past, points)
     apart_px = distance_px(past, solved)

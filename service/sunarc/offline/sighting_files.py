@@ -29,15 +29,11 @@ from sunarc.settings import Settings
 
 def export_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
     """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
-    archive = open_archive(settings.database)
-    points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
-    rows = [
-        (point.time, point.x_px, point.y_px, point.sigma_px, point.body)
-        for point in points
-        if point.x_px is not None and point.y_px is not None
-    ]
-    located = [point for point in points if point.x_px is not None and point.y_px is not None]
-    return write_sightings(target, rows, air=archive.air_of(settings.name, located))
+    with open_archive(settings.database) as archive:
+        points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
+        air = archive.air_of(settings.name, points)
+    rows = [(p.time, p.x_px, p.y_px, p.sigma_px, p.body) for p in points if p.x_px is not None and p.y_px is not None]
+    return write_sightings(target, rows, air=air)
 
 
 def upgrade_database(state: Path) -> str:

@@ -194,9 +194,3 @@ def turned(camera: Camera, turn: FloatArray) -> Camera:
     """Return a camera after a turn (3,) about its own axes, radians."""
     matrix = Rotation.from_rotvec(turn).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
-
-
-def turn_between(first: Camera, second: Camera) -> FloatArray:
-    """Return (3,): the turn about its own axes that takes the first camera's pose to the second's, radians."""
-    matrix = rotation_matrix(second.rotation_cam_enu) @ rotation_matrix(first.rotation_cam_enu).T
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
