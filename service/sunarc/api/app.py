@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
 from sunarc.api.compute_slots import Places
-from sunarc.api.context import CAMERA_PREFIX, ApiContext, CurrentRecords, DaySites
+from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
 from sunarc.api.middleware.authentication import ReadTokenMiddleware, read_token
@@ -41,6 +41,7 @@ from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, Refit
+from sunarc.calibration import lookup
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
 
@@ -79,8 +80,11 @@ def create_app(
     """
     served = ApiContext(
         archive=archive,
-        current=CurrentRecords(archive),
         sites=DaySites(archive),
+        ready=SingleFlightCache(
+            lambda record: lookup(archive.model(record.id)),
+            key=lambda record: record.id,  # a model never changes under one id
+        ),
         camera=camera,
         site=site,
         status=status,

@@ -15,7 +15,7 @@ from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, Refit
-from sunarc.calibration import Calibration, Lookup, from_document, lookup
+from sunarc.calibration import Calibration, Lookup
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
@@ -41,10 +41,6 @@ class _OfCamera(Convertor[str]):
 
 
 register_url_convertor("of_camera", _OfCamera())
-
-
-def _id(record: CalibrationRecord) -> str:
-    return record.id  # a model never changes under one id
 
 
 class SingleFlightCache(Generic[Asked, Value]):
@@ -79,27 +75,6 @@ class SingleFlightCache(Generic[Asked, Value]):
             return found
 
 
-class CurrentRecords:
-    """The current calibrations, as last read; read again after anything was written to the archive.
-
-    Parameters
-    ----------
-    archive : where they are.
-    """
-
-    def __init__(self, archive: Archive) -> None:
-        self._archive = archive
-        self._known: dict[str, tuple[int, CalibrationRecord | None]] = {}
-
-    def get(self, camera: str) -> CalibrationRecord | None:
-        """Return the calibration of a camera that answers now; None without one."""
-        revision = self._archive.revision()
-        kept = self._known.get(camera)
-        if kept is None or kept[0] != revision:
-            kept = self._known[camera] = (revision, self._archive.current_calibration(camera))
-        return kept[1]
-
-
 class DaySites:
     """Cameras' sites in the measured air of a day, as last read; read again after anything was written to the archive.
 
@@ -121,14 +96,6 @@ class DaySites:
         return kept[2]
 
 
-def _parse(record: CalibrationRecord) -> Calibration:
-    return from_document(record.document)
-
-
-def _make_ready(record: CalibrationRecord) -> Lookup:
-    return lookup(_parse(record))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiContext:
     """The collaborators of one application (see `create_app`)."""
@@ -142,14 +109,8 @@ class ApiContext:
     latest_image: Callable[[], Path | None]
     options: ApiOptions
     token: bytes | None = field(repr=False)
-    current: CurrentRecords
     sites: DaySites
-    parsed: SingleFlightCache[CalibrationRecord, Calibration] = field(
-        default_factory=lambda: SingleFlightCache(_parse, key=_id)
-    )
-    ready: SingleFlightCache[CalibrationRecord, Lookup] = field(
-        default_factory=lambda: SingleFlightCache(_make_ready, key=_id)
-    )
+    ready: SingleFlightCache[CalibrationRecord, Lookup]
 
     def of(self, request: Request) -> ApiContext:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""
@@ -196,11 +157,11 @@ class ApiContext:
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
         """Return the calibration that answers, in both its forms; None without one."""
         record = self.record_or_none(at)
-        return None if record is None else (record, self.parsed.get(record))
+        return None if record is None else (record, self.archive.model(record.id))
 
     def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the calibration that answers; None without one."""
-        return self.current.get(self.camera) if at is None else self.archive.current_calibration(self.camera, at=at)
+        return self.archive.current_calibration(self.camera, at=at)
 
 
 def _refuse_refit(_reason: str) -> Refit:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, not_, or_, select
@@ -18,8 +20,11 @@ from sunarc.archive.store import Store, given
 from sunarc.archive.tables import calibration, pose_epoch
 from sunarc.archive.validity import SERVED, clear_interval, end_others, set_columns, with_interval, wrong_state
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
+from sunarc.calibration import Calibration, from_document
 from sunarc.errors import InputError, NotFoundError
 
+_log = logging.getLogger(__name__)
+_MOST_PARSED = 8
 _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
@@ -29,6 +34,8 @@ class Calibrations(Store):
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         super().__init__(engine, file)
         self._documents = Documents()
+        self._current: dict[str, tuple[int, CalibrationRecord | None]] = {}
+        self._parse = lru_cache(_MOST_PARSED)(self._parsed)
 
     def add_calibration(
         self, document: Mapping[str, Any], *, parent: str | None = None, used: SunPointColumns | None = None
@@ -123,11 +130,43 @@ class Calibrations(Store):
         """Return the calibration that answers now, or the one that answers for the moment `at`; None without one.
 
         Where that one is damaged, the newest undamaged one that answered before it does, unless the lens was changed
-        in between.
+        in between. The one that answers now is read again after anything was written, by whomever.
         """
+        if at is not None:
+            return self._read_answering(camera, at)
+        revision = self.revision()
+        known = self._current.get(camera)
+        if known is None or known[0] != revision:
+            known = self._current[camera] = (revision, self._read_answering(camera, None))
+        return known[1]
+
+    def _read_answering(self, camera: str, at: datetime | None) -> CalibrationRecord | None:
         with self._reading() as connection:
             found = self._answering(connection, camera, at)
         return None if found is None else with_interval(found)
+
+    def current_model(self, camera: str) -> Calibration | None:
+        """Return the calibration that answers now; None without one, or where another version wrote its document."""
+        record = self.current_calibration(camera)
+        try:
+            return None if record is None else self.model(record.id)
+        except InputError:
+            return None
+
+    def model(self, calibration_id: str) -> Calibration:
+        """Return a calibration of the archive, parsed once; InputError where another version wrote its document."""
+        found = self._parse(calibration_id)
+        if isinstance(found, InputError):
+            raise InputError(field=found.field, problem=found.problem, remedy=found.remedy)
+        return found
+
+    def _parsed(self, calibration_id: str) -> Calibration | InputError:
+        document = self.calibration(calibration_id).document
+        try:
+            return from_document(document)
+        except InputError as error:
+            _log.warning("calibration %s cannot be read by this version: %s", calibration_id, error)
+            return error
 
     def damaged_calibration(self, camera: str) -> str | None:
         """Return the id of the current calibration of a camera when it is damaged, read from the database anew."""

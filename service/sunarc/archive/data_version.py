@@ -26,6 +26,7 @@ class Changes:
         self._file = file
         self._turn = threading.Lock()
         self._connection: sqlite3.Connection | None = None
+        self._opened = 0
 
     def count(self) -> int:
         """Return a number that is another one after any commit, of this process or another."""
@@ -35,8 +36,9 @@ class Changes:
                     self._connection = self._file.connect()
                 except sqlite3.Error as error:
                     raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
+                self._opened += 1  # each connection counts from the start
             (version,) = self._connection.execute("PRAGMA data_version").fetchone()
-            return int(version)
+            return int(version) + (self._opened << 32)
 
     def close(self) -> None:
         """Close the connection; the next question opens another."""

@@ -55,6 +55,7 @@ class Store:
 
     def revision(self) -> int:
         """Return a number that is another one after anything was written, by whomever; takes microseconds."""
+        self._usable.wait(_REBUILT_WITHIN_S)
         return self._changes.count()
 
     @contextmanager

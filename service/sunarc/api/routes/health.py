@@ -64,7 +64,7 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
 
 def _status(served: ApiContext) -> Status:
     snapshot = served.status()
-    record = served.current.get(served.camera)
+    record = served.archive.current_calibration(served.camera)
     days = days_out(served, served.archive.days(served.camera, limit=1))
     sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
     return Status(

@@ -59,7 +59,7 @@ def overlay_routes(served: ApiContext) -> APIRouter:
         """Tell how sure the calibration is over the image, on a coarse grid."""
         chosen = served.of(request)
         record = chosen.record(at)
-        return _sent(_uncertainty(chosen.parsed.get(record), cells, record.id), if_none_match)
+        return _sent(_uncertainty(chosen.archive.model(record.id), cells, record.id), if_none_match)
 
     return routes
 

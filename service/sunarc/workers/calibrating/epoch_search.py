@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.archive import LENS_CHANGED, Archive, Event, SunPointColumns
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep, from_document
+from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep
 from sunarc.errors import InputError
 from sunarc.sky import Site
 from sunarc.workers.calibrating.provisional_pose import is_provisional
@@ -105,14 +105,8 @@ class EpochSearch:
 
     def _lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""
-        current = self._archive.current_calibration(self._camera)
-        if current is None:
-            return None
-        try:
-            calibration = from_document(current.document)
-        except InputError:
-            return None
-        return None if is_provisional(calibration) else calibration
+        calibration = self._archive.current_model(self._camera)
+        return None if calibration is None or is_provisional(calibration) else calibration
 
     def keep(self, steps: tuple[PoseStep, ...]) -> None:
         """Open the epochs that steps begin, with an event each, and remember that the search was made."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from datetime import datetime
 
 from sunarc.archive import Archive, CalibrationRecord, Event
-from sunarc.calibration import from_document
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import Reason, StatusRegistry
 
@@ -54,7 +53,7 @@ class CalibrationIntegrityCheck:
         if current is None:
             return
         try:
-            from_document(current.document)
+            self._archive.model(current.id)
         except InputError as error:
             self._show(_unreadable(current))
             self._tell("calibration_unreadable", current.id, f"calibration {current.id} cannot be read: {error}")

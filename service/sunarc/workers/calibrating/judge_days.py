@@ -10,8 +10,7 @@ from datetime import UTC, date, datetime
 import numpy as np
 
 from sunarc.archive import Archive, Day, Event, Refit, SunPointColumns
-from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, from_document, measure_day
-from sunarc.errors import InputError
+from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, measure_day
 from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
 from sunarc.workers.fit_input import points_of
 
@@ -122,10 +121,9 @@ class DayJudge:
         current = self._archive.current_calibration(self._camera)
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
             return None
-        try:
-            calibration = from_document(current.document)
-        except InputError:
-            return None  # of another version: the refit worker tells it
+        calibration = self._archive.current_model(self._camera)
+        if calibration is None:
+            return None
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
         return daily_pose_offset(points_of(last), calibration=calibration, site=self._site)
 

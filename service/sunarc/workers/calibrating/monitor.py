@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
-from sunarc.calibration import Calibration, from_document
+from sunarc.calibration import Calibration
 from sunarc.calibration.change_detection import (
     LENS_KINDS,
     REMEMBERED,
@@ -74,7 +74,7 @@ class WatchWorker:
         self._watch = SightingWindow()
         self._epoch: str | None = None
         self._has_future_epochs = False
-        self._known: tuple[str, Calibration] | None = None
+        self._shown: str | None = None
         self._fault: Change | None = None
         self._agreeing = 0
 
@@ -189,7 +189,6 @@ class WatchWorker:
     def _act(self, change: Change) -> None:
         """Tell, and do what the change asks for."""
         at = _moment(change.at_unix_s)
-        _log.warning("since %s: %s", at.isoformat(), change.text)
         self._tell(change, at)
         if change.kind == "bump" or change.kind in LENS_KINDS:
             self._open_epoch(change, at)
@@ -214,7 +213,7 @@ class WatchWorker:
         if change.kind in LENS_KINDS:
             if current is not None:
                 self._archive.retire(current.id, at=max(at, current.valid_from))
-            self._watch, self._known = SightingWindow(), None
+            self._watch = SightingWindow()
         else:
             self._watch = self._watch.since(change.at_unix_s)
 
@@ -260,20 +259,14 @@ class WatchWorker:
         self._board.set_reason(Reason(code="provisional_pose", severity="degraded", text=said, remedy=remedy))
 
     def _current(self) -> Calibration | None:
-        """Return what is served, when it speaks of this version's documents."""
-        record = self._archive.current_calibration(self._camera)
+        """Return what is served, and show how its pose stands where that is another calibration than before."""
+        record, model = self._archive.current_calibration(self._camera), self._archive.current_model(self._camera)
+        before, self._shown = self._shown, None if record is None else record.id
         if record is None:
-            self._known = None
             self._board.clear_reason("provisional_pose")
-        elif self._known is None or self._known[0] != record.id:
-            try:
-                self._known = (record.id, from_document(record.document))
-            except InputError as error:  # of another version: the refit worker sets the condition
-                _log.warning("calibration %s cannot be read by this version: %s", record.id, error)
-                self._known = None
-                return None
+        elif model is not None and before != record.id:
             self._show_pose()
-        return None if self._known is None else self._known[1]
+        return model
 
     def _clock_stepped(self) -> bool:
         """Return whether the host's clock was set while the sightings in question were made."""

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import sunarc
 from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
-from sunarc.calibration import Calibration, CalibrationOptions, estimate_pose, from_document, to_document
+from sunarc.calibration import Calibration, CalibrationOptions, estimate_pose, to_document
 from sunarc.errors import InputError
 from sunarc.sky import Site
 from sunarc.workers.fit_input import points_of
@@ -71,7 +71,7 @@ class ProvisionalPoseEstimator:
         current = self._archive.current_calibration(self._camera)
         if epoch is None or current is None or epoch.reason == LENS_CHANGED:
             return False
-        if current.pose_epoch == epoch.id and not is_provisional(from_document(current.document)):
+        if current.pose_epoch == epoch.id and not is_provisional(self._archive.model(current.id)):
             return False
         lens = self._lens(current)
         if lens is None or self._is_of_later(current, epoch):
@@ -86,7 +86,7 @@ class ProvisionalPoseEstimator:
         self._tried = _Tried(epoch.id, count)
         posed = estimate_pose(
             points_of(columns),
-            start=from_document(lens.document),
+            start=self._archive.model(lens.id),
             site=self._site,
             options=self._options,
             wander_deg=self._wander_deg,
@@ -102,9 +102,9 @@ class ProvisionalPoseEstimator:
         """Return the full fit whose lens is kept."""
         record = current
         try:
-            while record.parent is not None and is_provisional(from_document(record.document)):
+            while record.parent is not None and is_provisional(self._archive.model(record.id)):
                 record = self._archive.calibration(record.parent)
-            return None if is_provisional(from_document(record.document)) else record
+            return None if is_provisional(self._archive.model(record.id)) else record
         except InputError:  # gone, damaged, or of another version
             return None
 

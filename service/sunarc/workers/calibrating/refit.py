@@ -24,7 +24,6 @@ from sunarc.calibration import (
     SelectionOptions,
     Verdict,
     accept,
-    from_document,
     pose_spread_deg,
     to_document,
     unseen_points,
@@ -245,7 +244,7 @@ class RefitWorker:
         if current is None:
             return accept(solved)
         try:
-            before = from_document(current.document)
+            before = self._archive.model(current.id)
         except InputError as error:
             unread = f"the current calibration {current.id} cannot be read by this version, nor compared ({error})"
             return Verdict(accepted=False, marginal=True, reasons=(unread,))

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import threading
 from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import Archive, CalibrationRecord
-from sunarc.calibration import Calibration, from_document, project_with_covariance
+from sunarc.archive import Archive
+from sunarc.calibration import project_with_covariance
 from sunarc.detection import ClearSun, Expectation, clear_sun
-from sunarc.errors import InputError
 from sunarc.optics import local_stretch
 from sunarc.sky import Site, sun_angles, sun_directions
 
-_log = logging.getLogger(__name__)
 _LEAST_UNCERTAINTY_PX = 2.0
 _BRIGHTNESS_OF = timedelta(days=5)
 _BRIGHTNESS_EVERY = timedelta(hours=1)
@@ -42,7 +39,6 @@ class SunPredictor:
         self._site = site
         self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
-        self._known: tuple[str, Calibration | None] | None = None
         self._clear: tuple[datetime, ClearSun | None] | None = None
 
     def apparent_zenith(self, moment: datetime) -> float:
@@ -82,7 +78,7 @@ class SunPredictor:
 
         None before there is a calibration, or outside its field.
         """
-        calibration = self._current()
+        calibration = self._archive.current_model(self._camera)
         if calibration is None:
             return None
         site = self._archive.site_at(self._camera, self._site, moment)
@@ -99,21 +95,3 @@ class SunPredictor:
             stretch_px_per_rad=((a, b), (c, d)),
             apparent_zenith=math.radians(float(sun_angles(moment.timestamp(), site).apparent_zenith)),
         )
-
-    def _current(self) -> Calibration | None:
-        record = self._archive.current_calibration(self._camera)
-        if record is None:
-            return None
-        with self._lock:
-            if self._known is None or self._known[0] != record.id:
-                self._known = (record.id, _readable(record))
-            return self._known[1]
-
-
-def _readable(record: CalibrationRecord) -> Calibration | None:
-    """Return the calibration; None where another version wrote it, as though there were none."""
-    try:
-        return from_document(record.document)
-    except InputError as error:
-        _log.warning("calibration %s cannot be read by this version: %s", record.id, error)
-        return None
