@@ -38,7 +38,9 @@ def test_every_pin_has_a_hash(lock: list[str]) -> None:
 
 def test_what_the_project_asks_for_is_locked_at_a_version_that_it_allows(root: Path, lock: list[str]) -> None:
     project = tomllib.loads((root / "pyproject.toml").read_text())
-    wanted = [*project["project"]["dependencies"], *project["dependency-groups"]["dev"]]
+    extras = project["project"]["optional-dependencies"].values()
+    lists = [project["project"]["dependencies"], *extras, project["dependency-groups"]["dev"]]
+    wanted = [text for texts in lists for text in texts]
     pins: dict[str, list[Version]] = {}
     for match in filter(None, map(PIN.fullmatch, lock)):
         pins.setdefault(match["name"], []).append(Version(match["version"]))

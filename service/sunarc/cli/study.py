@@ -17,6 +17,7 @@ from sunarc.calibration import Method
 from sunarc.cli.options import AsJson
 from sunarc.cli.output import print_json
 from sunarc.errors import InputError
+from sunarc.extras import extra_module
 from sunarc.studies.published import CASES
 from sunarc.studies.reports import make_folder, write_tables, write_uncertainty
 from sunarc.studies.tables import study_tables
@@ -65,6 +66,7 @@ def uncertainty(
     Example: sunarc study uncertainty --trials 5 --levels 11 --out study
     """
     methods = _methods(method)
+    extra_module("matplotlib", extra="studies")  # before the fits, which take hours
     make_folder(out)
     with _progress("fits", len(methods) * levels * trials) as advance:
         study = study_uncertainty(

@@ -20,6 +20,7 @@ from sunarc.calibration import (
     to_document,
 )
 from sunarc.errors import InputError
+from sunarc.extras import extra_module
 from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.offline.project_files import read_calibration
 from sunarc.runtime.clock import Clock
@@ -42,6 +43,8 @@ def calibrate_file(
 
     `pose_only` keeps the lens of the calibration `start` and fits its pose alone.
     """
+    if plots is not None:
+        extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     points = SunPoints(

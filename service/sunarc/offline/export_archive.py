@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
 from sunarc.errors import InputError, OutsideError
+from sunarc.exports import Table, Variable, netcdf_bytes
 from sunarc.offline.sighting_files import database_of
 
 _UNITS = {
@@ -103,30 +104,29 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 def _write_netcdf(path: Path, points: Sequence[SunPoint]) -> int:
-    import xarray as xr  # noqa: PLC0415 - a second that only this command pays
-
     def column(name: str) -> NDArray[np.float64]:
         values = (getattr(point, name) for point in points)
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
-    dataset = xr.Dataset(
-        {
-            **{name: ("sighting", column(name), {"units": unit}) for name, unit in _UNITS.items()},
-            "accepted": ("sighting", np.array([point.accepted for point in points], dtype=np.int8)),
-            "verdict": ("sighting", np.array([point.verdict for point in points], dtype=object)),
-        },
-        coords={
-            "time": (
-                "sighting",
-                np.array([point.time.timestamp() for point in points], dtype=np.float64),
-                {"units": "seconds since 1970-01-01 00:00:00", "calendar": "standard", "standard_name": "time"},
-            )
-        },
-        attrs={
-            "Conventions": "CF-1.10",
-            "title": "sun sightings",
-            "comment": "x right, y down, (0, 0) the centre of the top-left pixel; time: UTC, mid-exposure",
-        },
-    )
-    dataset.to_netcdf(path, engine="h5netcdf")
+    def variable(values: NDArray[Any], coordinates: str = "time", **attributes: str) -> Variable:
+        said = {"coordinates": coordinates, **attributes} if coordinates else attributes
+        return Variable(dimensions=("sighting",), values=values, attributes=said)
+
+    variables = {name: variable(column(name), units=unit) for name, unit in _UNITS.items()} | {
+        "accepted": variable(np.array([point.accepted for point in points], dtype=np.int8)),
+        "verdict": variable(np.array([point.verdict for point in points], dtype=np.str_)),
+        "time": variable(
+            np.array([point.time.timestamp() for point in points], dtype=np.float64),
+            coordinates="",
+            units="seconds since 1970-01-01 00:00:00",
+            calendar="standard",
+            standard_name="time",
+        ),
+    }
+    attributes = {
+        "Conventions": "CF-1.10",
+        "title": "sun sightings",
+        "comment": "x right, y down, (0, 0) the centre of the top-left pixel; time: UTC, mid-exposure",
+    }
+    path.write_bytes(netcdf_bytes(Table(variables=variables, attributes=attributes)))
     return len(points)

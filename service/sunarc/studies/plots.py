@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sunarc.calibration import Calibration, SunPoints
+from sunarc.extras import extra_module
 from sunarc.studies.reports import writing_into
 from sunarc.studies.residuals import residuals_of
 
@@ -27,7 +28,8 @@ def write_calibration_plots(calibration: Calibration, points: SunPoints, *, fold
     InputError
         Where they cannot be written.
     """
-    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - matplotlib is loaded when something is drawn
+    extra_module("matplotlib", extra="studies")  # loaded when something is drawn
+    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - same
     from sunarc.studies.residual_plot import residual_figure  # noqa: PLC0415 - same
     from sunarc.studies.sky_plot import sky_figure  # noqa: PLC0415 - same
 

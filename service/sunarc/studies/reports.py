@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sunarc.errors import InputError
+from sunarc.extras import extra_module
 from sunarc.studies.tables import COLUMNS, TableRow
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
 
@@ -40,7 +41,8 @@ def make_folder(folder: Path) -> None:
 
 def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
     """Write `uncertainty.csv` (distributions), `uncertainty_trials.csv` (every fit), and two figures."""
-    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - matplotlib is loaded when something is drawn
+    extra_module("matplotlib", extra="studies")  # loaded when something is drawn
+    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - same
     from sunarc.studies.uncertainty_plot import parameter_figure, rmse_figure  # noqa: PLC0415 - same
 
     with writing_into(folder):

@@ -1,0 +1,24 @@
+"""Dependencies that not every installation has: the extras of the package."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from sunarc.errors import InputError
+
+
+def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
+    """Return an imported module of an extra.
+
+    Raises
+    ------
+    InputError
+        Where it is not installed, naming the extra that has it.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            field=f"extra {extra}", problem=f"{error.name or name} is not installed", remedy=f"install sunarc[{extra}]"
+        ) from None
