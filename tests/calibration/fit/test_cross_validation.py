@@ -1,0 +1,135 @@
+"""Days left out in turn: the linear prediction against a refit, and the stated error against what is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
+
+from sunarc.calibration.fit.cross_validation import held_out
+from sunarc.calibration.fit.hyperparameter_grid import scale_grid
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
+from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
+from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.model.sightings import FilteredSightings
+
+FloatArray = NDArray[np.float64]
+
+PER_DAY = 40
+SCALES = Scales(0.002, 120.0, 2.0, 0.7)
+
+
+def _fit(
+    n_days: int, *, sigma_px: float = 0.2, stated_px: float = 0.2, seed: int = 1
+) -> tuple[RobustFit, FilteredSightings]:
+    """Return a fit of days whose sightings are spread over the sky, with known scales."""
+    n = n_days * PER_DAY
+    camera = replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)  # as the prior expects
+    problem = small_problem(camera)
+    seen = observed(camera, spread_directions(n, seed=seed), sigma_px=sigma_px, seed=seed)
+    grid = scale_grid(width=640, height=480, floor_px=0.002, radial_px=2.0, decentering_px=0.7)
+    bins = Bins(member=np.arange(n) // 2, count=n // 2)
+    information = np.full(n, stated_px**-2)
+    at = problem.unknowns([camera])
+    system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
+    unknowns, _ = irls_converged(problem, system, SCALES)
+    system = linear_system(problem, seen, bins, unknowns, information=information, basis=grid.basis)
+    fit = marginal_fit(system.normal(), grid.basis, SCALES)
+    robust = RobustFit(
+        problem=problem,
+        system=system,
+        unknowns=unknowns,
+        posterior=PosteriorCovariance(
+            covariance=fit.covariance, cross=fit.cross, amplitude_px=SCALES.amplitude_px, length_px=SCALES.length_px
+        ),
+        scales=SCALES,
+        grid=grid,
+        residual=problem.residuals(unknowns, seen),
+        weight=np.ones(n),
+        sigma_px=stated_px,
+        inflation=np.ones(n),
+    )
+    usable = FilteredSightings(
+        index=np.arange(n),
+        unix_s=np.arange(n, dtype=np.float64),
+        pixels=seen.pixels,
+        directions=seen.directions,
+        sigma_px=np.ones(n),
+        epoch=np.zeros(n, dtype=np.int64),
+        day=np.repeat(np.arange(n_days), PER_DAY),
+        refraction_sd=np.zeros((n, 1)),
+        n_dropped=0,
+        dropped=(),
+    )
+    return robust, usable
+
+
+def test_one_day_cannot_be_left_out() -> None:
+    assert held_out(*_fit(1)) is None
+
+
+def test_days_left_out_are_met_as_expected() -> None:
+    found = [held_out(*_fit(4, seed=seed)) for seed in range(8)]
+    ratios = [one.rmse_px / one.expected_px for one in found if one is not None]
+    assert len(ratios) == 8
+    # 320 numbers each: the relative error of one is about 4 %
+    assert 0.93 < np.median(ratios) < 1.08
+    # both axes together: the noise of 0.2 px per axis and a little of the fit's own error
+    for one in found:
+        assert one is not None
+        assert 0.2 * np.sqrt(2.0) < one.expected_px < 0.2 * np.sqrt(2.0) * 1.4
+
+
+def test_noise_that_is_larger_than_stated_shows() -> None:
+    found = held_out(*_fit(4, sigma_px=0.6, stated_px=0.2))
+    assert found is not None
+    assert 2.5 < found.rmse_px / found.expected_px < 3.5
+
+
+def test_two_days_are_each_predicted_by_a_fit_of_the_other() -> None:
+    fit, usable = _fit(2)
+    found = held_out(fit, usable)
+    assert found is not None
+    squares = 0.0
+    for day in (0, 1):
+        other = usable.day != day
+        which = np.isin(np.arange(PER_DAY), fit.system.member[other])
+        without = marginal_fit(fit.system.normal_of(which), fit.grid.basis, SCALES)
+        rows = np.flatnonzero(usable.day == day)
+        shift = fit.system.rows[fit.system.member[rows]] @ (without.unknowns - fit.system.at)
+        squares += float(np.sum((fit.residual[rows] - shift) ** 2))
+    assert found.rmse_px == pytest.approx(np.sqrt(squares / (2 * PER_DAY)), rel=1e-6)
+
+
+def test_sightings_without_weight_do_not_count() -> None:
+    fit, usable = _fit(3)
+    weight = np.ones(len(usable))
+    weight[::3] = 0.0
+    wild = fit.residual.copy()
+    wild[::3] = 1e3
+    found = held_out(replace(fit, weight=weight, residual=wild), usable)
+    assert found is not None
+    assert found.rmse_px < 1.0
+
+
+def test_a_pose_that_no_other_day_has_is_not_predicted() -> None:
+    fit, usable = _fit(3)
+    alone = replace(usable, epoch=np.where(usable.day == 2, 1, 0))
+    found, plain = held_out(fit, alone), held_out(fit, usable)
+    assert found is not None
+    assert plain is not None
+    assert found.rmse_px != plain.rmse_px
+    each = replace(usable, epoch=usable.day)
+    assert held_out(fit, each) is None
+
+
+def test_more_than_five_days_are_left_out_in_five_parts() -> None:
+    fit, usable = _fit(7)
+    found = held_out(fit, usable)
+    assert found is not None
+    assert found.rmse_px / found.expected_px == pytest.approx(1.0, abs=0.15)

@@ -1,0 +1,70 @@
+"""A robust fit may meet the sightings little worse than least squares does: how it is brought there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
+
+from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
+from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.robust_loss import tukey_loss
+
+FloatArray = NDArray[np.float64]
+
+SIGMA = 0.1
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return small_problem(small_camera())
+
+
+@pytest.fixture(scope="module")
+def seen() -> Observations:
+    return observed(small_camera(), sun_arc(150), sigma_px=SIGMA)
+
+
+@pytest.fixture(scope="module")
+def plain(problem: Problem, seen: Observations) -> FloatArray:
+    return least_squares(problem, seen, problem.unknowns([small_camera()]))
+
+
+def _levels(problem: Problem, seen: Observations, at: FloatArray) -> tuple[FloatArray, float]:
+    distance = distance_sigmas(problem, seen, at)
+    costs = np.array([np.sum(tukey_loss(distance, sigma=f * SIGMA)) for f in (0.7, 1.0, 1.4)])
+    return costs, float(np.median(distance))
+
+
+def test_a_fit_that_is_as_good_stays(problem: Problem, seen: Observations, plain: FloatArray) -> None:
+    assert at_least_least_squares(problem, seen, plain, sigma=SIGMA) is plain
+
+
+@pytest.mark.parametrize("off", [0.002, 0.02])
+def test_a_fit_that_is_worse_is_brought_to_the_bound(
+    problem: Problem, seen: Observations, plain: FloatArray, off: float
+) -> None:
+    start = plain.copy()
+    start[18] += off
+    found = at_least_least_squares(problem, seen, start, sigma=SIGMA)
+    costs, median = _levels(problem, seen, found)
+    best_costs, best_median = _levels(problem, seen, plain)
+    start_costs, start_median = _levels(problem, seen, start)
+    # decision 0023: 1.012 in the robust cost at every scale, 1.02 in the median
+    assert np.all(costs <= 1.012 * best_costs * (1.0 + 1e-6))
+    assert median <= 1.02 * best_median * (1.0 + 1e-6)
+    assert np.any(start_costs > 1.012 * best_costs) or start_median > 1.02 * best_median
+    # and no further than is needed: within 1 % of the way
+    nearer = found + 0.03 * (start - plain)
+    nearer_costs, nearer_median = _levels(problem, seen, nearer)
+    assert np.any(nearer_costs > 1.012 * best_costs) or nearer_median > 1.02 * best_median or off < 0.01
+
+
+def test_outliers_do_not_change_what_is_asked(problem: Problem, seen: Observations, plain: FloatArray) -> None:
+    pixels = seen.pixels.copy()
+    pixels[::10] += 5.0
+    wrong = Observations(directions=seen.directions, pixels=pixels, information=seen.information, epoch=seen.epoch)
+    found = at_least_least_squares(problem, wrong, plain, sigma=SIGMA)
+    np.testing.assert_array_equal(found, plain)

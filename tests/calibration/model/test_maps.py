@@ -1,0 +1,128 @@
+"""The map of every pixel against the answers to single pixels, and the table's own kernels as plain Python."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.fixtures.calibration import ideal_camera, small_camera, small_errors, spread_directions, stated_calibration
+
+from sunarc.calibration.model import direction_table as module
+from sunarc.calibration.model.covariance import project_with_covariance, sigma_deg
+from sunarc.calibration.model.direction_table import Lookup, lookup
+from sunarc.calibration.model.maps import back_projection_map
+from sunarc.optics import project, unproject
+from sunarc.sky import angles_from_direction
+
+
+@pytest.fixture(scope="module")
+def ready() -> Lookup:
+    return lookup(stated_calibration(small_camera(), amplitude_px=0.2))
+
+
+def test_the_map_says_what_single_pixels_are_answered(ready: Lookup) -> None:
+    found = back_projection_map(ready)
+    assert found.zenith_deg.shape == found.sigma_deg.shape == (480, 640)
+    assert found.directions.shape == (480, 640, 3)
+    pixels = np.array([[300.0, 200.0], [5.0, 7.0], [639.0, 479.0], [320.0, 16.0]])
+    rows = ready.back_project(pixels)
+    for (x, y), row in zip(pixels.astype(int), rows, strict=True):
+        if not found.inside[y, x]:
+            assert np.isnan(row[0])
+            continue
+        np.testing.assert_allclose(found.zenith_deg[y, x], row[0], atol=1e-4)
+        np.testing.assert_allclose(found.azimuth_deg[y, x], row[1], atol=1e-3)
+        np.testing.assert_allclose(found.directions[y, x], row[2:5], atol=1e-6)
+        np.testing.assert_allclose(found.sigma_deg[y, x], row[5], rtol=1e-5)
+
+
+def test_angles_are_those_of_the_directions(ready: Lookup) -> None:
+    pixels = np.random.default_rng(1).uniform([150.0, 100.0], [500.0, 400.0], (30, 2))
+    rows = ready.back_project(pixels)
+    directions = unproject(small_camera(), pixels)
+    np.testing.assert_allclose(rows[:, 2:5], directions, atol=1e-8)
+    zenith, azimuth = angles_from_direction(directions)
+    np.testing.assert_allclose(rows[:, 0], zenith, atol=1e-6)
+    np.testing.assert_allclose(rows[:, 1], azimuth, atol=1e-5)
+    assert np.all((rows[:, 1] >= 0.0) & (rows[:, 1] < 360.0))
+    assert np.all(rows[:, 6] == 1.0)
+
+
+def test_the_table_s_sigma_and_covariance_are_the_exact_ones(ready: Lookup) -> None:
+    calibration = stated_calibration(small_camera(), amplitude_px=0.2)
+    directions = spread_directions(50, widest_deg=70.0)
+    pixels, covariance = project_with_covariance(calibration, directions)
+    rows = ready.project(directions)
+    np.testing.assert_allclose(rows[:, :2], pixels, atol=1e-7)
+    np.testing.assert_allclose(rows[:, 3], covariance[:, 0, 0], rtol=0.01)
+    np.testing.assert_allclose(rows[:, 5], covariance[:, 1, 1], rtol=0.01)
+    np.testing.assert_allclose(rows[:, 4], covariance[:, 0, 1], atol=0.01 * float(np.max(covariance)))
+    np.testing.assert_allclose(rows[:, 2], np.sqrt(0.5 * (rows[:, 3] + rows[:, 5])), rtol=1e-9)
+    np.testing.assert_allclose(ready.back_project(pixels)[:, 5], sigma_deg(calibration, directions), rtol=0.01)
+
+
+def test_beyond_the_field_and_the_image(ready: Lookup) -> None:
+    down = ready.project(np.array([[0.0, 0.0, -1.0]]))
+    assert np.all(np.isnan(down[0, :6]))
+    assert down[0, 6] == 0.0
+    far = ready.back_project(np.array([[1e5, 1e5]]))
+    assert np.all(np.isnan(far[0, :6]))
+    assert far[0, 6] == 0.0
+    beside = ready.back_project(np.array([[315.0, 479.6], [315.0, 479.4], [-0.6, 243.0], [-0.4, 243.0]]))
+    assert beside[:, 6].tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_many_rows_are_answered_as_few(ready: Lookup) -> None:
+    pixels = np.random.default_rng(2).uniform([0.0, 0.0], [640.0, 480.0], (33_000, 2))
+    some = [0, 32_767, 32_768, 32_999]
+    np.testing.assert_array_equal(ready.back_project(pixels)[some], ready.back_project(pixels[some]))
+
+
+def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
+    """What numba runs cannot be traced: the same source is run by the interpreter."""
+    constants, rings, spokes = ready.table.constants, 96, 192
+    for x, y in [(315.0, 243.0), (400.0, 100.0), (200.0, 350.0), (315.2, 300.0), (639.0, 479.0)]:
+        compiled = module._place(constants, rings, spokes, ready.rings_per_radius, x, y)
+        plain = module._place.py_func(constants, rings, spokes, ready.rings_per_radius, x, y)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-12)
+        assert 0.0 <= plain[0] <= rings - 1.0
+        assert 0.0 <= plain[1] <= spokes
+    assert module._seen.py_func((640, 480), -0.5, 479.5) == 1.0
+    assert module._seen.py_func((640, 480), -0.51, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("place", [0.0, 0.3, 5.5, 93.999, 94.0, 95.0])
+def test_the_weights_of_a_cubic_spline(place: float) -> None:
+    node, *weights = module._weights.py_func(place, 94)
+    assert sum(weights) == pytest.approx(1.0)
+    # a cubic B-spline reproduces lines: nodes -1, 0, 1, 2 about the place
+    assert sum(w * (node + k - 1.0) for k, w in enumerate(weights)) == pytest.approx(place)
+    s = place - node
+    second = sum(w * (node + k - 1.0) ** 2 for k, w in enumerate(weights))
+    assert second == pytest.approx(place**2 + 1.0 / 3.0)
+    assert weights[3] == pytest.approx(s**3 / 6.0)
+
+
+def test_a_place_is_the_polar_one_of_an_ideal_lens() -> None:
+    ready = lookup(stated_calibration(ideal_camera(), covariance=small_errors()))
+    for angle_deg, radius in [(10.0, 0.5), (200.0, 1.2), (350.0, 0.02)]:
+        turn = math.radians(angle_deg)
+        x, y = 319.5 + 200.0 * radius * math.cos(turn), 239.5 + 200.0 * radius * math.sin(turn)
+        ring, spoke = module._place.py_func(ready.table.constants, 96, 192, ready.rings_per_radius, x, y)
+        assert ring == pytest.approx(radius * ready.rings_per_radius, rel=1e-6)
+        assert spoke == pytest.approx(angle_deg * 192.0 / 360.0, rel=1e-6)
+
+
+def test_a_mirrored_image_has_its_places_on_the_other_side() -> None:
+    camera = small_camera()
+    plain, mirrored = (
+        lookup(stated_calibration(replace(camera, mirrored=flag), amplitude_px=0.2)) for flag in (False, True)
+    )
+    directions = spread_directions(10, widest_deg=60.0)
+    one, other = plain.project(directions), mirrored.project(directions)
+    np.testing.assert_allclose(other[:, 0], 639.0 - one[:, 0], atol=1e-7)
+    np.testing.assert_allclose(other[:, 3], one[:, 3], rtol=1e-3)
+    np.testing.assert_allclose(other[:, 4], -one[:, 4], atol=1e-3 * float(one[:, 3].max()))
+    np.testing.assert_allclose(project(camera, directions), one[:, :2], atol=1e-7)
