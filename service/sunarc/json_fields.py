@@ -12,8 +12,10 @@ from datetime import UTC, date, datetime
 from functools import cache
 from typing import Annotated, Any, ClassVar, get_type_hints
 
-from pydantic import AfterValidator, AwareDatetime, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator, ConfigDict, Field, WithJsonSchema
 from pydantic.fields import FieldInfo
+
+from sunarc.findings import Finding
 
 _YEARS = range(1970, 2200)
 _YEARS_PATTERN = r"^(19[7-9]\d|2[01]\d\d)-"
@@ -77,5 +79,24 @@ SolarDate = Annotated[
     date,
     BeforeValidator(_a_date),
     Field(description="Local mean solar date.", examples=["2013-05-13"], json_schema_extra={"pattern": _DATE_PATTERN}),
+]
+Findings = Annotated[
+    tuple[Finding, ...],
+    WithJsonSchema(
+        {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "required": ["code", "data"],
+                "properties": {
+                    "code": {"type": "string"},
+                    "data": {"type": "object", "additionalProperties": {"type": ["number", "string", "null"]}},
+                },
+            },
+        }
+    ),
+    described(
+        "The same, as codes with data (docs/codes.md).", [{"code": "day_arc_too_short", "data": {"arc_deg": 9.5}}]
+    ),
 ]
 EXAMPLE_TIME = "2013-05-13T18:30:00Z"

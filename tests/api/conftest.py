@@ -29,6 +29,7 @@ from sunarc.calibration import (
     WaveBasis,
     to_document,
 )
+from sunarc.findings import Finding
 from sunarc.optics import Camera, pose_angles, project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
@@ -77,7 +78,7 @@ def calibration(camera: Camera = LENS) -> Calibration:
             radial_px=1.7,
             clock_error_s=0.01,
         ),
-        verdict=Verdict(accepted=True, reasons=("the sky is known to 0.006 degrees",)),
+        verdict=Verdict(accepted=True, findings=(Finding("direction_sigma", {"sigma_deg": 0.006}),)),
         method="robust",
         site=SITE,
     )
@@ -89,7 +90,12 @@ def document(
     """Return a calibration document."""
     solved = calibration(camera)
     if not accepted:
-        solved = replace(solved, verdict=Verdict(accepted=False, reasons=("held-out days disagree by 0.4 px",)))
+        solved = replace(
+            solved,
+            verdict=Verdict(
+                accepted=False, findings=(Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1}),)
+            ),
+        )
     return to_document(
         solved,
         id=name,
@@ -300,7 +306,7 @@ def fill(archive: Archive, camera: Camera = LENS) -> None:
                 camera="roof",
                 date=date(2013, 5, day),
                 verdict="clear" if verdict == "clear" else "cloudy",
-                reasons=(f"the sky was {verdict}",),
+                findings=(Finding("day_share_on_arc", {"share": 0.9, "n_observed": 800}),),
                 n=700,
                 n_possible=800,
                 arc_deg=130.0,

@@ -51,7 +51,8 @@ def test_the_history_is_the_newest_first_with_reasons(made: Made) -> None:
         ("refused", "refused"),
         ("first", "retired"),
     ]
-    assert told[1]["reasons"] == ["held-out days disagree by 0.4 px"]
+    assert [found["code"] for found in told[1]["findings"]] == ["cross_validation_rmse"]
+    assert len(told[1]["reasons"]) == 1
     assert (told[0]["rmse_px"], told[0]["sky_rms_deg"], told[0]["parent"]) == (0.041, 0.006, "first")
     refused = made.client.get("/v1/calibrations", params={"state": "refused", "limit": 5}).json()["calibrations"]
     assert [one["id"] for one in refused] == ["refused"]

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 def test_days_tell_their_verdict_the_newest_first(made: Made) -> None:
     told = made.client.get("/v1/days").json()["days"]
     assert [(day["date"], day["verdict"]) for day in told] == [("2013-05-12", "clear"), ("2013-05-11", "cloudy")]
-    assert told[0]["reasons"] == ["the sky was clear"]
+    assert told[0]["findings"] == [{"code": "day_share_on_arc", "data": {"share": 0.9, "n_observed": 800}}]
+    assert len(told[0]["reasons"]) == 1
     chosen = made.client.get("/v1/days", params={"since": "2013-05-11", "until": "2013-05-12"}).json()["days"]
     assert [day["date"] for day in chosen] == ["2013-05-11"]
 

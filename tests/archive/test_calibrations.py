@@ -4,11 +4,14 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.archive import Archive
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding
 
 MAY = datetime(2013, 5, 1, tzinfo=UTC)
+SIMULATED = {"code": "simulated_camera", "data": {}}
 
 
 def document(calibration_id: str, *, day: int = 0, accepted: bool = True, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
@@ -23,7 +26,7 @@ def document(calibration_id: str, *, day: int = 0, accepted: bool = True, **chan
         "valid_from": moment,
         "valid_until": None,
         "pose_epoch": "roof-1",
-        "verdict": {"accepted": accepted, "reasons": ["held-out days agree"]},
+        "verdict": {"accepted": accepted, "reasons": ["held-out days agree"], "findings": [SIMULATED]},
         **changes,
     }
 
@@ -38,12 +41,12 @@ def test_a_candidate_is_kept_and_not_served(archive: Archive) -> None:
     assert record.state == "candidate"
     assert archive.current_calibration("roof") is None
     assert archive.calibration("a") == record
-    assert record.document["verdict"] == {"accepted": True, "reasons": ["held-out days agree"]}
+    assert record.document["verdict"]["findings"] == [SIMULATED]
 
 
 def test_a_refused_candidate_is_kept_with_its_reasons(archive: Archive) -> None:
     archive.add_calibration(document("a", accepted=False))
-    assert [r.reasons for r in archive.calibrations("roof", state="refused")] == [("held-out days agree",)]
+    assert [codes(r.findings) for r in archive.calibrations("roof", state="refused")] == [["simulated_camera"]]
     assert archive.current_calibration("roof") is None
 
 
@@ -108,11 +111,12 @@ def test_retiring_leaves_nothing_served_from_then_on(archive: Archive) -> None:
 
 def test_a_candidate_may_be_refused_later(archive: Archive) -> None:
     archive.add_calibration(document("a"))
-    refused = archive.refuse("a", reasons=("worse than the current one",))
+    refused = archive.refuse("a", findings=(Finding("no_change", {"limit": 0.1}),))
     assert (refused.state, refused.accepted) == ("refused", False)
-    assert refused.document["verdict"] == {"accepted": False, "reasons": ["worse than the current one"]}
+    assert refused.document["verdict"]["findings"] == [{"code": "no_change", "data": {"limit": 0.1}}]
+    assert refused.document["verdict"]["accepted"] is False
     with pytest.raises(InputError, match="is refused"):
-        archive.refuse("a", reasons=())
+        archive.refuse("a", findings=())
 
 
 def test_an_id_is_given_once(archive: Archive) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding
 
 from .test_calibrations import MAY, document, served
 
@@ -28,7 +29,7 @@ def test_rolling_back_serves_a_copy_and_rewrites_no_past_answer(three: Archive) 
     assert [served(three, day) for day in (0, 9, 10, 20, 24.9, 25, 1000)] == ["a", "a", "b", "c", "c", "a-r1", "a-r1"]
     assert copy == three.calibration("a-r1") == three.current_calibration("roof")
     assert copy.document["id"] == "a-r1"
-    assert copy.reasons[0] == "made current by hand: c was worse"
+    assert copy.findings[0] == Finding("activated_by_operator", {"reason": "c was worse"})
     told = three.events("roof")[0]
     assert (told.kind, told.details) == ("calibration_reinstated", {"calibration": "a-r1", "copied": "a"})
 

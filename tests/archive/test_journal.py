@@ -7,13 +7,14 @@ import pytest
 
 from sunarc.archive import Archive, Day, Event, Refit
 from sunarc.errors import NotFoundError
+from sunarc.findings import Finding, uncoded
 
 NOW = datetime(2013, 5, 14, 2, tzinfo=UTC)
 CLEAR = Day(
     camera="roof",
     date=date(2013, 5, 13),
     verdict="clear",
-    reasons=("98 % of the possible sightings",),
+    findings=(Finding("day_share_on_arc", {"share": 0.98, "n_observed": 810}),),
     n=800,
     n_possible=810,
     arc_deg=140.0,
@@ -25,7 +26,12 @@ CLEAR = Day(
 
 def test_a_day_comes_back_and_a_later_verdict_replaces_it(archive: Archive) -> None:
     archive.save_day(CLEAR)
-    partly = replace(CLEAR, verdict="partly", reasons=("clouds", "at noon"), sd_px=None)
+    partly = replace(
+        CLEAR,
+        verdict="partly",
+        findings=(Finding("day_scatter"), uncoded("noon")),
+        sd_px=None,
+    )
     archive.save_day(partly)
     assert archive.days("roof") == (partly,)
 

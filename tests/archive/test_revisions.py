@@ -35,7 +35,7 @@ def filled(archive: Archive, path: Path) -> Path:
     archive.activate("a")
     archive.pin("a", at=NOON, reason="by hand")
     archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
-    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", reasons=("all seen",), n=100, n_possible=100,
+    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=100, n_possible=100,
                          n_cycles=100, decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3)))  # fmt: skip
     archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
     archive.close()

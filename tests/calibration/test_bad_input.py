@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.calibration import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions, SunPoints, calibrate
 from sunarc.errors import InputError
@@ -17,41 +18,40 @@ if TYPE_CHECKING:
 SIZE = (1748, 1748)
 
 
-def _refused(points: SunPoints, site: Site) -> str:
+def _refused(points: SunPoints, site: Site) -> list[str]:
     found = calibrate(points, site=site, image_size=SIZE)
     assert not found.verdict.accepted
-    assert found.verdict.reasons
-    return " ".join(found.verdict.reasons)
+    assert found.verdict.findings
+    return codes(found.verdict.findings)
 
 
 def test_no_sightings(clear_day: Simulated) -> None:
-    assert "0 usable" in _refused(SunPoints(unix_s=np.zeros(0), pixels=np.zeros((0, 2))), clear_day.site)
+    assert _refused(SunPoints(unix_s=np.zeros(0), pixels=np.zeros((0, 2))), clear_day.site) == ["too_few_sightings"]
 
 
 def test_too_few_sightings(clear_day: Simulated) -> None:
-    assert "usable sightings" in _refused(clear_day.points.select(slice(0, 8)), clear_day.site)
+    assert "too_few_sightings" in _refused(clear_day.points.select(slice(0, 8)), clear_day.site)
 
 
 def test_one_minute_only(clear_day: Simulated) -> None:
     times = clear_day.points.unix_s[200] + np.linspace(0.0, 60.0, 60)
     pixels = clear_day.points.pixels[200] + np.linspace(0.0, 0.3, 60)[:, None]
-    assert "degrees only" in _refused(SunPoints(unix_s=times, pixels=pixels), clear_day.site)
+    assert "arc_too_short" in _refused(SunPoints(unix_s=times, pixels=pixels), clear_day.site)
 
 
 def test_all_on_one_pixel(clear_day: Simulated) -> None:
     pixels = np.full_like(clear_day.points.pixels, 800.0)
-    reason = _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
-    assert "do not move with the sun" in reason
+    assert _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site) == ["static_sightings"]
 
 
 def test_nothing_but_nan(clear_day: Simulated) -> None:
     pixels = np.full_like(clear_day.points.pixels, np.nan)
-    assert "not finite" in _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
+    assert "dropped_not_finite" in _refused(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), clear_day.site)
 
 
 def test_duplicate_times_count_once(clear_day: Simulated) -> None:
     times = np.repeat(clear_day.points.unix_s[:10], 30)
-    assert "already seen" in _refused(SunPoints(unix_s=times, pixels=np.zeros((300, 2))), clear_day.site)
+    assert "dropped_duplicate_time" in _refused(SunPoints(unix_s=times, pixels=np.zeros((300, 2))), clear_day.site)
 
 
 def test_random_pixels(clear_day: Simulated) -> None:
@@ -64,12 +64,12 @@ def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
     pixels = np.r_[clear_day.points.pixels, clear_day.points.pixels[:5], [[3.0, 4.0]]]
     found = calibrate(SunPoints(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
     assert found.verdict.accepted, found.verdict.reasons
-    assert any("left out before" in reason for reason in found.verdict.reasons)
+    assert {"dropped_not_finite", "dropped_duplicate_time"} <= set(codes(found.verdict.findings))
 
 
 def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
     late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
-    assert "time zone" in _refused(late, clear_day.site)
+    assert "tilt_too_large" in _refused(late, clear_day.site)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.calibration import (
     Calibration,
@@ -79,7 +80,7 @@ def test_handedness_is_found_and_reported(simulator: Simulator, mirrored: bool) 
     seen = simulator(truth, sigma_px=0.3)
     found = calibrate(seen.points, site=seen.site, image_size=SIZE, options=CalibrationOptions(mirrored="auto"))
     assert found.camera.mirrored is mirrored
-    assert ("the image is mirrored" in found.verdict.reasons) is mirrored
+    assert ("mirrored" in codes(found.verdict.findings)) is mirrored
 
 
 def test_wrong_handedness_is_refused_not_absorbed(simulator: Simulator) -> None:
@@ -93,7 +94,7 @@ def test_a_tilted_camera_is_found_and_refused_by_its_level(simulator: Simulator,
     found = calibrate(seen.points, site=seen.site, image_size=SIZE)
     assert found.pose.theta_zz_deg == pytest.approx(48.0, abs=0.1)
     assert not found.verdict.accepted
-    assert "--level-within" in found.verdict.reasons[0]
+    assert found.verdict.findings[0].code == "tilt_too_large"
 
 
 def test_wrong_sign_of_longitude_is_refused_with_what_would_explain_it(clear_day: Simulated) -> None:

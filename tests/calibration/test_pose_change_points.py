@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from real_like_tracks import real_like_track
 from scipy.spatial.transform import Rotation
+from tests.finding_codes import codes
 
 from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, calibrate_moved, from_document, to_document
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
@@ -50,7 +51,7 @@ def test_a_move_within_a_day_is_dated_to_the_sighting_and_both_sides_get_their_p
     assert np.array_equal(parted.epoch, np.arange(len(points)) >= row)
     assert after.sky_error_px(calibration.camera) < 0.3
     assert before.sky_error_px(replace(calibration.camera, rotation_cam_enu=move.pose_before)) < 0.3
-    assert any("the camera was moved between" in reason for reason in calibration.verdict.reasons)
+    assert "pose_changed" in codes(calibration.verdict.findings)
 
 
 def test_a_move_at_night_is_found_between_the_days(simulator: Simulator) -> None:
@@ -101,7 +102,7 @@ def test_a_jump_in_an_arc_too_short_for_any_fit_is_refused_like_the_arc(simulato
     calibration, _ = calibrate_moved(points, site=first.site, image_size=SIZE)
     assert not calibration.verdict.accepted
     assert calibration.evidence.moves == ()
-    assert "at least 10 are needed" in calibration.verdict.reasons[0]
+    assert calibration.verdict.findings[0].code == "arc_too_short"
 
 
 def test_a_document_tells_the_moves(simulator: Simulator) -> None:

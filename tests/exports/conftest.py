@@ -20,6 +20,7 @@ from sunarc.calibration import (
     hemisphere,
     to_document,
 )
+from sunarc.findings import Finding
 from sunarc.optics import Camera, pose_angles, project
 from sunarc.sky import Site
 
@@ -64,7 +65,7 @@ def document_of(camera: Camera) -> dict[str, Any]:
             radial_px=1.7,
             clock_error_s=0.01,
         ),
-        verdict=Verdict(accepted=True, reasons=("chosen",)),
+        verdict=Verdict(accepted=True, findings=(Finding("simulated_camera"),)),
         method="robust",
         site=Site(latitude=36.604043, longitude=-97.484856, altitude=318.0),
     )

@@ -122,7 +122,7 @@ def test_a_day_judged_by_a_clock_that_was_ahead_is_judged_again(tmp_path: Path) 
         camera="roof",
         date=START.date(),
         verdict="unusable",
-        reasons=("0 sightings on a smooth arc",),
+        findings=(),
         n=0,
         n_possible=1200,
         decided_at=START + timedelta(days=400),

@@ -91,7 +91,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
         archive.add_calibration(document(name, day=number), used=archive.sun_point_columns("roof"))
         archive.activate(name)
     archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
-    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", reasons=("all seen",), n=6, n_possible=6,
+    archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=6, n_possible=6,
                          decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3),
                          pose_offset_sigma_deg=(0.1, 0.2, 0.3)))  # fmt: skip
     archive.add_event(Event(time=NOON, kind="clock_step", severity="info", text="here", camera="roof",
@@ -257,7 +257,7 @@ def test_a_refit_that_finds_nothing_new_replaces_a_damaged_calibration(
     verdict = refit_worker(archive, board, clock)._verdict(task, calibration(), archive.current_calibration("roof"))
     archive.close()
     assert verdict.accepted
-    assert verdict.reasons[0] == "it replaces a damaged calibration"
+    assert verdict.findings[0].code == "replaces_damaged"
 
 
 def test_with_every_calibration_damaged_none_is_served_and_the_record_goes_on(

@@ -214,7 +214,7 @@ def test_what_daily_poses_scatter_enters_the_served_uncertainty(lived: Lived, tm
                 camera="roof",
                 date=date(2013, 5, 14) + timedelta(days=number),
                 verdict="clear",
-                reasons=("all",),
+                findings=(),
                 n=300,
                 n_possible=300,
                 decided_at=run.now,

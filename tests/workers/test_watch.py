@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.finding_codes import codes
 
 from sunarc.archive import CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
@@ -166,7 +167,7 @@ def test_after_a_bump_a_provisional_pose_is_served_within_twenty_sightings(image
     current = imager.archive.current_calibration("roof")
     assert current is not None
     assert (current.pose_epoch, current.valid_from) == (second.id, second.started_at)
-    assert "provisional" in " ".join(current.reasons)
+    assert "provisional" in codes(current.findings)
     assert off_in_sigmas(imager.served(), moved) < 2.0
     assert "provisional_pose" in imager.codes()
     assert imager.archive.refits("roof") == ()

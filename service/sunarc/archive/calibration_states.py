@@ -16,6 +16,7 @@ from sunarc.archive.documents import row_of
 from sunarc.archive.tables import calibration, event
 from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, written, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
+from sunarc.findings import Finding
 
 _COPY = re.compile(r"-r\d+$")
 
@@ -37,14 +38,14 @@ class History(Calibrations):
             record = self._required(connection, calibration_id)
             if record.state == "current":
                 raise wrong_state(calibration_id, "is current already", remedy="name another one")
-            reasons = (f"made current by hand: {reason}", *record.reasons)
+            findings = (Finding("activated_by_operator", {"reason": reason}), *record.findings)
             end_others(connection, record.camera, at)
             if record.state in SERVED:
-                chosen = add_copy(connection, record, at=at, reasons=reasons)
+                chosen = add_copy(connection, record, at=at, findings=findings)
             else:
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
-                set_columns(connection, record.id, **decided, reasons=reasons)
-                chosen = replace(record, **decided, reasons=reasons)
+                set_columns(connection, record.id, **decided, findings=findings)
+                chosen = replace(record, **decided, findings=findings)
             details = {"calibration": chosen.id, "copied": chosen.parent if record.state in SERVED else None}
             _tell(connection, chosen, "reinstated", at=at, text=f"{chosen.id} is current by hand: {reason}", **details)
         return with_interval(chosen)
@@ -69,16 +70,16 @@ class History(Calibrations):
 
 
 def add_copy(
-    connection: Connection, record: CalibrationRecord, *, at: datetime, reasons: tuple[str, ...]
+    connection: Connection, record: CalibrationRecord, *, at: datetime, findings: tuple[Finding, ...]
 ) -> CalibrationRecord:
     """Store a copy of a calibration that answered before, current from `at` on, with the same sightings."""
-    chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, reasons=reasons)
+    chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, findings=findings)
     connection.execute(insert(calibration).values(row_of(chosen)))
     copy_used(connection, record.id, to=chosen.id)
     return chosen
 
 
-def _copy(record: CalibrationRecord, *, id: str, at: datetime, reasons: tuple[str, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
+def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[Finding, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
     document: Mapping[str, Any] = {**record.document, "id": id, "created_at": written(at)}
     return replace(
         record,
@@ -89,7 +90,7 @@ def _copy(record: CalibrationRecord, *, id: str, at: datetime, reasons: tuple[st
         state="current",
         pinned=False,
         parent=record.id,
-        reasons=reasons,
+        findings=findings,
         document=document,
     )
 

@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, Connection, Engine, and_, insert, not_, or
 from sunarc.archive.calibration_inputs import keep_used
 from sunarc.archive.documents import DAMAGED, Documents, read_document, row_of
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.messages import text_of
 from sunarc.archive.sighting_revisions import LENS_CHANGED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import Store, given
@@ -22,6 +23,7 @@ from sunarc.archive.validity import SERVED, clear_interval, end_others, set_colu
 from sunarc.archive.values import CalibrationRecord, CalibrationState, SunPointColumns
 from sunarc.calibration import Calibration, from_document
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding, findings_of
 
 _log = logging.getLogger(__name__)
 _MOST_PARSED = 8
@@ -117,13 +119,13 @@ class Calibrations(Store):
             end_others(connection, record.camera, at)
             return with_interval(self._required(connection, calibration_id))
 
-    def refuse(self, calibration_id: str, *, reasons: tuple[str, ...]) -> CalibrationRecord:
-        """Mark a candidate as refused, with the reasons; it is kept."""
+    def refuse(self, calibration_id: str, *, findings: tuple[Finding, ...]) -> CalibrationRecord:
+        """Mark a candidate as refused, with the findings; it is kept."""
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "candidate":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="refuse a candidate")
-            set_columns(connection, calibration_id, state="refused", accepted=False, reasons=reasons)
+            set_columns(connection, calibration_id, state="refused", accepted=False, findings=findings)
             return with_interval(self._required(connection, calibration_id))
 
     def current_calibration(self, camera: str, *, at: datetime | None = None) -> CalibrationRecord | None:
@@ -244,7 +246,7 @@ class Calibrations(Store):
         self, connection: Connection, *wanted: ColumnElement[bool], limit: int | None = None
     ) -> list[CalibrationRecord]:
         c = calibration.c
-        columns = [column for column in c if column.name != "document"]
+        columns = [column.label(column.key) for column in c if column.name != "document"]
         statement = select(*columns).where(*wanted).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
         rows = connection.execute(statement).mappings().all()
         return [self._documents.record(connection, row) for row in rows]
@@ -260,7 +262,7 @@ class Calibrations(Store):
             )
         if found[0].damaged:
             raise wrong_state(
-                calibration_id, f"cannot be used: {DAMAGED}", remedy="name another one, or calibrate anew"
+                calibration_id, f"cannot be used: {text_of(DAMAGED)}", remedy="name another one, or calibrate anew"
             )
         return found[0]
 
@@ -277,7 +279,7 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
             valid_until=None,
             parent=parent,
             accepted=bool(verdict["accepted"]),
-            reasons=tuple(verdict["reasons"]),
+            findings=findings_of(verdict),
             document=dict(document),
         )
     except (KeyError, TypeError, ValueError) as error:

@@ -23,7 +23,7 @@ class Journal(Store):
 
     def save_day(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""
-        row = asdict(day)
+        row = asdict(day) | {"findings": day.findings}
         statement = insert(tables.day).values(row)
         with self._writing() as connection:
             connection.execute(statement.on_conflict_do_update(index_elements=["camera", "date"], set_=row))

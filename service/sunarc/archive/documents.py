@@ -16,8 +16,9 @@ from sqlalchemy import Connection, LargeBinary, RowMapping, cast, select
 from sunarc.archive.engine import json_text
 from sunarc.archive.tables import calibration
 from sunarc.archive.values import CalibrationRecord
+from sunarc.findings import Finding
 
-DAMAGED = "the stored document is damaged: it does not match its checksum"
+DAMAGED = Finding("document_damaged")
 """What a damaged calibration gives as its reason."""
 
 UNKNOWN_TIME = datetime(1970, 1, 1, tzinfo=UTC)
@@ -74,7 +75,7 @@ def damaged_calibrations(connection: Connection) -> dict[str, str | None]:
 
 def row_of(record: CalibrationRecord) -> dict[str, Any]:
     """Return the columns of a record, with the checksum of the document as it will be stored."""
-    row = asdict(replace(record, document=dict(record.document)))
+    row = asdict(replace(record, document=dict(record.document))) | {"findings": record.findings}
     row.pop("damaged")
     row["document_sha256"] = hashlib.sha256(json_text(row["document"]).encode()).hexdigest()
     return row
@@ -86,13 +87,12 @@ def _times(row: RowMapping) -> tuple[object, ...]:
 
 def _damaged(values: dict[str, Any]) -> CalibrationRecord:
     """Return a record that shows what is left of a damaged calibration, with a document that no fit can use."""
-    reasons = (DAMAGED, *values["reasons"])
     known = {
         **values,
         "state": values["state"] or "refused",
         "created_at": values["created_at"] or UNKNOWN_TIME,
         "valid_from": values["valid_from"] or UNKNOWN_TIME,
-        "reasons": reasons,
+        "findings": (DAMAGED, *values["findings"]),
         "accepted": False,
     }
     document = {"id": values["id"], "camera": values["camera"], "damaged": True, "verdict": {}}

@@ -16,6 +16,7 @@ from sunarc.archive.tables import calibration, event, pose_epoch, sun_point
 from sunarc.archive.validity import end_others, set_columns
 from sunarc.archive.values import Event, PoseEpoch
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding
 
 EPOCH_CLOSED = "epoch_closed"
 """Kind of the event of a pose epoch that was closed as wrong."""
@@ -73,7 +74,8 @@ class EpochClosing(History):
         if last.valid_until is None or last.valid_until > at:  # it still answers: nothing else ever did
             set_columns(connection, last.id, state="current", valid_until=None)
             return last.id
-        return add_copy(connection, last, at=at, reasons=(f"served again: {reason}", *last.reasons)).id
+        again = Finding("served_again", {"reason": reason})
+        return add_copy(connection, last, at=at, findings=(again, *last.findings)).id
 
 
 def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:

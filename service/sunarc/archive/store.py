@@ -82,8 +82,8 @@ def values_of(connection: Connection, statement: Select[Any], kind: type[Value])
     A row whose required values cannot be read (see `types`) is left out, and logged.
     """
     result = connection.execute(statement)
-    names = tuple(result.keys())
     columns = tuple(statement.selected_columns)
+    names = [str(column.key) for column in columns]
     needed = [number for number, column in enumerate(columns) if _required(column)]
     keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
     rows = result.all()

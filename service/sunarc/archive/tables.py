@@ -21,7 +21,7 @@ from sqlalchemy import (
     text,
 )
 
-from sunarc.archive.types import CalendarDate, JsonObject, NumberTuple, TextTuple, UtcTime, Word
+from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
 from sunarc.archive.values import CalibrationState, DayVerdict, EventSeverity, RefitState
 
 metadata = MetaData(
@@ -103,7 +103,7 @@ day = Table(
     Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
     Column("date", CalendarDate, primary_key=True),
     Column("verdict", Word(get_args(DayVerdict)), nullable=False),
-    Column("reasons", TextTuple, nullable=False),
+    Column("reasons", FindingTuple, key="findings", nullable=False),
     Column("n", Integer, nullable=False),
     Column("n_possible", Integer, nullable=False),
     Column("decided_at", UtcTime, nullable=False),
@@ -141,7 +141,7 @@ calibration = Table(
     Column("pose_epoch", Text, ForeignKey("pose_epoch.id")),
     Column("parent", Text, ForeignKey("calibration.id")),
     Column("accepted", Boolean, nullable=False),
-    Column("reasons", TextTuple, nullable=False),
+    Column("reasons", FindingTuple, key="findings", nullable=False),
     Column("document", JSON, nullable=False),
     Column("document_sha256", Text, nullable=False, server_default=""),
     Column("pinned", Boolean, nullable=False, server_default=false()),

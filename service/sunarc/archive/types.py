@@ -11,6 +11,8 @@ from typing import Any
 
 from sqlalchemy import JSON, BigInteger, Date, Dialect, Text, TypeDecorator
 
+from sunarc.findings import Finding, from_json
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 
@@ -66,19 +68,19 @@ class Word(TypeDecorator[str]):
         return value if value in self.words else None
 
 
-class TextTuple(TypeDecorator[tuple[str, ...]]):
-    """A tuple of sentences, as a JSON list; empty where it cannot be read."""
+class FindingTuple(TypeDecorator[tuple[Finding, ...]]):
+    """Findings, as a JSON list of objects; sentences of version 0.2 become findings without a code."""
 
     impl = JSON
     cache_ok = True
 
-    def process_bind_param(self, value: tuple[str, ...] | None, dialect: Dialect) -> list[str]:  # noqa: ARG002 - SQLAlchemy's
+    def process_bind_param(self, value: tuple[Finding, ...] | None, dialect: Dialect) -> list[dict[str, Any]]:  # noqa: ARG002 - SQLAlchemy's
         """Return the list to store."""
-        return list(value or ())
+        return [finding.as_json() for finding in value or ()]
 
-    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[str, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
-        """Return the stored sentences."""
-        return tuple(str(text) for text in value) if isinstance(value, list) else ()
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> tuple[Finding, ...]:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored findings; none where they cannot be read."""
+        return tuple(from_json(one) for one in value) if isinstance(value, list) else ()
 
 
 class NumberTuple(TypeDecorator[tuple[float, ...]]):

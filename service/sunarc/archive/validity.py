@@ -22,7 +22,12 @@ def with_interval(record: CalibrationRecord) -> CalibrationRecord:
         "state": record.state,
         "valid_from": written(record.valid_from),
         "valid_until": None if record.valid_until is None else written(record.valid_until),
-        "verdict": {**record.document["verdict"], "accepted": record.accepted, "reasons": list(record.reasons)},
+        "verdict": {
+            **record.document["verdict"],
+            "accepted": record.accepted,
+            "reasons": list(record.reasons),
+            "findings": [finding.as_json() for finding in record.findings],
+        },
     }
     return replace(record, document={**record.document, **decided})
 

@@ -10,10 +10,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, computed_field
 
+from sunarc.archive.messages import text_of
 from sunarc.errors import InputError
-from sunarc.json_fields import EXAMPLE_TIME, Returned, SolarDate, Time, described
+from sunarc.findings import Finding
+from sunarc.json_fields import EXAMPLE_TIME, Findings, Returned, SolarDate, Time, described
 
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
@@ -152,9 +154,7 @@ class Day(Returned):
     camera: Annotated[str, Field(exclude=True)]
     date: SolarDate
     verdict: Annotated[DayVerdict, described("Verdict on the day; its reasons say why.")]
-    reasons: Annotated[
-        tuple[str, ...], described("Why, in sentences.", ["91 % of the possible sightings lie on the arc"])
-    ]
+    findings: Findings
     n: Annotated[int, described("Accepted sightings, a count.", 379)]
     n_possible: Annotated[int, described("Cycles that the day had room for, a count.", 418)]
     decided_at: Time
@@ -187,6 +187,12 @@ class Day(Returned):
         tuple[float, ...] | None, described("1-sigma of each, degrees.", [0.002, 0.002, 0.004])
     ] = None
 
+    @computed_field(description="Why, in sentences.", examples=[["91 % of the observed slots lie on the arc"]])  # type: ignore[prop-decorator]
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(text_of(finding) for finding in self.findings)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
@@ -208,10 +214,15 @@ class CalibrationRecord:
     pose_epoch: str | None
     parent: str | None
     accepted: bool
-    reasons: tuple[str, ...]
+    findings: tuple[Finding, ...]
     document: Mapping[str, Any] = field(repr=False)
     pinned: bool = False
     damaged: bool = False
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(text_of(finding) for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

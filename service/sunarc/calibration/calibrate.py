@@ -17,6 +17,7 @@ from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
 from sunarc.calibration.quality.fit_checks import Handedness, before_fit
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.optics import Camera
 from sunarc.sky import Site
 
@@ -71,7 +72,7 @@ def calibrate(
     seen = observations(usable)
     picked = _choose_hand(seen, job, start)
     if picked is None:
-        return refused(job, ("no camera of this projection fits",))
+        return refused(job, (Finding("no_camera_fits"),))
     return calibration_from_fit(_fitted(job, seen, picked.cameras), job, picked.handedness)
 
 

@@ -24,6 +24,7 @@ from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose_step_evidence import log_bayes_factor
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
+from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site
 
@@ -280,15 +281,13 @@ def _with_moves(solved: Calibration, usable: FilteredSightings) -> Calibration:
                 pose_before=solved.poses[epoch],
             )
         )
-    words = tuple(_in_words(move) for move in moves)
-    verdict = replace(solved.verdict, reasons=(*solved.verdict.reasons, *words))
+    found = tuple(_finding(move) for move in moves)
+    verdict = replace(solved.verdict, findings=(*solved.verdict.findings, *found))
     return replace(solved, evidence=replace(solved.evidence, moves=tuple(moves)), verdict=verdict)
 
 
-def _in_words(move: Move) -> str:
-    before, after = (datetime.fromtimestamp(s, UTC) for s in (move.before_unix_s, move.after_unix_s))
-    until = f"{after:%H:%M:%S}" if before.date() == after.date() else f"{after:%Y-%m-%d %H:%M:%S}"
-    return (
-        f"the camera was moved between {before:%Y-%m-%d %H:%M:%S} and {until} UTC, by {move.turn_deg:.3f} degrees: "
-        "the pose is the one from then on"
+def _finding(move: Move) -> Finding:
+    before, after = (
+        f"{datetime.fromtimestamp(s, UTC):%Y-%m-%dT%H:%M:%SZ}" for s in (move.before_unix_s, move.after_unix_s)
     )
+    return Finding("pose_changed", {"before": before, "after": after, "turn_deg": move.turn_deg})

@@ -132,7 +132,12 @@ def _row(record: CalibrationRecord) -> dict[str, Any]:
     row = {name: getattr(record, name) for name in _SHOWN}
     row |= {name: value and value.isoformat() for name, value in row.items() if name.startswith("valid")}
     sky = record.document.get("uncertainty", {}).get("sky_rms_deg")
-    return {**row, "sky_rms_deg": sky, "reasons": list(record.reasons)}
+    return {
+        **row,
+        "sky_rms_deg": sky,
+        "reasons": list(record.reasons),
+        "findings": [finding.as_json() for finding in record.findings],
+    }
 
 
 def _epoch_row(epoch: PoseEpoch) -> dict[str, Any]:

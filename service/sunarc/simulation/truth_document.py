@@ -19,6 +19,7 @@ from sunarc.calibration import (
     fit_backward,
     to_document,
 )
+from sunarc.findings import Finding
 from sunarc.optics import Camera, pose_angles
 from sunarc.sky import Site
 
@@ -37,7 +38,7 @@ def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetim
         pose=pose_angles(camera.rotation_cam_enu),
         backward=fit_backward(camera),
         evidence=_no_evidence(),
-        verdict=Verdict(accepted=True, reasons=("the camera of a simulation, as it was made",)),
+        verdict=Verdict(accepted=True, findings=(Finding("simulated_camera"),)),
         method="robust",
         site=site,
     )

@@ -156,7 +156,7 @@ def test_a_moved_camera_is_noticed(simulator: Simulator) -> None:
     second = calibrate(after.points, site=after.site, image_size=SIZE)
     decided = accept(second, first)
     assert not decided.accepted
-    assert "moved" in decided.reasons[0]
+    assert decided.findings[0].code == "contradicts_active"
     assert accept(second, first, same_pose=False).accepted
 
 

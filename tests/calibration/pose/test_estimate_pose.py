@@ -146,7 +146,7 @@ def test_the_document_of_the_lens_suffices(camera: Camera, simulator: Simulator,
 def test_two_sightings_are_too_few(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:
     found = estimate_pose(few(simulator, camera, 2, seed=1).points, start=calibrated, site=SGP)
     assert not found.verdict.accepted
-    assert "only 2 usable sightings" in found.verdict.reasons[0]
+    assert found.verdict.findings[0].code == "too_few_sightings"
 
 
 def test_a_day_tells_how_the_camera_stood_turned(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.calibration import SunPoints, Verdict, accept, distance_px, hemisphere, unseen_points
 from sunarc.calibration.quality import acceptance
+from sunarc.findings import Finding
 from sunarc.optics import PARAMETER_NAMES, project, project_with_rows_fast
 from sunarc.sky import sun_directions
 
@@ -45,7 +47,7 @@ def swayed(calibration: Calibration, sigmas: float) -> Calibration:
 
 
 def test_what_refuses_itself_is_refused_for_its_own_reasons(calibrated: Calibration) -> None:
-    own = Verdict(accepted=False, reasons=("tilted",))
+    own = Verdict(accepted=False, findings=(Finding("tilt_too_large"),))
     assert accept(replace(calibrated, verdict=own), calibrated) == own
 
 
@@ -53,13 +55,13 @@ def test_less_sure_on_the_same_days_is_not_served(calibrated: Calibration) -> No
     somewhat, far = (accept(knowing(calibrated, sky=s), calibrated) for s in (1.5, 3.0))
     assert (somewhat.accepted, somewhat.marginal) == (False, True)
     assert (far.accepted, far.marginal) == (False, False)
-    assert "less sure of the sky" in far.reasons[0]
+    assert codes(far.findings) == ["direction_sigma_increased"]
 
 
 def test_the_same_fit_once_more_says_nothing_new(calibrated: Calibration) -> None:
     again = accept(calibrated, calibrated)
     assert (again.accepted, again.marginal) == (False, True)
-    assert "nothing new" in again.reasons[0]
+    assert codes(again.findings) == ["no_change"]
 
 
 def test_a_fit_that_knows_more_may_find_the_current_one_too_sure(calibrated: Calibration) -> None:
@@ -71,7 +73,7 @@ def test_a_change_beyond_what_is_stated_waits_for_proof(calibrated: Calibration,
     changed = swayed(knowing(calibrated, "2013-05-20"), 3.5)
     waiting = accept(changed, calibrated)
     assert (waiting.accepted, waiting.marginal) == (False, True)
-    assert "the sightings since do not prove it" in waiting.reasons[0]
+    assert "change_not_confirmed" in codes(waiting.findings)
     times = clear_day.points.unix_s + 120 * 86_400.0
     seen = project(changed.camera, sun_directions(times, clear_day.site))
     assert accept(changed, calibrated, unseen=SunPoints(unix_s=times, pixels=seen)).accepted
@@ -84,7 +86,7 @@ def test_a_sky_that_contradicts_the_current_one_is_refused_whatever_the_proof(
     seen = project(moved.camera, sun_directions(clear_day.points.unix_s, clear_day.site))
     verdict = accept(moved, calibrated, unseen=SunPoints(unix_s=clear_day.points.unix_s, pixels=seen))
     assert (verdict.accepted, verdict.marginal) == (False, False)
-    assert "the camera may have moved" in verdict.reasons[0]
+    assert verdict.findings[0].code == "contradicts_active"
 
 
 @pytest.mark.parametrize(("found", "marginal"), [(0.09, True), (0.2, False)])
@@ -94,12 +96,13 @@ def test_days_left_out_that_are_met_worse_than_expected_speak_against_a_fit(
     metrics = replace(calibrated.metrics, held_out_rmse_px=found, held_out_expected_px=0.03)
     verdict = accept(replace(calibrated, metrics=metrics))
     assert (verdict.accepted, verdict.marginal) == (False, marginal)
-    assert "cross-validation RMSE" in verdict.reasons[0]
+    assert codes(verdict.findings) == ["cross_validation_rmse"]
+    assert verdict.findings[0].data == {"rmse_px": found, "expected_px": 0.03}
 
 
 def test_the_other_hand_is_refused(calibrated: Calibration) -> None:
     flipped = replace(calibrated, camera=replace(calibrated.camera, mirrored=True))
-    assert "the other handedness" in accept(flipped, calibrated).reasons[0]
+    assert codes(accept(flipped, calibrated).findings) == ["handedness_differs"]
 
 
 def test_unseen_are_the_latest_poses_days_that_a_calibration_does_not_know(

@@ -79,7 +79,9 @@ def test_a_doubtful_clock_makes_a_day_unusable_and_says_so(clear_day: Simulated)
     points = SunPoints(unix_s=clear_day.points.unix_s, pixels=clear_day.points.pixels, clock_error_s=doubt)
     verdict = decide_day(measure_day(points, site=clear_day.site, cadence_s=120.0))
     assert verdict.kind == "unusable"
-    assert verdict.reasons == ("the clock is doubtful in 67 % of the sightings",)
+    (found,) = verdict.findings
+    assert found.code == "day_clock_uncertain"
+    assert float(found.data["share"]) == pytest.approx(0.67, abs=0.01)
 
 
 def test_the_solid_angle_is_that_of_the_band_that_was_seen(clear_day: Simulated) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.calibration import DayVerdict, SunPoints, decide_day, measure_day
 from sunarc.calibration.quality.sampling import Sampling, sampling_of
@@ -47,8 +48,8 @@ def test_a_clear_day_of_which_nine_tenths_of_the_slots_were_missed_is_clear(clea
     observed[np.random.default_rng(3).choice(observed.size, 45, replace=False)] = True
     found = verdict(clear_day, observed=observed, seen=every(clear_day))
     assert found.kind == "clear"
-    assert found.reasons[0].startswith("100 % of the 45 observed slots lie on the arc; ")
-    assert found.reasons[0].endswith("possible slots were not observed")
+    assert codes(found.findings)[:2] == ["day_share_on_arc", "day_slots_missed"]
+    assert found.findings[0].data == {"share": 1.0, "n_observed": 45}
 
 
 def test_a_day_that_began_at_three_in_the_afternoon_counts_for_what_it_has(clear_day: Simulated) -> None:
@@ -76,7 +77,7 @@ def test_too_few_observed_slots_do_not_make_a_clear_day_and_the_reason_says_so(c
     seen[np.flatnonzero(observed)[[5, 15]]] = False
     found = verdict(clear_day, observed=observed, seen=seen)
     assert found.kind == "partly"
-    assert found.reasons[-1].startswith("25 observed slots show at least ")
+    assert (found.findings[-1].code, found.findings[-1].data["n_observed"]) == ("day_share_uncertain", 25)
 
 
 @pytest.mark.parametrize(

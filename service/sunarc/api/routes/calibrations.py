@@ -101,6 +101,7 @@ def summary(record: CalibrationRecord) -> CalibrationSummary:
         accepted=record.accepted,
         pinned=record.pinned,
         reasons=list(record.reasons),
+        findings=list(record.findings),
         rmse_px=metrics.get("rmse_px"),
         sky_rms_deg=uncertainty.get("sky_rms_deg"),
     )

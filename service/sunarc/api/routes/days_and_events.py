@@ -83,7 +83,7 @@ def days_out(served: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     dates = [day.date for day in days]
     known = served.archive.day_air(served.camera, since=min(dates), until=max(dates) + timedelta(days=1))
     air = {one.date: air_out(one) for one in known}
-    return [DayWithAir(**asdict(day), air=air.get(day.date)) for day in days]
+    return [DayWithAir(**asdict(day) | {"findings": day.findings}, air=air.get(day.date)) for day in days]
 
 
 def _image(served: ApiContext, if_none_match: str | None) -> Response:

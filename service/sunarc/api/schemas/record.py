@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from sunarc.api.schemas.parameters import Asked, Next, Number
 from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit
-from sunarc.json_fields import EXAMPLE_TIME, Time, described
+from sunarc.json_fields import EXAMPLE_TIME, Findings, Time, described
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 _CALIBRATION_ID = "20130514T150508Z-52ee44"
@@ -69,6 +69,7 @@ class CalibrationSummary(BaseModel):
     ]
     accepted: Annotated[bool, described("Whether its verdict allows it to answer.", True)]
     reasons: Annotated[list[str], described("Of the verdict, in sentences.", ["1-sigma over the sky 0.0099 degrees"])]
+    findings: Findings
     pinned: Annotated[bool, described("Whether it stays current whatever a refit finds.", False)]
     rmse_px: Annotated[float | None, described("Of the sightings used, 2-D distance, px.", 0.041)]
     sky_rms_deg: Annotated[float | None, described("1-sigma per axis over the sky, degrees.", 0.0099)]

@@ -21,6 +21,7 @@ from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Provenance, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, own_verdict
+from sunarc.findings import Finding
 from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector
 from sunarc.sky import Site
 
@@ -89,7 +90,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
             inflation=fitted.inflation,
             radial_px=fitted.radial_px,
         ),
-        verdict=Verdict(accepted=False, reasons=("not judged yet",)),
+        verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
         site=job.site,
         used=_used(fitted, job),
@@ -156,7 +157,7 @@ def _dates(usable: FilteredSightings) -> tuple[str, ...]:
     return tuple((first + timedelta(days=int(day))).date().isoformat() for day in np.unique(usable.day))
 
 
-def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
+def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
     """Return the calibration without a fit: the ideal lens, level, with its prior uncertainty."""
     options, circle, image_size = job.options, job.circle, job.image_size
     if circle is None:
@@ -183,7 +184,7 @@ def refused(job: Job, reasons: tuple[str, ...]) -> Calibration:
         pose=pose_angles(camera.rotation_cam_enu),
         backward=NO_BACKWARD,
         evidence=_evidence(job, n_used=0, sigma_px=math.nan, inflation=math.nan, radial_px=math.nan),
-        verdict=Verdict(accepted=False, reasons=reasons),
+        verdict=Verdict(accepted=False, findings=findings),
         method=options.method,
         site=job.site,
         used=np.zeros(len(job.points), dtype=bool),

@@ -16,6 +16,7 @@ from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.errors import InputError
+from sunarc.findings import Finding, from_json
 from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
 from sunarc.sky import Site
 
@@ -80,6 +81,7 @@ def to_document(
             "accepted": calibration.verdict.accepted,
             "marginal": calibration.verdict.marginal,
             "reasons": list(calibration.verdict.reasons),
+            "findings": [finding.as_json() for finding in calibration.verdict.findings],
         },
         "software": {"name": "sunarc", "version": software_version},
     }
@@ -177,12 +179,18 @@ def from_document(document: object) -> Calibration:
         evidence=_read_evidence(read),
         verdict=Verdict(
             accepted=bool(read.value("verdict.accepted")),
-            reasons=tuple(str(r) for r in read.items("verdict.reasons")),
+            findings=_read_findings(read),
             marginal=bool(read.value("verdict.marginal", needed=False)),
         ),
         method=method,
         site=_read_site(read),
     )
+
+
+def _read_findings(read: _Reader) -> tuple[Finding, ...]:
+    """Return the findings; documents of version 0.2 have sentences alone."""
+    coded = read.value("verdict.findings", needed=False) is not None
+    return tuple(from_json(one) for one in read.items("verdict.findings" if coded else "verdict.reasons"))
 
 
 def _read_camera(read: _Reader) -> Camera:

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.options import Method
 from sunarc.calibration.model.residual_field import Field
+from sunarc.findings import Finding
 from sunarc.optics import Camera, PoseAngles
 from sunarc.sky import Site
 
@@ -20,14 +22,19 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Whether a calibration may be used, and why (not): at least one reason, in words.
+    """Whether a calibration may be used, and why (not): at least one finding.
 
     A marginal one is not used, but nothing is wrong with it: it is kept as a candidate that a person may serve.
     """
 
     accepted: bool
-    reasons: tuple[str, ...]
+    findings: tuple[Finding, ...]
     marginal: bool = False
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(text_of(finding) for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

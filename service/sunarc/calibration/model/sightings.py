@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sunarc.calibration.model.static_positions import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -122,7 +123,7 @@ class FilteredSightings:
     day : (n,) local mean solar day, counted from 1970.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
-    n_dropped, dropped : how many were left out, and why.
+    n_dropped, dropped : how many were left out, and a finding for each cause.
     static : positions that do not move with the sun, left out.
     """
 
@@ -135,7 +136,7 @@ class FilteredSightings:
     day: IntArray
     refraction_sd: FloatArray
     n_dropped: int
-    dropped: tuple[str, ...]
+    dropped: tuple[Finding, ...]
     static: tuple[StaticPosition, ...] = ()
 
     def __len__(self) -> int:
@@ -152,7 +153,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
 
     Returns
     -------
-    The usable ones by time; `dropped` says in words what was left out, and why.
+    The usable ones by time; `dropped` says what was left out, and why.
     """
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
     finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
@@ -173,7 +174,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     static = static_positions(points.pixels[kept], still)
     kept, day = kept[~still], day[~still]
     counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum(), still.sum())
-    reasons = ("not finite", "below the horizon", "of a moment already seen", "that do not move with the sun")
+    codes = ("dropped_not_finite", "dropped_below_horizon", "dropped_duplicate_time", "dropped_static")
     return FilteredSightings(
         index=kept,
         unix_s=points.unix_s[kept],
@@ -184,7 +185,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], day, site),
         n_dropped=len(points) - kept.size,
-        dropped=tuple(f"{n} {why}" for n, why in zip(counts, reasons, strict=True) if n),
+        dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
     )
 

@@ -39,6 +39,7 @@ from sunarc.calibration.pose.residuals import MOST, PredictedSightings, finite, 
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast
 from sunarc.optics.pose import right_jacobian
 from sunarc.sky import Site
@@ -83,7 +84,7 @@ def estimate_pose(
     size = (start.camera.width, start.camera.height)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None, free="pose")
     if len(usable) < FEWEST:
-        return refused(job, (f"only {len(usable)} usable sightings; at least {FEWEST} are needed for a pose",))
+        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
     fitted = _fitted(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))

@@ -12,6 +12,7 @@ from sunarc.calibration.model.covariance import hemisphere, project_with_covaria
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.pose_drift import own_sky_rms_deg
+from sunarc.findings import Finding
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 
@@ -62,18 +63,17 @@ def accept(
     if not candidate.verdict.accepted:
         return candidate.verdict
     refusals, warnings = _held_out_problems(candidate)
-    reasons = ["the first calibration", *candidate.verdict.reasons]
+    found = (Finding("first_calibration"), *candidate.verdict.findings)
     if current is not None:
-        before, now = own_sky_rms_deg(current), own_sky_rms_deg(candidate)
-        reasons = [f"1-sigma over the sky {now:.4f} degrees, before {before:.4f}"]
-        for found in _compared(candidate, current, same_pose=same_pose, unseen=unseen):
-            refusals += found[0]
-            warnings += found[1]
+        found = (Finding("direction_sigma_compared", _sigmas(candidate, current)),)
+        for refused, warned in _compared(candidate, current, same_pose=same_pose, unseen=unseen):
+            refusals += refused
+            warnings += warned
     if refusals:
-        return Verdict(accepted=False, reasons=tuple(refusals + warnings))
+        return Verdict(accepted=False, findings=tuple(refusals + warnings))
     if warnings:
-        return Verdict(accepted=False, marginal=True, reasons=tuple(warnings))
-    return Verdict(accepted=True, reasons=tuple(reasons))
+        return Verdict(accepted=False, marginal=True, findings=tuple(warnings))
+    return Verdict(accepted=True, findings=found)
 
 
 def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
@@ -83,7 +83,7 @@ def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known))
 
 
-_Found = tuple[list[str], list[str]]
+_Found = tuple[list[Finding], list[Finding]]
 
 
 def _held_out_problems(candidate: Calibration) -> _Found:
@@ -91,8 +91,8 @@ def _held_out_problems(candidate: Calibration) -> _Found:
     found, expected = candidate.metrics.held_out_rmse_px, candidate.metrics.held_out_expected_px
     if found is None or expected is None or found <= _HELD_OUT_RATIOS[0] * expected:
         return [], []
-    said = [f"cross-validation RMSE {found:.3f} px (expected {expected:.3f} px)"]
-    return (said, []) if found > _HELD_OUT_RATIOS[1] * expected else ([], said)
+    worse = [Finding("cross_validation_rmse", {"rmse_px": found, "expected_px": expected})]
+    return (worse, []) if found > _HELD_OUT_RATIOS[1] * expected else ([], worse)
 
 
 def _compared(
@@ -100,11 +100,11 @@ def _compared(
 ) -> list[_Found]:
     """Return what speaks against the candidate beside the current one."""
     if candidate.camera.mirrored != current.camera.mirrored:
-        return [(["the other handedness than the current one: the setting was changed, or the image flipped"], [])]
+        return [([Finding("handedness_differs")], [])]
     if not same_pose:
         return []
     if _says_the_same(candidate, current):
-        return [([], [f"nothing new: the camera and its uncertainty are those of the current one, to {_NEW:.1%}"])]
+        return [([], [Finding("no_change", {"limit": _NEW})])]
     refusals, warnings = _change(candidate, current)
     if warnings and _met_better(candidate, current, unseen):
         warnings = []
@@ -112,12 +112,17 @@ def _compared(
 
 
 def _sureness(candidate: Calibration, current: Calibration) -> _Found:
-    before, now = own_sky_rms_deg(current), own_sky_rms_deg(candidate)
+    sigmas = _sigmas(candidate, current)
+    before, now = sigmas["before_deg"], sigmas["now_deg"]
     allowed = _FOUND_OUT if _knows_more(candidate, current) else _WORSE
     if now <= allowed * before:
         return [], []
-    said = [f"less sure of the sky: 1-sigma {now:.4f} against {before:.4f} degrees"]
-    return (said, []) if not now <= _MUCH_WORSE * allowed * before else ([], said)
+    worse = [Finding("direction_sigma_increased", sigmas)]
+    return (worse, []) if not now <= _MUCH_WORSE * allowed * before else ([], worse)
+
+
+def _sigmas(candidate: Calibration, current: Calibration) -> dict[str, float]:
+    return {"now_deg": own_sky_rms_deg(candidate), "before_deg": own_sky_rms_deg(current)}
 
 
 def _knows_more(candidate: Calibration, current: Calibration) -> bool:
@@ -138,14 +143,12 @@ def _says_the_same(candidate: Calibration, current: Calibration) -> bool:
 def _change(candidate: Calibration, current: Calibration) -> _Found:
     share, worst_px = disagreement(candidate, current)
     if share > _SHOWN:
-        where = f"{100 * share:.0f} % of the sky contradicts the current one, by up to {worst_px:.2f} px"
-        return [f"{where}: the camera may have moved"], []
+        return [Finding("contradicts_active", {"share": share, "distance_px": worst_px})], []
     apart, first, second = _over_the_sky(candidate, current)
     stated = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
     change = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
     if change > _CHANGED * stated:
-        said = f"it is {change:.3f} px from the current one over the sky, where {stated:.3f} px are stated"
-        return [], [f"{said}, and the sightings since do not prove it"]
+        return [], [Finding("change_not_confirmed", {"change_px": change, "stated_px": stated})]
     return [], []
 
 

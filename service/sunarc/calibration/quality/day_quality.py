@@ -19,6 +19,7 @@ from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampli
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
 
 FloatArray = NDArray[np.float64]
@@ -106,7 +107,7 @@ class DayVerdict:
     """What kind of day it was, and why."""
 
     kind: DayKind
-    reasons: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def measure_day(
@@ -197,36 +198,35 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
 
 
 def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVerdict:
-    """Return what kind of day it was, with reasons."""
-    wanted = DayOptions() if options is None else options
-    if measure.n_on_arc < wanted.smallest_count:
-        return DayVerdict(kind="unusable", reasons=(f"{measure.n_on_arc} sightings on a smooth arc",))
-    if measure.arc_deg < wanted.smallest_arc_deg:
-        return DayVerdict(kind="unusable", reasons=(f"only {measure.arc_deg:.0f} degrees of arc seen",))
-    if measure.doubtful_clock > wanted.doubtful_share:
-        doubtful = f"the clock is doubtful in {100.0 * measure.doubtful_clock:.0f} % of the sightings"
-        return DayVerdict(kind="unusable", reasons=(doubtful,))
+    """Return what kind of day it was, with its findings."""
+    limits = DayOptions() if options is None else options
+    unusable = _unusable(measure, limits)
+    if unusable is not None:
+        return DayVerdict(kind="unusable", findings=(unusable,))
     share = measure.n_cycles / max(measure.n_observed, measure.n_cycles, 1)
-    reasons = [_share_text(measure, share)]
-    if share < wanted.partly_share:
-        return DayVerdict(kind="cloudy", reasons=tuple(reasons))
-    reasons.append(f"they scatter by {measure.sd_px:.2f} px about it")
-    too_few = measure.lowest_share < wanted.clear_share <= share
-    if too_few:
-        reasons.append(
-            f"{measure.n_observed} observed slots show at least {100.0 * measure.lowest_share:.0f} % with 95 % "
-            f"confidence, less than the {100.0 * wanted.clear_share:.0f} % of a clear day"
-        )
-    if too_few or share < wanted.clear_share or measure.sd_px > wanted.clear_sd_px:
-        return DayVerdict(kind="partly", reasons=tuple(reasons))
-    return DayVerdict(kind="clear", reasons=tuple(reasons))
-
-
-def _share_text(measure: DayMeasure, share: float) -> str:
-    """Return how much of what was observed lies on the arc, and how much was not observed."""
-    text = f"{100.0 * share:.0f} % of the {measure.n_observed} observed slots lie on the arc"
+    found = [Finding("day_share_on_arc", {"share": share, "n_observed": measure.n_observed})]
     missed = measure.n_possible - measure.n_observed
-    return f"{text}; {missed} of {measure.n_possible} possible slots were not observed" if missed > 0 else text
+    if missed > 0:
+        found.append(Finding("day_slots_missed", {"n_missed": missed, "n_possible": measure.n_possible}))
+    if share < limits.partly_share:
+        return DayVerdict(kind="cloudy", findings=tuple(found))
+    found.append(Finding("day_scatter", {"sd_px": measure.sd_px, "limit_px": limits.clear_sd_px}))
+    uncertain = measure.lowest_share < limits.clear_share <= share
+    if uncertain:
+        data = {"n_observed": measure.n_observed, "share": measure.lowest_share, "limit": limits.clear_share}
+        found.append(Finding("day_share_uncertain", data))
+    partly = uncertain or share < limits.clear_share or measure.sd_px > limits.clear_sd_px
+    return DayVerdict(kind="partly" if partly else "clear", findings=tuple(found))
+
+
+def _unusable(measure: DayMeasure, limits: DayOptions) -> Finding | None:
+    if measure.n_on_arc < limits.smallest_count:
+        return Finding("day_too_few_sightings", {"n": measure.n_on_arc, "least": limits.smallest_count})
+    if measure.arc_deg < limits.smallest_arc_deg:
+        return Finding("day_arc_too_short", {"arc_deg": measure.arc_deg, "least_deg": limits.smallest_arc_deg})
+    if measure.doubtful_clock > limits.doubtful_share:
+        return Finding("day_clock_uncertain", {"share": measure.doubtful_clock, "limit": limits.doubtful_share})
+    return None
 
 
 def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:

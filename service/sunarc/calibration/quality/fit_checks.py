@@ -1,8 +1,9 @@
-"""What speaks against a fit, in words that name the remedy."""
+"""What speaks against a fit."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import arc_length_deg
+from sunarc.findings import Finding
 
 _FEWEST = 20
 _SHORTEST_ARC_DEG = 10.0
@@ -18,6 +20,8 @@ _SMALLEST_SPREAD_PX = 10.0
 _MOST_STATIC = 0.5
 """Share of the sightings that may stand still: a detector that finds an overlay more often than the sun is at fault."""
 _POSITIONS_NAMED = 3
+_LEAST_ANGLE_DEG = 20.0
+"""Angle from the axis up to which the radius of any fisheye rises."""
 
 
 class Handedness(NamedTuple):
@@ -27,27 +31,26 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: FilteredSightings) -> tuple[str, ...]:
+def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
     """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
     n_static = sum(position.n for position in usable.static)
-    if n_static > _MOST_STATIC * (len(usable) + n_static):
-        said = f"{n_static} of {len(usable) + n_static} sightings do not move with the sun ({_places(usable)})"
-        return (f"{said}: a text overlay, a reflection or a hot pixel; mask it, or leave these sightings out",)
-    dropped = f" ({', '.join(usable.dropped)})" if usable.dropped else ""
+    n_all = len(usable) + n_static
+    if n_static > _MOST_STATIC * n_all:
+        return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _places(usable)}),)
     if len(usable) < _FEWEST:
-        return (f"only {len(usable)} usable sightings{dropped}; at least {_FEWEST} are needed",)
+        return (Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST}), *usable.dropped)
     problems = []
     arc = sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))
     if arc < _SHORTEST_ARC_DEG:
-        problems.append(f"the sun moved {arc:.1f} degrees only; at least {_SHORTEST_ARC_DEG:.0f} are needed")
+        problems.append(Finding("arc_too_short", {"arc_deg": arc, "least_deg": _SHORTEST_ARC_DEG}))
     spread = float(np.linalg.norm(np.ptp(usable.pixels, axis=0)))
     if spread < _SMALLEST_SPREAD_PX:
-        problems.append(f"all sightings lie within {spread:.1f} px: that is not the sun")
+        problems.append(Finding("spread_too_small", {"spread_px": spread, "least_px": _SMALLEST_SPREAD_PX}))
     return tuple(problems)
 
 
 def _places(usable: FilteredSightings) -> str:
-    """Return where sightings stand still, in words."""
+    """Return where sightings stand still: counts and pixels."""
     named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
     further = len(usable.static) - len(named)
     return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
@@ -59,55 +62,44 @@ def own_verdict(
     """Return whether a fit may be used, judged by itself."""
     against = [*_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
     if handedness.ambiguous:
-        against.append("a mirrored and an unmirrored camera fit alike; say which it is (--mirrored no or yes)")
+        against.append(Finding("mirroring_ambiguous"))
     if against:
-        return Verdict(accepted=False, reasons=tuple(against))
+        return Verdict(accepted=False, findings=tuple(against))
     metrics, days = calibration.metrics, len(calibration.evidence.days)
-    said = [
-        f"{metrics.n} sightings of {days} day{'s' if days != 1 else ''} fit to {metrics.rmse_px:.3f} px",
-        f"1-sigma over the sky {calibration.sky_rms_deg:.4f} degrees",
+    found = [
+        Finding("fit_rmse", {"n": metrics.n, "days": days, "rmse_px": metrics.rmse_px}),
+        Finding("direction_sigma", {"sigma_deg": calibration.sky_rms_deg}),
+        *usable.dropped,
     ]
-    if usable.dropped:
-        said.append(f"left out before the fit: {', '.join(usable.dropped)}")
     if usable.static:
-        said.append(f"a text overlay, a reflection or a hot pixel at {_places(usable)}: mask it")
+        found.append(Finding("static_positions", {"places": _places(usable)}))
     if calibration.evidence.options.get("free") == "pose":
-        said.append("provisional: the lens is that of an earlier pose, kept within what was known of it")
+        found.append(Finding("provisional"))
     if options.mirrored == "auto":
-        said.append("the image is mirrored" if handedness.mirrored else "the image is not mirrored")
-    return Verdict(accepted=True, reasons=tuple(said))
+        found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
+    return Verdict(accepted=True, findings=tuple(found))
 
 
-def _against_scatter(calibration: Calibration, usable: FilteredSightings, options: CalibrationOptions) -> list[str]:
-    metrics, evidence = calibration.metrics, calibration.evidence
-    against = []
-    if not metrics.rmse_px <= options.max_rmse_px:
-        against.append(f"the sightings used scatter by {metrics.rmse_px:.2f} px, more than {options.max_rmse_px:g}")
-    rejected = 1.0 - evidence.n_used / max(len(usable), 1)
+def _against_scatter(
+    calibration: Calibration, usable: FilteredSightings, options: CalibrationOptions
+) -> Iterator[Finding]:
+    rmse, sigma = calibration.metrics.rmse_px, calibration.sky_rms_deg
+    if not rmse <= options.max_rmse_px:
+        yield Finding("rmse_too_large", {"rmse_px": rmse, "limit_px": options.max_rmse_px})
+    rejected = 1.0 - calibration.evidence.n_used / max(len(usable), 1)
     if rejected > options.max_rejected:
-        against.append(
-            f"{100 * rejected:.0f} % of the sightings do not fit, more than {100 * options.max_rejected:.0f}"
-        )
-    if not calibration.sky_rms_deg <= options.max_sky_deg:
-        against.append(
-            f"1-sigma over the sky is {calibration.sky_rms_deg:.2f} degrees, more than {options.max_sky_deg:g}: "
-            "the sightings cover too little of it"
-        )
-    return against
+        yield Finding("too_many_rejected", {"share": rejected, "limit": options.max_rejected})
+    if not sigma <= options.max_sky_deg:
+        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
 
 
-def _against_camera(calibration: Calibration, options: CalibrationOptions) -> list[str]:
+def _against_camera(calibration: Calibration, options: CalibrationOptions) -> Iterator[Finding]:
     camera, tilt = calibration.camera, calibration.pose.theta_zz_deg
-    against = []
     if tilt > options.level_within_deg:
-        against.append(
-            f"the camera would be tilted by {tilt:.1f} degrees, more than {options.level_within_deg:g} "
-            "(--level-within): if it stands level, the times (clock, time zone), the longitude's or latitude's sign, "
-            "or the handedness is wrong; residuals cannot tell these apart"
-        )
+        yield Finding("tilt_too_large", {"tilt_deg": tilt, "limit_deg": options.level_within_deg})
     x, y = camera.principal_point_px
     if not (0.0 <= x <= camera.width and 0.0 <= y <= camera.height):
-        against.append(f"the principal point {x:.0f}, {y:.0f} lies outside the image")
-    if camera.max_angle < math.radians(20.0):
-        against.append("the lens's radius does not rise with the angle")
-    return against
+        yield Finding("principal_point_outside", {"x_px": x, "y_px": y})
+    angle = math.degrees(camera.max_angle)
+    if angle < _LEAST_ANGLE_DEG:
+        yield Finding("radius_not_rising", {"angle_deg": angle, "least_deg": _LEAST_ANGLE_DEG})

@@ -101,7 +101,7 @@ class DayJudge:
             camera=self._camera,
             date=date_,
             verdict=decided.kind,
-            reasons=decided.reasons,
+            findings=decided.findings,
             n=measure.n,
             n_cycles=measure.n_cycles,
             n_possible=measure.n_possible,

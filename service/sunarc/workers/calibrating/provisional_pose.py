@@ -92,7 +92,7 @@ class ProvisionalPoseEstimator:
             wander_deg=self._wander_deg,
         )
         if not posed.verdict.accepted:
-            _log.info("no pose yet: %s", "; ".join(posed.verdict.reasons))
+            _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
             return False
         document = self._document(posed, epoch, count)
         record = self._archive.add_calibration(document, parent=lens.id, used=columns)

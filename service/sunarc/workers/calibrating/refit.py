@@ -30,6 +30,7 @@ from sunarc.calibration import (
     with_pose_spread,
 )
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky import Site, solar_date
@@ -220,8 +221,8 @@ class RefitWorker:
         epoch = self._archive.current_epoch(self._camera, at=self._now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
-            since = f"the camera was moved at {epoch.started_at.isoformat()}, and no usable sighting is younger"
-            solved = replace(solved, verdict=Verdict(accepted=False, reasons=(since,)))
+            moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
+            solved = replace(solved, verdict=Verdict(accepted=False, findings=(moved,)))
         else:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
         record = self._keep(task, solved, current)
@@ -246,13 +247,13 @@ class RefitWorker:
         try:
             before = self._archive.model(current.id)
         except InputError as error:
-            unread = f"the current calibration {current.id} cannot be read by this version, nor compared ({error})"
-            return Verdict(accepted=False, marginal=True, reasons=(unread,))
+            unreadable = Finding("active_unreadable", {"calibration": current.id, "error": str(error)})
+            return Verdict(accepted=False, marginal=True, findings=(unreadable,))
         same = current.pose_epoch == task.pose_epoch
         verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
         if verdict.marginal and self._archive.damaged_calibration(self._camera) is not None:
             # what it was compared with only stands in for the damaged current one, and has to be replaced
-            return Verdict(accepted=True, reasons=("it replaces a damaged calibration", *verdict.reasons))
+            return Verdict(accepted=True, findings=(Finding("replaces_damaged"), *verdict.findings))
         return verdict
 
     def _keep(

@@ -1,0 +1,174 @@
+"""The messages of fits, of their acceptance, and of days."""
+
+from __future__ import annotations
+
+from sunarc.findings import Message, Messages
+
+_ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
+_REFUSED = "The fit is refused."
+_MORE_DAYS = "collect sightings on further clear days"
+
+MESSAGES = Messages(
+    # what makes a fit pointless
+    too_few_sightings=Message(
+        "{n} usable sightings; at least {least} are needed",
+        _REFUSED,
+        "collect more sightings of the sun; see the verdicts of those rejected",
+    ),
+    static_sightings=Message(
+        "{n} of {n_all} sightings do not move with the sun ({places}): a text overlay, a reflection or a hot pixel",
+        _REFUSED,
+        "mask these positions, or leave these sightings out",
+    ),
+    arc_too_short=Message(
+        "the sun moved {arc_deg:.1f}°; at least {least_deg:.0f}° are needed", _REFUSED, "collect sightings for longer"
+    ),
+    spread_too_small=Message(
+        "all sightings lie within {spread_px:.1f} px (at least {least_px:.0f} px are needed): this is not the sun",
+        _REFUSED,
+        "check what the detector finds in the images",
+    ),
+    no_camera_fits=Message(
+        "no camera of this projection fits the sightings",
+        _REFUSED,
+        "check the times, the site and the projection",
+    ),
+    not_evaluated=Message("the fit is not evaluated yet", "Never in a stored document."),
+    # what a fit says of itself
+    fit_rmse=Message("{n} sightings of {days} days fit with an RMSE of {rmse_px:.3f} px", "Summary of the fit."),
+    direction_sigma=Message(
+        "direction uncertainty {sigma_deg:.4f}° (1-sigma per axis, RMS over the sky)", "Summary of the fit."
+    ),
+    dropped_not_finite=Message("{n} sightings without a finite time or pixel were left out", "Input of the fit."),
+    dropped_below_horizon=Message(
+        "{n} sightings with the sun below the horizon were left out",
+        "Input of the fit.",
+        "check the clock and the site if there are many",
+    ),
+    dropped_duplicate_time=Message("{n} sightings of a time that another one has were left out", "Input of the fit."),
+    dropped_static=Message("{n} sightings that do not move with the sun were left out", "Input of the fit."),
+    static_positions=Message(
+        "a text overlay, a reflection or a hot pixel at {places}",
+        "The fit is used, without these sightings.",
+        "mask these positions",
+    ),
+    provisional=Message(
+        "provisional: the lens is that of an earlier pose, within its uncertainty",
+        "The pose was estimated from few sightings.",
+        "none: a full fit replaces it after the day",
+    ),
+    mirrored=Message("the image is mirrored", "Both were tried, and one fits."),
+    not_mirrored=Message("the image is not mirrored", "Both were tried, and one fits."),
+    pose_changed=Message(
+        "the camera was moved between {before} and {after}, by {turn_deg:.3f}°; the pose is the one after it",
+        "A pose change within the sightings of the fit.",
+    ),
+    simulated_camera=Message("the camera of a simulation", "The document states a simulated camera's true parameters."),
+    # why a fit refuses itself
+    mirroring_ambiguous=Message(
+        "a mirrored and an unmirrored camera fit alike", _REFUSED, "give --mirrored no or --mirrored yes"
+    ),
+    rmse_too_large=Message(
+        "RMSE of the sightings {rmse_px:.2f} px (at most {limit_px:g} px)",
+        _REFUSED,
+        "check the clock, the site and the projection",
+    ),
+    too_many_rejected=Message(
+        "{share:.0%} of the sightings do not fit (at most {limit:.0%})", _REFUSED, "check what the detector finds"
+    ),
+    direction_sigma_too_large=Message(
+        "direction uncertainty {sigma_deg:.2f}° (at most {limit_deg:g}°): the sightings cover too little of the sky",
+        _REFUSED,
+        _MORE_DAYS,
+    ),
+    tilt_too_large=Message(
+        "camera tilt {tilt_deg:.1f}° (at most {limit_deg:g}°, --level-within): if the camera is level, the times "
+        "(clock, time zone), the sign of longitude or latitude, or the handedness is wrong; residuals cannot "
+        "distinguish these",
+        _REFUSED,
+        "check clock, site and mirroring, or raise --level-within",
+    ),
+    principal_point_outside=Message(
+        "the principal point ({x_px:.0f}, {y_px:.0f}) px is outside the image", _REFUSED, _MORE_DAYS
+    ),
+    radius_not_rising=Message(
+        "the radius stops rising at {angle_deg:.0f}° from the axis (at least {least_deg:.0f}° are needed)",
+        _REFUSED,
+        "check the projection",
+    ),
+    # a fit beside the active one
+    first_calibration=Message("first calibration of this camera", "It becomes the active one."),
+    direction_sigma_compared=Message(
+        "direction uncertainty {now_deg:.4f}° (was {before_deg:.4f}°)", "The fit becomes the active one."
+    ),
+    replaces_damaged=Message(
+        "it replaces a damaged calibration",
+        "The stored document of the active one could not be read.",
+        "check the disk",
+    ),
+    cross_validation_rmse=Message(
+        "cross-validation RMSE {rmse_px:.3f} px (expected {expected_px:.3f} px)", _ACTIVE_STAYS, _MORE_DAYS
+    ),
+    handedness_differs=Message(
+        "image handedness differs from the active calibration",
+        _ACTIVE_STAYS,
+        "set the camera's image back (reverse X, reverse Y), or activate the candidate if the setting was changed",
+    ),
+    no_change=Message(
+        "no significant change: camera and uncertainty are those of the active calibration to {limit:.1%}",
+        _ACTIVE_STAYS,
+    ),
+    direction_sigma_increased=Message(
+        "direction uncertainty increased: {now_deg:.4f}° (was {before_deg:.4f}°)", _ACTIVE_STAYS, _MORE_DAYS
+    ),
+    contradicts_active=Message(
+        "{share:.0%} of the sky contradicts the active calibration, by up to {distance_px:.2f} px: the camera may have "
+        "moved",
+        _ACTIVE_STAYS,
+        "check the mount; if the camera moved, wait for its new pose",
+    ),
+    change_not_confirmed=Message(
+        "{change_px:.3f} px from the active calibration over the sky ({stated_px:.3f} px are stated), not confirmed by "
+        "later sightings",
+        _ACTIVE_STAYS,
+        "none: later sightings confirm it, or not",
+    ),
+    moved_since=Message(
+        "the camera was moved at {time}, and there is no usable sighting since",
+        _ACTIVE_STAYS,
+        "wait for sightings of the new pose",
+    ),
+    active_unreadable=Message(
+        "the active calibration {calibration} cannot be read by this version: {error}",
+        _ACTIVE_STAYS,
+        "install the version that wrote it, or activate another one",
+    ),
+    # days
+    day_too_few_sightings=Message(
+        "{n} sightings on a smooth arc (at least {least} are needed)", "The day is unusable."
+    ),
+    day_arc_too_short=Message("{arc_deg:.0f}° of arc observed (at least {least_deg:g}°)", "The day is unusable."),
+    day_clock_uncertain=Message(
+        "the clock error exceeds the limit in {share:.0%} of the sightings (at most {limit:.0%})",
+        "The day is unusable.",
+        "start a time service; see the conditions of the clock",
+    ),
+    day_share_on_arc=Message(
+        "{share:.0%} of the {n_observed} observed slots lie on the arc", "Decides between clear, partly and cloudy."
+    ),
+    day_slots_missed=Message(
+        "{n_missed} of {n_possible} possible slots were not observed",
+        "The day is evaluated by the others.",
+        "free processor time, or set a longer capture.cadence_s",
+    ),
+    day_scatter=Message(
+        "the sightings scatter about the arc with {sd_px:.2f} px (clear: at most {limit_px:g} px)",
+        "Decides between clear and partly.",
+    ),
+    day_share_uncertain=Message(
+        "{n_observed} observed slots show at least {share:.0%} with 95 % confidence (clear: {limit:.0%})",
+        "Too few slots were observed for a clear day.",
+    ),
+)
+
+text_of = MESSAGES.text_of

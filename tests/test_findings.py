@@ -1,0 +1,41 @@
+"""Findings: the sentence of a code and its data, and their JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from sunarc.calibration import messages
+from sunarc.findings import Finding, Message, Messages, findings_of, from_json, uncoded
+
+ROOM = Messages(too_hot=Message("{what}: {value:.1f} °C (at most {limit:g} °C)", "Hot.", "cool {what}"))
+
+
+def test_the_sentence_and_the_remedy_are_made_of_the_data() -> None:
+    finding = Finding("too_hot", {"what": "sensor", "value": 61.26, "limit": 60.0})
+    assert ROOM.text_of(finding) == "sensor: 61.3 °C (at most 60 °C)"
+    assert ROOM.remedy_of(finding) == "cool sensor"
+
+
+@pytest.mark.parametrize("data", [{}, {"what": "sensor", "value": "hot", "limit": 1.0}])
+def test_data_of_another_version_give_the_code_and_the_data(data: dict[str, float | str]) -> None:
+    assert ROOM.text_of(Finding("too_hot", data)) == f"too_hot {data}"
+    assert ROOM.text_of(Finding("unknown", data)) == f"unknown {data}"
+    assert ROOM.remedy_of(Finding("unknown", data)) == "none"
+
+
+def test_json_keeps_numbers_and_words_and_writes_null_for_what_is_not_finite() -> None:
+    finding = Finding("too_hot", {"what": "sensor", "value": math.nan, "limit": 60.0, "n": 3})
+    written = json.loads(json.dumps(finding.as_json(), allow_nan=False))
+    assert written == {"code": "too_hot", "data": {"what": "sensor", "value": None, "limit": 60.0, "n": 3}}
+    again = from_json(written)
+    assert math.isnan(float(again.data["value"]))
+    assert again.data["limit"] == 60.0
+
+
+def test_sentences_of_version_0_2_become_findings_without_a_code() -> None:
+    assert findings_of({"reasons": ["it fits"]}) == (uncoded("it fits"),)
+    assert findings_of({"reasons": ["it fits"], "findings": [{"code": "mirrored"}]}) == (Finding("mirrored"),)
+    assert messages.text_of(uncoded("it fits")) == "it fits"
