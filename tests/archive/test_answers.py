@@ -111,7 +111,7 @@ def test_a_state_that_does_not_allow_it_is_a_conflict(archive: Archive, action: 
     with pytest.raises(ConflictError):
         {
             "activate": lambda: archive.activate("a"),
-            "refuse": lambda: archive.refuse("a", reasons=("no",)),
+            "refuse": lambda: archive.refuse("a", findings=()),
             "retire": lambda: archive.retire("a", at=day(2)),
             "answer_between": lambda: archive.answer_between("a", since=day(0), until=day(1)),
         }[action]()
@@ -123,7 +123,7 @@ def test_a_calibration_that_is_not_there_is_not_found(archive: Archive, action: 
     with pytest.raises(NotFoundError):
         {
             "activate": lambda: archive.activate("x"),
-            "refuse": lambda: archive.refuse("x", reasons=("no",)),
+            "refuse": lambda: archive.refuse("x", findings=()),
             "retire": lambda: archive.retire("x", at=day(2)),
             "pin": lambda: archive.pin("x", at=day(1), reason="r"),
             "reinstate": lambda: archive.reinstate("x", at=day(1), reason="r"),

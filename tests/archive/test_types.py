@@ -9,7 +9,8 @@ import pytest
 from sqlalchemy import TypeDecorator
 from sqlalchemy.dialects import sqlite
 
-from sunarc.archive.types import CalendarDate, JsonObject, NumberTuple, TextTuple, UtcTime, Word, to_microseconds
+from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word, to_microseconds
+from sunarc.findings import UNCODED, Finding, uncoded
 
 DIALECT = sqlite.dialect()
 
@@ -52,16 +53,25 @@ def test_a_word_is_one_of_those_known(stored: object, word: str | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stored", "texts"),
-    [(["a", "b"], ("a", "b")), ([1, None], ("1", "None")), ([], ()), (None, ()), ("a", ()), ({}, ())],
+    ("stored", "findings"),
+    [
+        ([{"code": "a", "data": {"n": 1}}, {"code": "b"}], (Finding("a", {"n": 1}), Finding("b"))),
+        (["a", 1], (uncoded("a"), uncoded("1"))),
+        ([{}], (Finding(UNCODED),)),
+        ([], ()),
+        (None, ()),
+        ("a", ()),
+        ({}, ()),
+    ],
 )
-def test_sentences_are_a_list(stored: object, texts: tuple[str, ...]) -> None:
-    assert read(TextTuple(), stored) == texts
+def test_findings_are_a_list(stored: object, findings: tuple[Finding, ...]) -> None:
+    assert read(FindingTuple(), stored) == findings
 
 
-def test_sentences_are_stored_as_a_list() -> None:
-    assert TextTuple().process_bind_param(("a",), DIALECT) == ["a"]
-    assert TextTuple().process_bind_param(None, DIALECT) == []
+def test_findings_are_stored_as_a_list() -> None:
+    column = FindingTuple()
+    assert column.process_bind_param((Finding("a", {"n": 1}),), DIALECT) == [{"code": "a", "data": {"n": 1}}]
+    assert column.process_bind_param(None, DIALECT) == []
 
 
 @pytest.mark.parametrize(
