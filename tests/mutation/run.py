@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import random
 import shutil
@@ -19,6 +20,7 @@ import subprocess
 import sys
 from bisect import bisect_right
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import accumulate
@@ -27,6 +29,8 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numba
+import pytest
 from tests.mutation.reach import lines_that_matter
 from tests.mutation.sites import Site, mutated, sites
 
@@ -40,6 +44,11 @@ _SECONDS_OF_TESTS = 20.0
 this long together, but never fewer than 25."""
 _SECONDS_AT_MOST = 120.0
 """For one mutant; one that hangs is detected."""
+_NOTHING_RAN = (pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.NO_TESTS_COLLECTED)
+_WARM = multiprocessing.get_context("forkserver")
+_WARM.set_forkserver_preload(
+    ["cv2", "numba", "pytest", "scipy.integrate", "scipy.ndimage", "scipy.optimize", "scipy.signal", "scipy.stats"]
+)
 
 
 @dataclass(frozen=True)
@@ -66,9 +75,6 @@ def main() -> int:
         reach = _reach(options, Path(folder))
         outcomes = _outcomes(_drawn(options), reach, options, Path(folder))
     survivors = [outcome for outcome in outcomes if not outcome.detected]
-    for outcome in survivors:
-        site = outcome.mutant.site
-        print(f"survived: {outcome.mutant.file}:{site.line}: {site.old} became {site.new} ({outcome.n_tests} tests)")
     share = 1.0 - len(survivors) / max(len(outcomes), 1)
     print(f"{len(outcomes) - len(survivors)} of {len(outcomes)} detected: {100.0 * share:.1f} %")
     if options.json:
@@ -121,7 +127,14 @@ def _outcomes(mutants: list[Mutant], reach: dict[str, Any], options: argparse.Na
         copy = copies.get()
         try:
             tests = _tests_for(mutant, reach)
-            return Outcome(mutant, _detected(mutant, tests, copy), len(tests))
+            detected = _detected(mutant, tests, copy)
+            if not detected:
+                site = mutant.site
+                print(
+                    f"survived: {mutant.file}:{site.line}: {site.old} became {site.new} ({len(tests)} tests)",
+                    flush=True,
+                )
+            return Outcome(mutant, detected, len(tests))
         finally:
             copies.put(copy)
 
@@ -148,29 +161,39 @@ def _texts() -> dict[str, str]:
 
 
 def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:
-    """Return whether a test fails on the changed copy."""
+    """Return whether a test fails on the changed copy; it runs in a process that has numpy, scipy and numba already."""
     if not tests:
         return False
     target = copy / "sunarc" / mutant.file
     original = target.read_text("utf-8")
     target.write_text(mutated(original, mutant.site), "utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    process = _WARM.Process(target=_run_tests, args=(str(copy), tests))
     try:
-        done = subprocess.run(
-            command, cwd=ROOT, env=_environment(copy), capture_output=True, timeout=_SECONDS_AT_MOST, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return True
+        process.start()
+        process.join(_SECONDS_AT_MOST)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+        if process.exitcode in _NOTHING_RAN:
+            raise RuntimeError(f"{mutant.file}:{mutant.site.line}: none of {tests} ran; make the file of --lines anew")
+        return process.exitcode != 0
     finally:
         target.write_text(original, "utf-8")
-    return done.returncode != 0
+
+
+def _run_tests(copy: str, tests: list[str]) -> None:
+    """Run tests on the package in a folder, silently, and exit with their result; called in a process of its own."""
+    numba.config.CACHE_DIR = f"{copy}/.numba"
+    os.chdir(ROOT)
+    sys.path[:0] = [copy, str(ROOT)]
+    sys.dont_write_bytecode = True
+    with Path(os.devnull).open("w", encoding="utf-8") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
+        sys.exit(int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests])))
 
 
 def _environment(source: Path) -> dict[str, str]:
-    """Return an environment in which the package is imported from `source`, and its kernels are cached beside it."""
-    cache = source / ".numba" if source != ROOT / "service" else None
-    extra = {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
-    return os.environ | {"PYTHONPATH": f"{source}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"} | extra
+    """Return an environment in which the package is imported from `source`."""
+    return os.environ | {"PYTHONPATH": f"{source}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 if __name__ == "__main__":
