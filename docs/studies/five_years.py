@@ -30,7 +30,7 @@ import numpy as np
 from fastapi.testclient import TestClient
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, Day, Event, Refit, open_archive, upgrade
 from sunarc.calibration import CalibrationOptions, DayOptions
 from sunarc.optics import project_fast
 from sunarc.runtime.clock import SystemClock
@@ -128,9 +128,7 @@ def measure(path: Path) -> None:
     archive = open_archive(path)
     board = StatusRegistry(version="study", started_at=_END, monotonic=SystemClock().monotonic)
     judge = DayJudge(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         cadence_s=_CADENCE_S,
         sun_zenith_deg=88.0,
         options=DayOptions(),
@@ -141,9 +139,7 @@ def measure(path: Path) -> None:
     _measured("the next look", judge.judge_ended_days)
     refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
     worker = RefitWorker(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         options=RefitOptions(),
         calibration=CalibrationOptions(),
         cadence_s=_CADENCE_S,
@@ -154,9 +150,7 @@ def measure(path: Path) -> None:
     _measured("a nightly refit", lambda: worker.carry_out(refit, threading.Event(), lambda: None))
     print(archive.refit(refit.id))
     app = create_app(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         status=board.snapshot,
         request_refit=lambda reason: replace(refit, reason=reason),
         frame_clock=lambda: _END,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sunarc.app.cameras import require_stored_site
-from sunarc.archive import Archive, Refit, lock_state, open_archive
+from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive
 from sunarc.calibration import CalibrationOptions
 from sunarc.diagnostics.checks import examine
 from sunarc.errors import InputError
@@ -70,7 +70,7 @@ def refit(archive: Archive) -> Refit:
     clock = VirtualClock(NOW)
     board = StatusRegistry(version="test", started_at=NOW, monotonic=clock.monotonic)
     worker = RefitWorker(
-        archive=archive, camera="roof", site=SGP, options=RefitOptions(),
+        camera=CameraArchive(archive, name="roof", site=SGP), options=RefitOptions(),
         calibration=CalibrationOptions(level_within_deg=40.0), cadence_s=300.0, clock=clock, now=clock.now, board=board,
     )  # fmt: skip
     asked = archive.add_refit(Refit(id="r", camera="roof", requested_at=NOW, reason="imported"))

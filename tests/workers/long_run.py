@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -115,9 +115,7 @@ class LongRun:
         clock = VirtualClock(self.now)
         self._board = StatusRegistry(version="long run", started_at=self.now, monotonic=clock.monotonic)
         self.judge = DayJudge(
-            archive=self.archive,
-            camera="roof",
-            site=SGP,
+            camera=CameraArchive(self.archive, name="roof", site=SGP),
             cadence_s=self.cadence_s,
             sun_zenith_deg=LOWEST_ZENITH_DEG,
             options=DayOptions(),
@@ -129,9 +127,7 @@ class LongRun:
     def with_solve(self, solve: Callable[..., Calibration | None]) -> RefitWorker:
         """Return a refit worker that solves in its own way."""
         return RefitWorker(
-            archive=self.archive,
-            camera="roof",
-            site=SGP,
+            camera=CameraArchive(self.archive, name="roof", site=SGP),
             options=RefitOptions(),
             calibration=CalibrationOptions(),
             cadence_s=self.cadence_s,

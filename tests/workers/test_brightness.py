@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.sky import Site
 from sunarc.workers import SunPredictor
 
@@ -36,7 +36,7 @@ def add_day(archive: Archive, noon: datetime, *, level_per_us: float, accepted: 
 
 
 def level(archive: Archive, moment: datetime) -> float:
-    return SunPredictor(archive, camera="sky", site=SITE).clear_level_per_us(moment)
+    return SunPredictor(CameraArchive(archive, name="sky", site=SITE)).clear_level_per_us(moment)
 
 
 def test_it_starts_with_none_and_survives_a_restart(archive: Archive) -> None:
@@ -67,7 +67,7 @@ def test_the_archive_is_asked_once_an_hour(archive: Archive, monkeypatch: pytest
         return learned(camera, since=since, until=until, largest_clock_error_s=largest_clock_error_s)
 
     monkeypatch.setattr(Archive, "sun_levels", counted)
-    predictor = SunPredictor(archive, camera="sky", site=SITE)
+    predictor = SunPredictor(CameraArchive(archive, name="sky", site=SITE))
     for minute in range(0, 121, 5):
         predictor.clear_level_per_us(NOON + timedelta(minutes=minute))
     assert len(asked) == 3

@@ -19,6 +19,7 @@ from tests.api.conftest import LENS, SITE, calibration
 
 from sunarc.archive import (
     Archive,
+    CameraArchive,
     CameraRecord,
     Day,
     Event,
@@ -126,9 +127,7 @@ def flip(path: Path, table: str, column: str, *, where: str = "1", byte: int = 0
 
 def refit_worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
-        archive=archive,
-        camera="roof",
-        site=SITE,
+        camera=CameraArchive(archive, name="roof", site=SITE),
         options=RefitOptions(),
         calibration=CalibrationOptions(),
         cadence_s=60.0,
@@ -144,18 +143,14 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
     archive = open_archive(path)
     archive.save_camera(CAMERA)  # as at every opening of the camera
     reposer = ProvisionalPoseEstimator(
-        archive=archive,
-        camera="roof",
-        site=SITE,
+        camera=CameraArchive(archive, name="roof", site=SITE),
         options=CalibrationOptions(),
         wander_deg=0.0,
         now=clock.now,
         largest_clock_error_s=2.0,
     )
     watch = WatchWorker(
-        archive=archive,
-        camera="roof",
-        site=SITE,
+        camera=CameraArchive(archive, name="roof", site=SITE),
         options=WatchOptions(),
         reposer=reposer,
         now=clock.now,
@@ -163,12 +158,12 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
         board=board,
     )
     watch.remember()
-    predictor = SunPredictor(archive, camera="roof", site=SITE)
+    predictor = SunPredictor(CameraArchive(archive, name="roof", site=SITE))
     predictor.expectation(NOON)
     predictor.clear_level_per_us(NOW)
     days = DayJudge(
-        archive=archive, camera="roof", site=SITE, cadence_s=60.0, sun_zenith_deg=90.0, options=DayOptions(),
-        now=clock.now, request_refit=lambda reason: archive.add_refit(
+        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=60.0, sun_zenith_deg=90.0,
+        options=DayOptions(), now=clock.now, request_refit=lambda reason: archive.add_refit(
             Refit(id="another", camera="roof", requested_at=NOW, reason=reason)
         ),
     )  # fmt: skip

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sunarc.archive import Archive, CameraRecord, Event, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, Event, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -102,9 +102,7 @@ def archive(tmp_path: Path) -> Archive:
 @pytest.fixture
 def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         options=RefitOptions(),
         calibration=CalibrationOptions(),
         cadence_s=600.0,
@@ -201,9 +199,7 @@ def search_event(time: datetime, **details: object) -> Event:
 
 def searching(archive: Archive) -> EpochSearch:
     return EpochSearch(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         options=CalibrationOptions(),
         circle=None,
         largest_clock_error_s=2.0,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive import FROZEN, Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import FROZEN, Archive, CameraArchive, CameraRecord, SunPoint, open_archive, upgrade
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions
 from sunarc.optics import project
@@ -70,13 +70,13 @@ def new_worker(archive: Archive, board: StatusRegistry) -> Callable[[], DetectWo
         DropOldestQueue(capacity=4),
         keeper=SightingWriteBuffer(archive, board=board),
         camera="roof",
-        predictor=SunPredictor(archive, camera="roof", site=SGP),
+        predictor=SunPredictor(CameraArchive(archive, name="roof", site=SGP)),
         options=SensorOptions(),
         disc=DiscOptions(),
         clock_error_s=lambda _: 0.01,
         report=lambda _frame, _detection: None,
         board=board,
-        frozen=FrozenFrames(archive=archive, camera="roof", site=SGP, board=board),
+        frozen=FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board),
         cadence_s=30.0,
     )
 
@@ -143,7 +143,7 @@ def seen(x_px: float, *, accepted: bool = True) -> Detection:
 def test_exactly_the_same_place_is_frozen_only_once_the_sun_has_moved(
     archive: Archive, board: StatusRegistry, *, apart_s: float, frozen: bool
 ) -> None:
-    checker = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    checker = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     blank = np.zeros((6, 8), dtype=np.uint16)
     first = replace(frame_at(0.0), image=blank)
     second = replace(first, time=first.time + timedelta(seconds=apart_s))
@@ -153,7 +153,7 @@ def test_exactly_the_same_place_is_frozen_only_once_the_sun_has_moved(
 
 
 def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board: StatusRegistry) -> None:
-    checker = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    checker = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     black = np.zeros((600, 600), dtype=np.uint8)
     black[3, :90] = 255  # hot pixels
     hidden = Detection(method="disc", accepted=False, verdict="hidden", reason="")
@@ -176,7 +176,7 @@ def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, 
         y_px=50.0,
     )
     archive.add_sun_points([point])
-    checker = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    checker = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     later = replace(frame_at(600.0), image=np.zeros((6, 8), dtype=np.uint16))
     assert checker.checked(later, seen(50.0)).verdict == FROZEN
 
@@ -203,7 +203,7 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
 def test_a_copy_of_a_frame_that_was_never_searched_for_the_sun_is_rejected(
     archive: Archive, board: StatusRegistry
 ) -> None:
-    frozen = FrozenFrames(archive=archive, camera="roof", site=SGP, board=board)
+    frozen = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     probe, first = frame_at(0.0), frame_at(30.0)
     for frame in (probe, first):
         frozen.remember(frame)

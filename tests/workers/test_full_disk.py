@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.archive import CameraRecord, DiskOptions, ImageStore, Reserve, check, open_archive, upgrade
+from sunarc.archive import CameraArchive, CameraRecord, DiskOptions, ImageStore, Reserve, check, open_archive, upgrade
 from sunarc.cameras import Frame
 from sunarc.detection import DiscOptions
 from sunarc.errors import OutsideError
@@ -87,7 +87,7 @@ class Chain:
         record = CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=600, height=600)
         self.archive.save_camera(record)
         self.store = ImageStore(state / "images", options=OPTIONS)
-        predictor = SunPredictor(self.archive, camera="roof", site=SGP)
+        predictor = SunPredictor(CameraArchive(self.archive, name="roof", site=SGP))
         self.keeper = SightingWriteBuffer(self.archive, board=board)
         self.compose = ComposeWorker(
             DropOldestQueue(capacity=4),
@@ -106,7 +106,7 @@ class Chain:
             clock_error_s=lambda _: 0.01,
             report=lambda _frame, _detection: None,
             board=board,
-            frozen=FrozenFrames(archive=self.archive, camera="roof", site=SGP, board=board),
+            frozen=FrozenFrames(CameraArchive(self.archive, name="roof", site=SGP), board=board),
             cadence_s=30.0,
         )
         self.disk = DiskWorker(

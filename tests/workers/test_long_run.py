@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, Day, SunPoint, backup, open_archive
+from sunarc.archive import Archive, CameraArchive, Day, SunPoint, backup, open_archive
 from sunarc.calibration import from_document
 from sunarc.errors import InputError
 from sunarc.offline.reproduce import solve_again
@@ -145,7 +145,7 @@ def test_a_calibration_of_a_newer_schema_is_kept_told_and_not_replaced(lived: Li
     by_hand(path, "UPDATE calibration SET document = ?, document_sha256 = ? WHERE id = ?", newer, checksum, served.id)
     archive.close()
     archive = open_archive(path)
-    predictor = SunPredictor(archive, camera="roof", site=SGP)
+    predictor = SunPredictor(CameraArchive(archive, name="roof", site=SGP))
     assert predictor.expectation(datetime(2013, 5, 13, 18, tzinfo=UTC)) is None
     run = lived.run.on(archive)
     run.request("by hand")

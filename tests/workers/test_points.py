@@ -13,7 +13,7 @@ import pvlib
 import pytest
 from tests.api.conftest import LENS, SITE, document
 
-from sunarc.archive import Archive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
 from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions, SunPoints, measure_day
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
@@ -67,8 +67,8 @@ def check_air(points: SunPoints) -> None:
 
 def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
     task = next_task(
-        archive, camera="roof", site=SITE, cadence_s=30.0, limits=SelectionOptions(), options=CalibrationOptions(),
-        circle=None, now=NOON + timedelta(days=2),
+        CameraArchive(archive, name="roof", site=SITE), cadence_s=30.0, limits=SelectionOptions(),
+        options=CalibrationOptions(), circle=None, now=NOON + timedelta(days=2),
     )  # fmt: skip
     assert isinstance(task, Task)
     check_air(task.problem.points)
@@ -77,7 +77,7 @@ def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
 
 def test_the_search_for_pose_epochs_is_given_the_measured_air(archive: Archive) -> None:
     search = EpochSearch(
-        archive=archive, camera="roof", site=SITE, options=CalibrationOptions(), circle=None,
+        camera=CameraArchive(archive, name="roof", site=SITE), options=CalibrationOptions(), circle=None,
         largest_clock_error_s=1.0, now=lambda: NOON + timedelta(days=2),
     )  # fmt: skip
     problem = search.due()
@@ -94,8 +94,8 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
 
     monkeypatch.setattr(days, "measure_day", noting)
     judge = DayJudge(
-        archive=archive, camera="roof", site=SITE, cadence_s=600.0, sun_zenith_deg=88.0, options=DayOptions(),
-        now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
+        camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=600.0, sun_zenith_deg=88.0,
+        options=DayOptions(), now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
     )  # fmt: skip
     assert len(judge.judge_ended_days()) == 2
     by_time = sorted(given, key=lambda points: float(points.unix_s[0]))
@@ -106,7 +106,7 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
 def test_the_expected_sun_moves_by_what_pvlib_says(archive: Archive) -> None:
     archive.add_calibration(document("a"))
     archive.activate("a")
-    predictor = SunPredictor(archive, camera="roof", site=SITE)
+    predictor = SunPredictor(CameraArchive(archive, name="roof", site=SITE))
     warm = predictor.expectation(LOW_SUN)
     archive.set_day_air(replace(WARM, temperature_c=None, pressure_hpa=None))
     assumed = predictor.expectation(LOW_SUN)

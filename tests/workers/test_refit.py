@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, CameraRecord, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
 from sunarc.findings import Finding
 from sunarc.optics import project
@@ -66,9 +66,7 @@ def archive(tmp_path: Path) -> Archive:
 @pytest.fixture
 def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
     return RefitWorker(
-        archive=archive,
-        camera="roof",
-        site=SGP,
+        camera=CameraArchive(archive, name="roof", site=SGP),
         options=RefitOptions(),
         calibration=CalibrationOptions(),
         cadence_s=30.0,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
 
-from sunarc.archive import CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
+from sunarc.archive import CameraArchive, CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -83,18 +83,14 @@ class Imager:
 
     def new_watch(self) -> WatchWorker:
         reposer = ProvisionalPoseEstimator(
-            archive=self.archive,
-            camera="roof",
-            site=SGP,
+            camera=CameraArchive(self.archive, name="roof", site=SGP),
             options=CalibrationOptions(level_within_deg=40.0),
             wander_deg=0.0,
             now=lambda: self.now,
             largest_clock_error_s=2.0,
         )
         return WatchWorker(
-            archive=self.archive,
-            camera="roof",
-            site=SGP,
+            camera=CameraArchive(self.archive, name="roof", site=SGP),
             options=WatchOptions(),
             reposer=reposer,
             now=lambda: self.now,

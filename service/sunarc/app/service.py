@@ -12,7 +12,7 @@ from functools import partial
 import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
-from sunarc.archive import ELSEWHERE, Archive, ImageStore, Recovery, Refit, Reserve
+from sunarc.archive import ELSEWHERE, Archive, CameraArchive, ImageStore, Recovery, Refit, Reserve
 from sunarc.calibration import DayOptions
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.detection import Detection
@@ -72,15 +72,14 @@ class Service:
         self._recovered = recovered
         self.settings = settings
         self.archive = archive
+        self.camera = CameraArchive(archive, name=settings.name, site=settings.site)
         self.clock = clock
         self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
         self.board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = self._new_clock_watch()
         self.predictor = SunPredictor(
-            archive,
-            camera=settings.name,
-            site=settings.site,
+            self.camera,
             largest_clock_error_s=self.largest_clock_error_s,
         )
         self.images = ImageStore(settings.images, options=settings.disk)
@@ -88,7 +87,7 @@ class Service:
         self._restore_last_known()
         self.keeper = SightingWriteBuffer(archive, board=self.board)
         self.overdue = self._overdue_sightings()
-        self.frozen = FrozenFrames(archive=archive, camera=settings.name, site=settings.site, board=self.board)
+        self.frozen = FrozenFrames(self.camera, board=self.board)
         self.exposures = SunExposures(
             settings.sun_exposure,
             apparent_zenith=self._apparent_zenith,
@@ -99,9 +98,7 @@ class Service:
         self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=_WAITING_CYCLES)
         self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=_WAITING_SUN_FRAMES)
         self.days = DayJudge(
-            archive=archive,
-            camera=settings.name,
-            site=settings.site,
+            camera=self.camera,
             cadence_s=settings.capture.cadence_s,
             sun_zenith_deg=settings.capture.sun_zenith_deg,
             options=DayOptions(),
@@ -317,14 +314,10 @@ class Service:
         """Return the worker that holds sightings to the calibration."""
         settings = self.settings
         return WatchWorker(
-            archive=self.archive,
-            camera=settings.name,
-            site=settings.site,
+            camera=self.camera,
             options=settings.watch,
             reposer=ProvisionalPoseEstimator(
-                archive=self.archive,
-                camera=settings.name,
-                site=settings.site,
+                camera=self.camera,
                 options=settings.calibration,
                 wander_deg=settings.watch.wander_deg,
                 now=self.frame_time.now,
@@ -338,9 +331,7 @@ class Service:
     def refit_worker(self) -> RefitWorker:
         """Return the worker that solves the camera anew."""
         return RefitWorker(
-            archive=self.archive,
-            camera=self.settings.name,
-            site=self.settings.site,
+            camera=self.camera,
             options=self.settings.refit,
             calibration=self.settings.calibration,
             cadence_s=self.settings.capture.cadence_s,

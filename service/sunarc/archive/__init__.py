@@ -8,6 +8,7 @@ file on disk · `images` composites · `csv_files` sightings as CSV.
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
+from sunarc.archive.camera_archive import CameraArchive
 from sunarc.archive.csv_files import (
     SightingTable,
     parse_time,
@@ -50,6 +51,7 @@ __all__ = [
     "Archive",
     "CalibrationRecord",
     "CalibrationState",
+    "CameraArchive",
     "CameraRecord",
     "Check",
     "Day",

@@ -9,10 +9,9 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive import LENS_CHANGED, Archive, Event, SunPointColumns
+from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep
 from sunarc.errors import InputError
-from sunarc.sky import Site
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
@@ -40,7 +39,7 @@ class EpochSearch:
 
     Parameters
     ----------
-    archive, camera, site : whose sightings, and where.
+    camera : its archive and site.
     options, circle : how to fit.
     largest_clock_error_s : sightings whose clock may be wrong by more are left out.
     now : frame time, which dates events.
@@ -48,18 +47,14 @@ class EpochSearch:
 
     def __init__(
         self,
+        camera: CameraArchive,
         *,
-        archive: Archive,
-        camera: str,
-        site: Site,
         options: CalibrationOptions,
         circle: ImageCircle | None,
         largest_clock_error_s: float,
         now: Callable[[], datetime],
     ) -> None:
-        self._archive = archive
         self._camera = camera
-        self._site = site
         self._options = options
         self._circle = circle
         self._largest_clock_error_s = largest_clock_error_s
@@ -69,10 +64,10 @@ class EpochSearch:
     def due(self) -> Problem | None:
         """Return what is to be searched; None where nothing is new."""
         now = self._now()
-        since = since_lens(self._archive, self._camera, now)
-        columns = self._archive.sun_point_columns(self._camera, since=since, until=now)
-        sizes = {known.name: (known.width, known.height) for known in self._archive.cameras()}
-        if columns.ids.size == 0 or self._camera not in sizes:
+        since = since_lens(self._camera, now)
+        columns = self._camera.sun_point_columns(since=since, until=now)
+        sizes = {known.name: (known.width, known.height) for known in self._camera.archive.cameras()}
+        if columns.ids.size == 0 or self._camera.name not in sizes:
             return None
         self._last_id = int(columns.ids.max())
         near = self._near_new(columns)
@@ -80,8 +75,8 @@ class EpochSearch:
             return None
         return Problem(
             points=points_of(columns.select(near)),
-            site=self._site,
-            image_size=sizes[self._camera],
+            site=self._camera.site,
+            image_size=sizes[self._camera.name],
             options=self._options,
             circle=self._circle,
             lens=self._lens(),
@@ -91,8 +86,8 @@ class EpochSearch:
         """Return which sightings are new to the search, or lie within days of such."""
         searched = max((search.last_id for search in self._searches()), default=0)
         fresh = columns.ids > searched
-        if self._archive.current_calibration(self._camera) is not None:
-            imported = self._archive.sun_point_columns(self._camera, method="import")
+        if self._camera.current_calibration() is not None:
+            imported = self._camera.sun_point_columns(method="import")
             fresh &= np.isin(columns.ids, imported.ids)
         sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > self._largest_clock_error_s)
         if not np.any(fresh):
@@ -105,7 +100,7 @@ class EpochSearch:
 
     def _lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""
-        calibration = self._archive.current_model(self._camera)
+        calibration = self._camera.current_model()
         return None if calibration is None or is_provisional(calibration) else calibration
 
     def keep(self, steps: tuple[PoseStep, ...]) -> None:
@@ -114,35 +109,35 @@ class EpochSearch:
         for step in steps:
             at = _moment(step.after_unix_s)
             try:
-                parts = self._archive.split_epoch(self._camera, at=at, reason="bump")
+                parts = self._camera.split_epoch(at=at, reason="bump")
             except InputError:  # an epoch begins there already
                 continue
             divided += [part.id for part in parts]
-            self._archive.add_event(_found(step, at, camera=self._camera))
+            self._camera.archive.add_event(_found(step, at, camera=self._camera.name))
         text = f"the record was searched for steps of the pose: {len(steps)} found"
         details = {"last_id": self._last_id, "divided": sorted(set(divided))}
         now = self._now()
-        self._archive.add_event(
-            Event(time=now, kind=SEARCHED, severity="info", text=text, camera=self._camera, details=details)
+        self._camera.archive.add_event(
+            Event(time=now, kind=SEARCHED, severity="info", text=text, camera=self._camera.name, details=details)
         )
 
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
-        served = self._archive.last_served(self._camera, pose_epoch=epoch)
+        served = self._camera.last_served(pose_epoch=epoch)
         now = self._now()
         divided = [search.time for search in self._searches() if epoch in search.divided]
         return served is None or any(served < time <= now for time in divided)
 
     def _searches(self) -> list[_Search]:
         """Return the searches that were made; one whose event is damaged says nothing."""
-        events = self._archive.events(self._camera, kind=SEARCHED)
+        events = self._camera.events(kind=SEARCHED)
         return [_search(event) for event in events]
 
 
-def since_lens(archive: Archive, camera: str, now: datetime) -> datetime | None:
+def since_lens(camera: CameraArchive, now: datetime) -> datetime | None:
     """Return when the lens was last changed before now; None where it never was."""
     changed = [
-        epoch.started_at for epoch in archive.epochs(camera) if epoch.reason == LENS_CHANGED and epoch.started_at <= now
+        epoch.started_at for epoch in camera.epochs() if epoch.reason == LENS_CHANGED and epoch.started_at <= now
     ]
     return changed[-1] if changed else None
 

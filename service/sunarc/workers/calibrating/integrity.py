@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from sunarc.archive import Archive, CalibrationRecord, Event
+from sunarc.archive import CalibrationRecord, CameraArchive, Event
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import Reason, StatusRegistry
 
@@ -15,13 +15,12 @@ class CalibrationIntegrityCheck:
 
     Parameters
     ----------
-    archive, camera : whose.
+    camera : its archive.
     now : frame time, which dates events.
     board : where the lack of a calibration that can be used is shown.
     """
 
-    def __init__(self, *, archive: Archive, camera: str, now: Callable[[], datetime], board: StatusRegistry) -> None:
-        self._archive = archive
+    def __init__(self, camera: CameraArchive, *, now: Callable[[], datetime], board: StatusRegistry) -> None:
         self._camera = camera
         self._now = now
         self._board = board
@@ -31,19 +30,19 @@ class CalibrationIntegrityCheck:
 
     def follow(self) -> None:
         """Look again where another calibration is current than at the last look; cheap where nothing was written."""
-        revision = self._archive.revision()
+        revision = self._camera.archive.revision()
         if revision == self._revision:
             return
         self._revision = revision
-        current = self._archive.current_calibration(self._camera)
+        current = self._camera.current_calibration()
         if (None if current is None else current.id) != self._current:
             self.look()
 
     def look(self) -> None:
         """Look, show what is wrong on the board, and write an event the first time."""
-        current = self._archive.current_calibration(self._camera)
+        current = self._camera.current_calibration()
         self._current = None if current is None else current.id
-        damaged = self._archive.damaged_calibration(self._camera)
+        damaged = self._camera.damaged_calibration()
         if damaged is not None:
             reason = _damaged(damaged, current)
             self._show(reason)
@@ -53,13 +52,13 @@ class CalibrationIntegrityCheck:
         if current is None:
             return
         try:
-            self._archive.model(current.id)
+            self._camera.archive.model(current.id)
         except InputError as error:
             self._show(_unreadable(current))
             self._tell("calibration_unreadable", current.id, f"calibration {current.id} cannot be read: {error}")
             return
         try:
-            self._archive.sightings_of(current.id)
+            self._camera.archive.sightings_of(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:
@@ -77,8 +76,10 @@ class CalibrationIntegrityCheck:
             return
         self._reported.add((kind, calibration))
         details = {"calibration": calibration}
-        event = Event(time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera, details=details)
-        self._archive.add_event(event)
+        event = Event(
+            time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera.name, details=details
+        )
+        self._camera.archive.add_event(event)
 
 
 def _none() -> Reason:

@@ -9,9 +9,9 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from sunarc.archive import Archive, Day, Event, Refit, SunPointColumns
+from sunarc.archive import CameraArchive, Day, Event, Refit, SunPointColumns
 from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, measure_day
-from sunarc.sky import Site, day_bounds_unix_s, solar_date, sun_angles
+from sunarc.sky import day_bounds_unix_s, solar_date, sun_angles
 from sunarc.workers.fit_input import points_of
 
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
@@ -22,7 +22,7 @@ class DayJudge:
 
     Parameters
     ----------
-    archive, camera, site : whose days, and where.
+    camera : its archive and site.
     cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
     options : what makes a day clear.
     now : frame time.
@@ -31,19 +31,15 @@ class DayJudge:
 
     def __init__(
         self,
+        camera: CameraArchive,
         *,
-        archive: Archive,
-        camera: str,
-        site: Site,
         cadence_s: float,
         sun_zenith_deg: float,
         options: DayOptions,
         now: Callable[[], datetime],
         request_refit: Callable[[str], Refit],
     ) -> None:
-        self._archive = archive
         self._camera = camera
-        self._site = site
         self._cadence_s = cadence_s
         self._sun_zenith_deg = sun_zenith_deg
         self._options = options
@@ -53,12 +49,12 @@ class DayJudge:
 
     def judge_ended_days(self) -> list[Day]:
         """Judge what is due and return the verdicts; one refit is asked for, however many days were clear."""
-        longitude = self._site.longitude
+        longitude = self._camera.site.longitude
         today = solar_date(self._now().timestamp(), longitude=longitude)
         if self._judged_before is not None and self._judged_before > today:
             self._judged_before = None  # the time went back
-        judged = {day.date for day in self._archive.days(self._camera, since=self._judged_before) if self._stands(day)}
-        seen = self._archive.dates_with_points(self._camera, longitude=longitude, since=self._judged_before)
+        judged = {day.date for day in self._camera.days(since=self._judged_before) if self._stands(day)}
+        seen = self._camera.dates_with_points(longitude=longitude, since=self._judged_before)
         verdicts = [self._measure(day) for day in seen if day < today and day not in judged]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
@@ -70,27 +66,25 @@ class DayJudge:
 
     def _stands(self, day: Day) -> bool:
         """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
-        end = datetime.fromtimestamp(day_bounds_unix_s(day.date, longitude=self._site.longitude)[1], UTC)
+        end = datetime.fromtimestamp(day_bounds_unix_s(day.date, longitude=self._camera.site.longitude)[1], UTC)
         return end <= day.decided_at <= self._now()
 
     def _measure(self, date_: date) -> Day:
-        start, end = day_bounds_unix_s(date_, longitude=self._site.longitude)
+        start, end = day_bounds_unix_s(date_, longitude=self._camera.site.longitude)
         since, until = datetime.fromtimestamp(start, UTC), datetime.fromtimestamp(end, UTC)
-        columns = self._archive.sun_point_columns(self._camera, since=since, until=until)
+        columns = self._camera.sun_point_columns(since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > self._options.largest_clock_error_s
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
         largest_s = self._options.largest_clock_error_s if share <= self._options.doubtful_share else None
         if largest_s is not None:  # else the day is judged by its clock
             columns = columns.select(~doubtful)
         frames = np.arange(start, end, self._cadence_s)
-        up = sun_angles(frames, self._site).apparent_zenith < self._sun_zenith_deg
+        up = sun_angles(frames, self._camera.site).apparent_zenith < self._sun_zenith_deg
         measure = measure_day(
             points_of(columns),
-            site=self._site,
+            site=self._camera.site,
             n_possible=int(np.count_nonzero(up)),
-            observed_unix_s=self._archive.observation_times(
-                self._camera, since=since, until=until, largest_clock_error_s=largest_s
-            ),
+            observed_unix_s=self._camera.observation_times(since=since, until=until, largest_clock_error_s=largest_s),
             cadence_s=self._cadence_s,
             options=self._options,
         )
@@ -98,7 +92,7 @@ class DayJudge:
         decided = decide_day(measure, self._options)
         offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(
-            camera=self._camera,
+            camera=self._camera.name,
             date=date_,
             verdict=decided.kind,
             findings=decided.findings,
@@ -118,21 +112,23 @@ class DayJudge:
 
     def _pose_offset(self, columns: SunPointColumns) -> PoseOffset | None:
         """Return how the camera stood turned against the current calibration, where that is of the day's last epoch."""
-        current = self._archive.current_calibration(self._camera)
+        current = self._camera.current_calibration()
         if current is None or not columns.epoch_ids or current.pose_epoch != columns.epoch_ids[-1]:
             return None
-        calibration = self._archive.current_model(self._camera)
+        calibration = self._camera.current_model()
         if calibration is None:
             return None
         last = columns.select(columns.epoch == len(columns.epoch_ids) - 1)
-        return daily_pose_offset(points_of(last), calibration=calibration, site=self._site)
+        return daily_pose_offset(points_of(last), calibration=calibration, site=self._camera.site)
 
     def _remember(self, day: Day) -> None:
-        self._archive.save_day(day)
+        self._camera.archive.save_day(day)
         text = f"{day.date} was {day.verdict}: {'; '.join(day.reasons)}"
         details = {key: value for key, value in asdict(day).items() if isinstance(value, int | float | tuple)}
-        self._archive.add_event(
-            Event(time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera, details=details)
+        self._camera.archive.add_event(
+            Event(
+                time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera.name, details=details
+            )
         )
 
 

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, Archive, Event, PoseEpoch, SunPoint
+from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, Event, PoseEpoch, SunPoint
 from sunarc.calibration import Calibration
 from sunarc.calibration.change_detection import (
     LENS_KINDS,
@@ -42,7 +42,7 @@ class WatchWorker:
 
     Parameters
     ----------
-    archive, camera, site : whose sightings, and where it is said to stand.
+    camera : its archive and site.
     options : thresholds of a change.
     reposer : poses the camera anew.
     now : frame time; sightings and pose epochs dated later are not used.
@@ -52,19 +52,15 @@ class WatchWorker:
 
     def __init__(
         self,
+        camera: CameraArchive,
         *,
-        archive: Archive,
-        camera: str,
-        site: Site,
         options: WatchOptions,
         reposer: ProvisionalPoseEstimator,
         now: Callable[[], datetime],
         largest_clock_error_s: float,
         board: StatusRegistry,
     ) -> None:
-        self._archive = archive
         self._camera = camera
-        self._site = site
         self._options = options
         self._reposer = reposer
         self._now = now
@@ -107,9 +103,8 @@ class WatchWorker:
         if epoch is None:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
-        closed = self._archive.events(self._camera, kind=EPOCH_CLOSED, until=self._latest(), limit=1)
-        seen = self._archive.sun_points(
-            self._camera,
+        closed = self._camera.events(kind=EPOCH_CLOSED, until=self._latest(), limit=1)
+        seen = self._camera.sun_points(
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=self._largest_clock_error_s,
@@ -144,7 +139,7 @@ class WatchWorker:
         return self._now() + _JITTER
 
     def _present_epoch(self) -> PoseEpoch | None:
-        return self._archive.current_epoch(self._camera, at=self._latest())
+        return self._camera.current_epoch(at=self._latest())
 
     def _is_ahead(self) -> bool:
         """Return whether the time went back behind what is remembered."""
@@ -167,8 +162,8 @@ class WatchWorker:
             return
         if seen.unix_s > self._latest().timestamp():
             return
-        site = self._archive.site_at(self._camera, self._site, _moment(seen.unix_s))
-        if site != self._site:  # not in `notice`, which must not wait for the database
+        site = self._camera.site_at(_moment(seen.unix_s))
+        if site != self._camera.site:  # not in `notice`, which must not wait for the database
             seen = replace(seen, direction=_sun(seen.unix_s, site))
         self._watch, change = update_window(
             self._watch,
@@ -194,25 +189,25 @@ class WatchWorker:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
-            self._archive.exclude(self._camera, since=at, reason=f"{change.kind}: {change.text}")
+            self._camera.exclude(since=at, reason=f"{change.kind}: {change.text}")
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
         doubted = f"ambiguous: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
         after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
-        self._archive.exclude(self._camera, since=after_last, until=at, reason=doubted)
+        self._camera.exclude(since=after_last, until=at, reason=doubted)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
-            self._archive.open_epoch(self._camera, at=at, reason=reason)
+            self._camera.open_epoch(at=at, reason=reason)
         except InputError as error:  # the whole epoch is of the new pose or lens
             _log.info("%s", error)
-        self._archive.readmit(self._camera, since=at, until=self._latest())
+        self._camera.readmit(since=at, until=self._latest())
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
-        current = self._archive.current_calibration(self._camera)
+        current = self._camera.current_calibration()
         if change.kind in LENS_KINDS:
             if current is not None:
-                self._archive.retire(current.id, at=max(at, current.valid_from))
+                self._camera.archive.retire(current.id, at=max(at, current.valid_from))
             self._watch = SightingWindow()
         else:
             self._watch = self._watch.since(change.at_unix_s)
@@ -229,14 +224,14 @@ class WatchWorker:
             return
         moment = _moment(seen.unix_s)
         until = moment + timedelta(microseconds=1)
-        self._archive.exclude(self._camera, since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
+        self._camera.exclude(since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _tell(self, change: Change, at: datetime) -> None:
         details = {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
         event = Event(
-            time=at, kind=change.kind, severity="alarm", text=change.text, camera=self._camera, details=details
+            time=at, kind=change.kind, severity="alarm", text=change.text, camera=self._camera.name, details=details
         )
-        self._archive.add_event(event)
+        self._camera.archive.add_event(event)
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
         self._board.set_reason(Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy))
 
@@ -260,7 +255,7 @@ class WatchWorker:
 
     def _current(self) -> Calibration | None:
         """Return what is served, and show how its pose stands where that is another calibration than before."""
-        record, model = self._archive.current_calibration(self._camera), self._archive.current_model(self._camera)
+        record, model = self._camera.current_calibration(), self._camera.current_model()
         before, self._shown = self._shown, None if record is None else record.id
         if record is None:
             self._board.clear_reason("provisional_pose")
@@ -273,11 +268,11 @@ class WatchWorker:
         if not len(self._watch):
             return False
         since = _moment(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
-        return any(event.kind == "clock_step" for event in self._archive.events(self._camera, since=since))
+        return any(event.kind == "clock_step" for event in self._camera.events(since=since))
 
     def _show_future_epochs(self) -> None:
         """Say which pose epochs begin later than now: a clock that was ahead opened them, and they block new ones."""
-        later = [epoch for epoch in self._archive.epochs(self._camera) if epoch.started_at > self._latest()]
+        later = [epoch for epoch in self._camera.epochs() if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
         if later:
             self._board.set_reason(_of_the_future(later[0]))
@@ -288,7 +283,7 @@ class WatchWorker:
         return Sighting(
             unix_s=moment.timestamp(),
             pixel=(x_px, y_px),
-            direction=_sun(moment.timestamp(), self._site),
+            direction=_sun(moment.timestamp(), self._camera.site),
             sigma_px=np.nan if sigma_px is None else sigma_px,
         )
 

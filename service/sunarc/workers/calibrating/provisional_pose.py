@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import sunarc
-from sunarc.archive import LENS_CHANGED, Archive, CalibrationRecord, PoseEpoch
+from sunarc.archive import LENS_CHANGED, CalibrationRecord, CameraArchive, PoseEpoch
 from sunarc.calibration import Calibration, CalibrationOptions, estimate_pose, to_document
 from sunarc.errors import InputError
-from sunarc.sky import Site
 from sunarc.workers.fit_input import points_of
 
 _log = logging.getLogger(__name__)
@@ -37,7 +36,7 @@ class ProvisionalPoseEstimator:
 
     Parameters
     ----------
-    archive, camera, site : whose sightings, and where.
+    camera : its archive and site.
     options : what makes a pose acceptable.
     wander_deg : 1-sigma by which the mount wanders.
     now : frame time, which dates calibrations; pose epochs and sightings dated later are not used.
@@ -46,18 +45,14 @@ class ProvisionalPoseEstimator:
 
     def __init__(
         self,
+        camera: CameraArchive,
         *,
-        archive: Archive,
-        camera: str,
-        site: Site,
         options: CalibrationOptions,
         wander_deg: float,
         now: Callable[[], datetime],
         largest_clock_error_s: float,
     ) -> None:
-        self._archive = archive
         self._camera = camera
-        self._site = site
         self._options = options
         self._wander_deg = wander_deg
         self._now = now
@@ -67,17 +62,17 @@ class ProvisionalPoseEstimator:
     def improve(self) -> bool:
         """Pose the camera once more where that is due; return whether the answer is served."""
         now = self._now()
-        epoch = self._archive.current_epoch(self._camera, at=now + _JITTER)
-        current = self._archive.current_calibration(self._camera)
+        epoch = self._camera.current_epoch(at=now + _JITTER)
+        current = self._camera.current_calibration()
         if epoch is None or current is None or epoch.reason == LENS_CHANGED:
             return False
-        if current.pose_epoch == epoch.id and not is_provisional(self._archive.model(current.id)):
+        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.model(current.id)):
             return False
         lens = self._lens(current)
         if lens is None or self._is_of_later(current, epoch):
             return False
-        columns = self._archive.sun_point_columns(
-            self._camera, pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=self._largest_clock_error_s
+        columns = self._camera.sun_point_columns(
+            pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=self._largest_clock_error_s
         )
         count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
@@ -86,8 +81,8 @@ class ProvisionalPoseEstimator:
         self._tried = _Tried(epoch.id, count)
         posed = estimate_pose(
             points_of(columns),
-            start=self._archive.model(lens.id),
-            site=self._site,
+            start=self._camera.archive.model(lens.id),
+            site=self._camera.site,
             options=self._options,
             wander_deg=self._wander_deg,
         )
@@ -95,22 +90,22 @@ class ProvisionalPoseEstimator:
             _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
             return False
         document = self._document(posed, epoch, count)
-        record = self._archive.add_calibration(document, parent=lens.id, used=columns)
-        return self._archive.activate(record.id, at=epoch.started_at).state == "current"
+        record = self._camera.archive.add_calibration(document, parent=lens.id, used=columns)
+        return self._camera.archive.activate(record.id, at=epoch.started_at).state == "current"
 
     def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
         """Return the full fit whose lens is kept."""
         record = current
         try:
-            while record.parent is not None and is_provisional(self._archive.model(record.id)):
-                record = self._archive.calibration(record.parent)
-            return None if is_provisional(self._archive.model(record.id)) else record
+            while record.parent is not None and is_provisional(self._camera.archive.model(record.id)):
+                record = self._camera.archive.calibration(record.parent)
+            return None if is_provisional(self._camera.archive.model(record.id)) else record
         except InputError:  # gone, damaged, or of another version
             return None
 
     def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
-        started = {known.id: known.started_at for known in self._archive.epochs(self._camera)}
+        started = {known.id: known.started_at for known in self._camera.epochs()}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
@@ -118,7 +113,7 @@ class ProvisionalPoseEstimator:
         return to_document(
             posed,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-pose{count}",
-            camera=self._camera,
+            camera=self._camera.name,
             state="candidate",
             created_at=now,
             valid_from=epoch.started_at,

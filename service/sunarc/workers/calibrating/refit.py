@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 from annotated_types import Ge, Gt, Le
 
 import sunarc
-from sunarc.archive import Archive, CalibrationRecord, Event, PoseEpoch, Refit, RefitState
+from sunarc.archive import CalibrationRecord, CameraArchive, Event, PoseEpoch, Refit, RefitState
 from sunarc.bounds import require_bounds
 from sunarc.calibration import (
     Calibration,
@@ -33,7 +33,7 @@ from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.sky import Site, solar_date
+from sunarc.sky import solar_date
 from sunarc.workers.calibrating.epoch_search import EpochSearch
 from sunarc.workers.calibrating.integrity import CalibrationIntegrityCheck
 from sunarc.workers.calibrating.refit_task import Task, next_task
@@ -85,7 +85,7 @@ class RefitWorker:
 
     Parameters
     ----------
-    archive, camera, site : whose sightings, and where.
+    camera : its archive and site.
     options, calibration : the limits, and how to fit.
     cadence_s : how often the sun is looked at.
     clock : real time.
@@ -97,10 +97,8 @@ class RefitWorker:
 
     def __init__(
         self,
+        camera: CameraArchive,
         *,
-        archive: Archive,
-        camera: str,
-        site: Site,
         options: RefitOptions,
         calibration: CalibrationOptions,
         cadence_s: float,
@@ -111,22 +109,18 @@ class RefitWorker:
         solve: Callable[..., Calibration | None] = solve_in_child,
         search: Callable[..., tuple[PoseStep, ...] | None] = search_in_child,
     ) -> None:
-        self._archive = archive
         self._camera = camera
-        self._site = site
         self._options = options
         self._calibration = calibration
         self._cadence_s = cadence_s
         self._clock = clock
         self._now = now
-        self._integrity = CalibrationIntegrityCheck(archive=archive, camera=camera, now=now, board=board)
+        self._integrity = CalibrationIntegrityCheck(camera, now=now, board=board)
         self._may_solve = may_solve
         self._solve = solve
         self._search = search
         self._epochs = EpochSearch(
-            archive=archive,
-            camera=camera,
-            site=site,
+            camera,
             options=calibration,
             circle=self._circle(),
             largest_clock_error_s=options.selection.largest_clock_error_s,
@@ -139,7 +133,7 @@ class RefitWorker:
         while not stop.is_set():
             heartbeat()
             self._integrity.follow()
-            waiting = self._archive.refits(self._camera, unfinished=True)
+            waiting = self._camera.refits(unfinished=True)
             if waiting and self._may_solve():
                 self.carry_out(waiting[-1], stop, heartbeat)
             else:
@@ -147,7 +141,7 @@ class RefitWorker:
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""
-        self._archive.start_refit(refit.id, started_at=self._now())
+        self._camera.archive.start_refit(refit.id, started_at=self._now())
         child: dict[str, Any] = {
             "clock": self._clock,
             "time_limit_s": self._options.time_limit_s,
@@ -158,9 +152,7 @@ class RefitWorker:
         if stop.is_set():
             return
         task = next_task(
-            self._archive,
-            camera=self._camera,
-            site=self._site,
+            self._camera,
             cadence_s=self._cadence_s,
             limits=self._options.selection,
             options=self._calibration,
@@ -199,7 +191,7 @@ class RefitWorker:
 
     def _answer_for_past(self, task: Task, child: Mapping[str, Any]) -> None:
         """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
-        epochs = self._archive.epochs(self._camera)
+        epochs = self._camera.epochs()
         ends = {epoch.id: following.started_at for epoch, following in pairwise(epochs)}
         starts = {epoch.id: epoch.started_at for epoch in epochs}
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
@@ -214,11 +206,11 @@ class RefitWorker:
             solved = task.with_selection(solved)
             record = self._keep(task, replace(solved, verdict=accept(solved)), None, pose_epoch=epoch)
             if record.accepted:
-                self._archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
+                self._camera.archive.answer_between(record.id, since=starts[epoch], until=ends[epoch])
 
     def _judge(self, refit: Refit, task: Task, solved: Calibration) -> None:
-        current = self._archive.current_calibration(self._camera)
-        epoch = self._archive.current_epoch(self._camera, at=self._now())
+        current = self._camera.current_calibration()
+        epoch = self._camera.current_epoch(at=self._now())
         solved = with_pose_spread(solved, self._pose_spread(epoch))
         if epoch is not None and task.pose_epoch != epoch.id:
             moved = Finding("moved_since", {"time": epoch.started_at.isoformat()})
@@ -227,7 +219,7 @@ class RefitWorker:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
-        served = record.accepted and self._archive.activate(record.id).state == "current"
+        served = record.accepted and self._camera.archive.activate(record.id).state == "current"
         held = ("kept as a candidate: the current one is pinned",) if record.accepted and not served else ()
         self._finish(refit, state, "; ".join((*record.reasons, *held)), calibration=record.id)
         self._integrity.look()
@@ -236,8 +228,8 @@ class RefitWorker:
         """Return how the pose wandered on the last days of the epoch that goes on."""
         if epoch is None:
             return pose_spread_deg((), ())
-        since = solar_date(epoch.started_at.timestamp(), longitude=self._site.longitude) + timedelta(days=1)
-        days = self._archive.days(self._camera, since=since, limit=_DAYS_OF_SPREAD)
+        since = solar_date(epoch.started_at.timestamp(), longitude=self._camera.site.longitude) + timedelta(days=1)
+        days = self._camera.days(since=since, limit=_DAYS_OF_SPREAD)
         known = [(turn, sigma) for d in days if (turn := d.pose_offset_deg) and (sigma := d.pose_offset_sigma_deg)]
         return pose_spread_deg([turn for turn, _ in known], [sigma for _, sigma in known])
 
@@ -245,13 +237,13 @@ class RefitWorker:
         if current is None:
             return accept(solved)
         try:
-            before = self._archive.model(current.id)
+            before = self._camera.archive.model(current.id)
         except InputError as error:
             unreadable = Finding("active_unreadable", {"calibration": current.id, "error": str(error)})
             return Verdict(accepted=False, marginal=True, findings=(unreadable,))
         same = current.pose_epoch == task.pose_epoch
         verdict = accept(solved, before, same_pose=same, unseen=unseen_points(task.problem.points, before))
-        if verdict.marginal and self._archive.damaged_calibration(self._camera) is not None:
+        if verdict.marginal and self._camera.damaged_calibration() is not None:
             # what it was compared with only stands in for the damaged current one, and has to be replaced
             return Verdict(accepted=True, findings=(Finding("replaces_damaged"), *verdict.findings))
         return verdict
@@ -264,7 +256,7 @@ class RefitWorker:
         document = to_document(
             solved,
             id=f"{now.astimezone(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:6]}",
-            camera=self._camera,
+            camera=self._camera.name,
             state="candidate" if solved.verdict.accepted or solved.verdict.marginal else "refused",
             created_at=now,
             valid_from=self._answers_from(epoch, now),
@@ -272,24 +264,28 @@ class RefitWorker:
             pose_epoch=epoch,
             software_version=sunarc.__version__,
         )
-        return self._archive.add_calibration(document, parent=None if current is None else current.id, used=task.used)
+        return self._camera.archive.add_calibration(
+            document, parent=None if current is None else current.id, used=task.used
+        )
 
     def _answers_from(self, pose_epoch: str, now: datetime) -> datetime:
         if not self._epochs.unanswered(pose_epoch):
             return now
-        started = {epoch.id: epoch.started_at for epoch in self._archive.epochs(self._camera)}
+        started = {epoch.id: epoch.started_at for epoch in self._camera.epochs()}
         return started.get(pose_epoch, now)
 
     def _finish(self, refit: Refit, state: RefitState, message: str, *, calibration: str | None = None) -> None:
         now = self._now()
-        self._archive.finish_refit(refit.id, state=state, finished_at=now, calibration=calibration, message=message)
-        self._archive.add_event(
+        self._camera.archive.finish_refit(
+            refit.id, state=state, finished_at=now, calibration=calibration, message=message
+        )
+        self._camera.archive.add_event(
             Event(
                 time=now,
                 kind=f"refit_{state}",
                 severity="info" if state == "accepted" else "warning",
                 text=message,
-                camera=self._camera,
+                camera=self._camera.name,
                 details={"refit": refit.id, "calibration": calibration},
             )
         )

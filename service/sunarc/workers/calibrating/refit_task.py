@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import Archive, SunPointColumns
+from sunarc.archive import CameraArchive, SunPointColumns
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -17,7 +17,6 @@ from sunarc.calibration import (
     days_left_out,
     select_sightings,
 )
-from sunarc.sky import Site
 from sunarc.workers.calibrating.epoch_search import since_lens
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
@@ -55,10 +54,8 @@ class Task:
 
 
 def next_task(
-    archive: Archive,
+    camera: CameraArchive,
     *,
-    camera: str,
-    site: Site,
     cadence_s: float,
     limits: SelectionOptions,
     options: CalibrationOptions,
@@ -66,13 +63,13 @@ def next_task(
     now: datetime,
 ) -> Task | str:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve, in words."""
-    sizes = {known.name: (known.width, known.height) for known in archive.cameras()}
-    columns = archive.sun_point_columns(camera, since=since_lens(archive, camera, now), until=now)
-    if camera not in sizes or columns.ids.size == 0:
+    sizes = {known.name: (known.width, known.height) for known in camera.archive.cameras()}
+    columns = camera.sun_point_columns(since=since_lens(camera, now), until=now)
+    if camera.name not in sizes or columns.ids.size == 0:
         return "there are no accepted sightings yet"
-    left_out = days_left_out({day.date: day.verdict for day in archive.days(camera)})
+    left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
-        points_of(columns), site=site, slot_s=cadence_s, options=limits, left_out_days=np.array(left_out)
+        points_of(columns), site=camera.site, slot_s=cadence_s, options=limits, left_out_days=np.array(left_out)
     )
     if selection.index.size == 0:
         return (
@@ -80,5 +77,7 @@ def next_task(
             f"clock, {selection.n_other_days} of cloudy or unusable days"
         )
     used = columns.select(selection.index)
-    problem = Problem(points=points_of(used), site=site, image_size=sizes[camera], options=options, circle=circle)
+    problem = Problem(
+        points=points_of(used), site=camera.site, image_size=sizes[camera.name], options=options, circle=circle
+    )
     return Task(problem=problem, used=used, selection=selection, limits=limits)

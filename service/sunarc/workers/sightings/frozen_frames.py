@@ -11,12 +11,12 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, FROZEN, Archive, Event, SunPoint
+from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, Event, SunPoint
 from sunarc.cameras import Counts, Frame
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.runtime.status import Reason, StatusRegistry
-from sunarc.sky import Site, angular_distance, sun_directions
+from sunarc.sky import angular_distance, sun_directions
 
 _log = logging.getLogger(__name__)
 _IMAGES_KEPT = 256
@@ -44,14 +44,12 @@ class FrozenFrames:
 
     Parameters
     ----------
-    archive, camera, site : where events and earlier sightings are, whose, and where the sun is seen from.
+    camera : its archive and site.
     board : where a camera that repeats its images is shown.
     """
 
-    def __init__(self, *, archive: Archive, camera: str, site: Site, board: StatusRegistry) -> None:
-        self._archive = archive
+    def __init__(self, camera: CameraArchive, *, board: StatusRegistry) -> None:
         self._camera = camera
-        self._site = site
         self._board = board
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
@@ -100,7 +98,7 @@ class FrozenFrames:
         x_px, y_px = detection.x_px, detection.y_px
         for place in self._places:
             if abs(place.x_px - x_px) < _SAME_PX and abs(place.y_px - y_px) < _SAME_PX:
-                before, now = sun_directions(np.array([place.time.timestamp(), moment.timestamp()]), self._site)
+                before, now = sun_directions(np.array([place.time.timestamp(), moment.timestamp()]), self._camera.site)
                 if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
                     return place.time
         self._places.append(_Place(moment, x_px, y_px))
@@ -109,7 +107,7 @@ class FrozenFrames:
     def _stored(self, moment: datetime) -> deque[_Place]:
         """Return where the sun was seen before this process began."""
         try:
-            points = self._archive.sun_points(self._camera, until=moment, newest_first=True, limit=_PIXELS_KEPT)
+            points = self._camera.sun_points(until=moment, newest_first=True, limit=_PIXELS_KEPT)
         except OutsideError as error:
             _log.warning("could not read earlier sightings: %s", error)
             points = ()
@@ -124,7 +122,7 @@ class FrozenFrames:
         reason = _frozen(self._in_a_row, earlier)
         self._board.set_reason(reason)
         if self._in_a_row == _LASTING:
-            self._tell(Event(time=moment, kind=_CODE, severity="alarm", text=reason.text, camera=self._camera))
+            self._tell(Event(time=moment, kind=_CODE, severity="alarm", text=reason.text, camera=self._camera.name))
 
     def _clear(self) -> None:
         if self._in_a_row >= _LASTING:
@@ -134,7 +132,7 @@ class FrozenFrames:
 
     def _tell(self, event: Event) -> None:
         try:
-            self._archive.add_event(event)
+            self._camera.archive.add_event(event)
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 

@@ -8,11 +8,11 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import Archive
+from sunarc.archive import CameraArchive
 from sunarc.calibration import project_with_covariance
 from sunarc.detection import ClearSun, Expectation, clear_sun
 from sunarc.optics import local_stretch
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.sky import sun_angles, sun_directions
 
 _LEAST_UNCERTAINTY_PX = 2.0
 _BRIGHTNESS_OF = timedelta(days=5)
@@ -31,19 +31,15 @@ class SunPredictor:
     largest_clock_error_s : the brightness of a sighting whose clock may be wrong by more is not used.
     """
 
-    def __init__(
-        self, archive: Archive, *, camera: str, site: Site, largest_clock_error_s: float | None = None
-    ) -> None:
-        self._archive = archive
+    def __init__(self, camera: CameraArchive, *, largest_clock_error_s: float | None = None) -> None:
         self._camera = camera
-        self._site = site
         self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
         self._clear: tuple[datetime, ClearSun | None] | None = None
 
     def apparent_zenith(self, moment: datetime) -> float:
         """Return the sun's apparent zenith angle in degrees."""
-        return float(sun_angles(moment.timestamp(), self._site).apparent_zenith)
+        return float(sun_angles(moment.timestamp(), self._camera.site).apparent_zenith)
 
     def clear_level_per_us(self, moment: datetime) -> float:
         """Return the clear sun's level over full scale in 1 µs, learned from the last 5 days; 0 while unknown.
@@ -58,19 +54,18 @@ class SunPredictor:
         return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(moment))
 
     def _learned(self, moment: datetime) -> ClearSun | None:
-        unix_s, levels = self._archive.sun_levels(
-            self._camera,
+        unix_s, levels = self._camera.sun_levels(
             since=moment - _BRIGHTNESS_OF,
             until=moment,
             largest_clock_error_s=self._largest_clock_error_s,
         )
-        zenith = sun_angles(unix_s, self._site).apparent_zenith
-        day = np.floor((unix_s + self._site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
+        zenith = sun_angles(unix_s, self._camera.site).apparent_zenith
+        day = np.floor((unix_s + self._camera.site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
         return clear_sun(apparent_zenith=zenith, level_per_us=levels, day=day)
 
     def calibration_id(self) -> str | None:
         """Return the id of the calibration that is current."""
-        record = self._archive.current_calibration(self._camera)
+        record = self._camera.current_calibration()
         return None if record is None else record.id
 
     def expectation(self, moment: datetime) -> Expectation | None:
@@ -78,10 +73,10 @@ class SunPredictor:
 
         None before there is a calibration, or outside its field.
         """
-        calibration = self._archive.current_model(self._camera)
+        calibration = self._camera.current_model()
         if calibration is None:
             return None
-        site = self._archive.site_at(self._camera, self._site, moment)
+        site = self._camera.site_at(moment)
         direction = sun_directions(moment.timestamp(), site)
         pixel, covariance = project_with_covariance(calibration, direction)
         if not np.all(np.isfinite(pixel)):

@@ -1,0 +1,43 @@
+"""An archive bound to one camera."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from sunarc.archive.archive import Archive
+from sunarc.sky import Site
+
+
+class CameraArchive:
+    """The methods of an archive that concern one camera, without its name; see `Archive` for each.
+
+    Parameters
+    ----------
+    archive : open.
+    name : of the camera.
+    site : where it stands.
+    """
+
+    def __init__(self, archive: Archive, *, name: str, site: Site) -> None:
+        self.archive = archive
+        self.name = name
+        self.site = site
+        self.current_calibration = partial(archive.current_calibration, name)
+        self.current_epoch = partial(archive.current_epoch, name)
+        self.current_model = partial(archive.current_model, name)
+        self.damaged_calibration = partial(archive.damaged_calibration, name)
+        self.dates_with_points = partial(archive.dates_with_points, name)
+        self.days = partial(archive.days, name)
+        self.epochs = partial(archive.epochs, name)
+        self.events = partial(archive.events, name)
+        self.exclude = partial(archive.exclude, name)
+        self.last_served = partial(archive.last_served, name)
+        self.observation_times = partial(archive.observation_times, name)
+        self.open_epoch = partial(archive.open_epoch, name)
+        self.readmit = partial(archive.readmit, name)
+        self.refits = partial(archive.refits, name)
+        self.site_at = partial(archive.site_at, name, site)
+        self.split_epoch = partial(archive.split_epoch, name)
+        self.sun_levels = partial(archive.sun_levels, name)
+        self.sun_point_columns = partial(archive.sun_point_columns, name)
+        self.sun_points = partial(archive.sun_points, name)
