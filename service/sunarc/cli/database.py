@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -10,14 +12,27 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from sunarc.archive import lock_holder, parse_time
+from sunarc.archive import (
+    backup,
+    backup_into,
+    check,
+    downgrade,
+    lock_holder,
+    lock_state,
+    newest_sound_copy,
+    parse_time,
+    prepare_folder,
+    require_file,
+    restore,
+    upgrade_present,
+)
 from sunarc.cli.options import AsJson, Config, State
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
-from sunarc.offline import import_sightings as importing
-from sunarc.offline import sighting_files as storing
 from sunarc.offline.cameras import parse_image_size
-from sunarc.offline.export_archive import export_everything
+from sunarc.offline.export_archive import database_of, export_everything
+from sunarc.offline.import_sightings import import_points as read_points
+from sunarc.offline.import_sightings import write_points
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
 
@@ -41,7 +56,7 @@ def import_points(
     """
     settings = load_settings(config)
     size = None if image_size is None else parse_image_size(image_size)
-    added, total = importing.import_points(settings, file, image_size=size)
+    added, total = read_points(settings, file, image_size=size)
     print(f"{added} of {total} sightings added, {total - added} were there already")
     note_running_service(settings.state)
 
@@ -56,9 +71,7 @@ def export_points(
 
     Example: sunarc points export --config sunarc.toml > points.csv
     """
-    storing.export_points(
-        load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until")
-    )
+    write_points(load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until"))
 
 
 @db_cli.command()
@@ -67,7 +80,14 @@ def upgrade(state: State) -> None:
 
     Example: sunarc db upgrade --state /var/lib/sunarc
     """
-    print(storing.upgrade_database(state))
+    path = database_of(state)
+    existed = path.exists()
+    with _locked(state):
+        copy = upgrade_present(path)
+    if copy is not None:
+        print(f"{path} was upgraded; the former one is kept as {copy.name}")
+    else:
+        print(f"{path} is up to date" if existed else f"{path} was made")
 
 
 @db_cli.command("check")
@@ -76,7 +96,15 @@ def check_database(state: State, *, as_json: AsJson = False) -> None:
 
     Example: sunarc db check --state /var/lib/sunarc
     """
-    found = storing.check_database(state)
+    result = check(database_of(state))
+    found = {
+        "sound": result.sound,
+        "revision": result.revision,
+        "head": result.head,
+        "integrity": list(result.integrity),
+        "damaged_calibrations": list(result.damaged),
+        "rows": dict(result.rows),
+    }
     if as_json:
         print_json(found)
     else:
@@ -85,17 +113,20 @@ def check_database(state: State, *, as_json: AsJson = False) -> None:
         raise typer.Exit(1)
 
 
-@db_cli.command()
-def downgrade(*, to: Annotated[str, typer.Option("--to", help="The older revision.")], state: State) -> None:
+@db_cli.command("downgrade")
+def downgrade_database(*, to: Annotated[str, typer.Option("--to", help="The older revision.")], state: State) -> None:
     """Bring the database back to an older revision, before an older version is installed; a copy is kept.
 
     Example: sunarc db downgrade --to 0001 --state /var/lib/sunarc
     """
-    print(storing.downgrade_database(state, to))
+    path = _existing(state)
+    with _locked(state):
+        copy = downgrade(path, to)
+    print(f"{path} is at revision {to} now; the former one is kept as {copy.name}")
 
 
-@db_cli.command()
-def backup(
+@db_cli.command("backup")
+def backup_database(
     target: Annotated[Path, typer.Argument(help="File to write; with --keep, folder of dated copies.")],
     *,
     state: State,
@@ -105,14 +136,13 @@ def backup(
 
     Example: sunarc db backup copy.sqlite --state /var/lib/sunarc
     """
-    if keep is None:
-        print(storing.backup_database(state, target))
-    else:
-        print(storing.backup_database_into(state, target, keep=keep, clock=SystemClock()))
+    path = _existing(state)
+    copy = backup(path, target) if keep is None else backup_into(path, target, keep=keep, now=SystemClock().now())
+    print(f"copied to {copy}")
 
 
-@db_cli.command()
-def restore(
+@db_cli.command("restore")
+def restore_database(
     source: Annotated[Path | None, typer.Argument(help="A copy of the database.", show_default=False)] = None,
     *,
     latest: Annotated[bool, typer.Option("--latest", help="The newest sound copy in STATE/backups.")] = False,
@@ -126,7 +156,15 @@ def restore(
     """
     if latest == (source is not None):
         raise InputError(field="SOURCE", problem="give either a copy or --latest", remedy="see --help")
-    print(storing.restore_database(state, source, clock=SystemClock()))
+    chosen = source or newest_sound_copy(state / "backups")
+    if chosen is None:
+        raise InputError(
+            field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
+        )
+    path = database_of(state)
+    with _locked(state):
+        kept = restore(path, chosen, now=SystemClock().now())
+    print(f"{path} is what {chosen} was" + ("" if kept is None else f"; the former one is kept as {kept.name}"))
 
 
 @db_cli.command("export")
@@ -142,6 +180,20 @@ def export_all(
         print_json(written)
     else:
         Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
+
+
+def _existing(state: Path) -> Path:
+    """Return the database of a state folder; an error where there is none."""
+    require_file(database_of(state), command=f"sunarc db upgrade --state {state}")
+    return database_of(state)
+
+
+@contextmanager
+def _locked(state: Path) -> Iterator[None]:
+    """Keep the service from running while its database is replaced or migrated."""
+    prepare_folder(state)
+    with lock_state(state):
+        yield
 
 
 def note_running_service(state: Path) -> None:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import Table, Variable, netcdf_bytes
-from sunarc.offline.sighting_files import database_of
 
 _UNITS = {
     "x_px": "px",
@@ -27,6 +26,11 @@ _UNITS = {
     "temperature_c": "degC",
     "pressure_hpa": "hPa",
 }
+
+
+def database_of(state: Path) -> Path:
+    """Return the database file of a state folder."""
+    return state / "sunarc.sqlite"
 
 
 def export_everything(state: Path, folder: Path) -> dict[str, int]:

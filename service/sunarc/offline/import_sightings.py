@@ -1,13 +1,23 @@
-"""Sightings from a CSV file to the archive, which is made where there is none."""
+"""Sightings from a CSV file to the archive, which is made where there is none; and back."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
-from sunarc.archive import Archive, SightingTable, SunPoint, open_archive, read_sightings, upgrade, upgrade_present
+from sunarc.archive import (
+    Archive,
+    SightingTable,
+    SunPoint,
+    open_archive,
+    read_sightings,
+    upgrade,
+    upgrade_present,
+    write_sightings,
+)
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
@@ -43,6 +53,15 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     with open_archive(settings.database) as archive:
         register_camera(archive, settings, size)
         return archive.add_sun_points(_points(archive, settings, table, path.name)), int(table.unix_s.size)
+
+
+def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
+    """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
+    with open_archive(settings.database) as archive:
+        points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
+        air = archive.air_of(settings.name, points)
+    rows = [(p.time, p.x_px, p.y_px, p.sigma_px, p.body) for p in points if p.x_px is not None and p.y_px is not None]
+    return write_sightings(target, rows, air=air)
 
 
 def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
