@@ -46,9 +46,10 @@ _SMALLEST_NIGHT_DEG = 0.05
 _DAY_S = 86_400.0
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
-_LEAST_EVIDENCE = 12.0
-"""Powers of e by which a move must be likelier than none: cameras are moved about once a year, and the moment is one of
-hundreds; the largest seen of a camera that stood still is 6.7 (docs/studies.md)."""
+_LEAST_EVIDENCE = 15.0
+"""Powers of e by which a move must be likelier than none: a camera is moved about once a year, at one of hundreds of
+sightings of the day (-11.5 together), and the move should then be 20 times as probable as none (3); the largest of a
+camera that stood still is 12.5 (docs/studies.md)."""
 _MOST = 6
 _FEWEST = 20
 _FLOOR_PX = 1e-3

@@ -10,7 +10,9 @@ References: R. Kass and A. Raftery, "Bayes factors", J. Am. Stat. Assoc. 90 (199
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,6 +41,8 @@ _EPISODES_S = (900.0, 2400.0, _LONGEST_EPISODE_S)
 _MOST_EPISODES = 3
 _EPISODE_TIMES_S = (300.0, 1200.0)
 """Correlation times of what cloud does to a detection."""
+_EDGE_STEPS = (0.25, 0.25, 0.12, 0.06)
+"""Steps by which the ends of an episode are moved, as shares of its length: a loose interval costs 10 powers of e."""
 _EPISODE_GAIN = 2.0
 """Logarithm of the likelihood that an episode must gain: its own improbability."""
 _POSE_RAD = 0.1
@@ -270,18 +274,24 @@ def _episode(model: _Model, window: tuple[float, float]) -> Episode:
 
 
 def _refined(model: _Model, amplitudes: Amplitudes, episodes: tuple[Episode, ...]) -> tuple[Episode, ...]:
-    """Return the episodes, the last one with its best amplitude, time and (shrunken) interval."""
-    last = episodes[-1]
-    long = last.end_s - last.begin_s
-    for begin, end in ((0.0, 1.0), (0.25, 1.0), (0.0, 0.75)):
-        shorter = last._replace(begin_s=last.begin_s + begin * long, end_s=last.begin_s + end * long)
-        tried = [
-            shorter._replace(amplitude_px=factor * last.amplitude_px, time_s=time)
-            for factor in (0.5, 1.0, 3.0)
-            for time in _EPISODE_TIMES_S
+    """Return the episodes, the last one with its best interval, amplitude and correlation time."""
+
+    def best(tried: Iterable[Episode]) -> tuple[Episode, ...]:
+        candidates = [episodes, *((*episodes[:-1], one) for one in tried)]
+        return max(candidates, key=lambda some: model.log_likelihood(amplitudes, some))
+
+    for step in _EDGE_STEPS:
+        last = episodes[-1]
+        shift = step * (last.end_s - last.begin_s)
+        moved = [
+            last._replace(begin_s=last.begin_s + begin * shift, end_s=last.end_s + end * shift)
+            for begin, end in itertools.product((-1, 0, 1), repeat=2)
         ]
-        episodes = max(
-            [episodes, *((*episodes[:-1], one) for one in tried)], key=lambda e: model.log_likelihood(amplitudes, e)
+        episodes = best(one for one in moved if one.end_s - one.begin_s <= _LONGEST_EPISODE_S)
+        last = episodes[-1]
+        episodes = best(
+            last._replace(amplitude_px=factor * last.amplitude_px, time_s=time)
+            for factor, time in itertools.product((0.5, 1.0, 2.0), _EPISODE_TIMES_S)
         )
     return episodes
 
