@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
+from tests.fixtures.calibration import filtered_sightings, small_camera, stated_calibration, sun_arc
 
 from sunarc.calibration import pose_change_points as module
 from sunarc.calibration import pose_step_search as search
@@ -22,20 +22,8 @@ FloatArray = NDArray[np.float64]
 
 
 def _usable(unix_s: FloatArray, *, day: NDArray[np.int64] | None = None) -> FilteredSightings:
-    n = unix_s.size
-    directions = sun_arc(n)
-    return FilteredSightings(
-        index=np.arange(n),
-        unix_s=unix_s,
-        pixels=project(small_camera(), directions),
-        directions=directions,
-        sigma_px=np.ones(n),
-        epoch=np.zeros(n, dtype=np.int64),
-        day=np.zeros(n, dtype=np.int64) if day is None else day,
-        refraction_sd=np.zeros((n, 1)),
-        n_dropped=0,
-        dropped=(),
-    )
+    directions = sun_arc(unix_s.size)
+    return filtered_sightings(unix_s, project(small_camera(), directions), directions, day=day)
 
 
 def _noise(n: int, *, sigma: float = 0.05, seed: int = 1) -> FloatArray:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import gamma, kv
 from scipy.stats import multivariate_normal
-from tests.fixtures.calibration import small_camera, sun_arc
+from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 
 from sunarc.calibration import pose_step_evidence as module
 from sunarc.calibration.model.sightings import FilteredSightings
@@ -23,19 +24,8 @@ N, ROW = 60, 30
 
 
 def _usable(pixels: FloatArray, directions: FloatArray) -> FilteredSightings:
-    n = pixels.shape[0]
-    return FilteredSightings(
-        index=np.arange(n),
-        unix_s=1.4e9 + 600.0 * np.arange(n, dtype=np.float64),
-        pixels=pixels,
-        directions=directions,
-        sigma_px=np.ones(n),
-        epoch=np.zeros(n, dtype=np.int64),
-        day=np.zeros(n, dtype=np.int64),
-        refraction_sd=np.zeros((n, 1)),
-        n_dropped=0,
-        dropped=(),
-    )
+    times = 1.4e9 + 600.0 * np.arange(pixels.shape[0], dtype=np.float64)
+    return filtered_sightings(times, pixels, directions)
 
 
 def _factor(turn: FloatArray, *, drift: FloatArray | None = None, seed: int = 1) -> float:
@@ -139,7 +129,7 @@ def test_groups_of_a_long_record_do_not_cross_a_day_or_the_step() -> None:
     n = 1000
     usable = _usable(np.zeros((n, 2)), np.tile([0.0, 0.0, 1.0], (n, 1)))
     day = np.repeat([0, 1], 500)
-    usable = FilteredSightings(**{name: getattr(usable, name) for name in usable.__slots__} | {"day": day})
+    usable = replace(usable, day=day)
     member = module._members(np.arange(n), 301, usable)
     counts = np.bincount(member)
     assert counts.max() == 4  # 1000 sightings in at most 280 rows
