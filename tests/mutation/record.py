@@ -24,6 +24,7 @@ _lines: dict[str, set[str]] = {}
 _seconds: dict[str, float] = {}
 _ours: dict[CodeType, str | None] = {}
 _executed: set[str] = set()
+_fixtures: dict[int, set[str]] = {}
 _kernels: dict[int, frozenset[str]] = {}
 
 
@@ -60,7 +61,7 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Note the lines that a test and its fixtures run; what a shared fixture runs counts for its first test."""
+    """Note the lines that a test and its fixtures run, a shared fixture's for every test that asks for it."""
     _executed.clear()
 
     def local(frame: FrameType, event: str, _: object) -> TraceFunction:
@@ -76,7 +77,19 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         yield
     finally:
         sys.settrace(None)
-        _lines[item.nodeid] = set(_executed)
+        asked = getattr(item, "_fixtureinfo").name2fixturedefs.values()  # noqa: B009 - not among pytest.Item's names
+        shared = (_fixtures.get(id(each[-1]), set()) for each in asked)
+        _lines[item.nodeid] = _executed.union(*shared)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_fixture_setup(fixturedef: object) -> Iterator[None]:
+    """Note the lines that a fixture runs, once for all tests that share it."""
+    before = set(_executed)
+    _executed.clear()
+    yield
+    _fixtures[id(fixturedef)] = set(_executed)
+    _executed.update(before)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -79,10 +79,10 @@ BINS = Bins(member=np.array([0, 0, 1]), count=2)
 
 def test_means_are_weighted_by_information(seen: Observations) -> None:
     residual = np.array([[1.0, 0.0], [5.0, -4.0], [2.0, 3.0]])
-    gathered, mean = BINS.gathered(seen, residual, np.array([3.0, 1.0, 2.0]))
+    gathered, mean = BINS.gathered(seen, residual, np.array([0.3, 0.1, 0.2]))
     np.testing.assert_allclose(mean, [[2.0, -1.0], [2.0, 3.0]])
     np.testing.assert_allclose(gathered.pixels, [[1.0, 2.0], [7.0, 7.0]])
-    np.testing.assert_allclose(gathered.information, [4.0, 2.0])
+    np.testing.assert_allclose(gathered.information, [0.4, 0.2])
     np.testing.assert_allclose(gathered.refraction_sd, [[2e-3, 1e-3], [2e-3, 2e-3]])
     direction = np.array([0.15, 0.0, 0.95])
     np.testing.assert_allclose(gathered.directions[0], direction / np.linalg.norm(direction))
