@@ -4,6 +4,7 @@ import threading
 from datetime import UTC, datetime
 
 import pytest
+from tests.fixtures.board import status_registry
 
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusRegistry, WorkerStatus
@@ -21,7 +22,7 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def board(clock: VirtualClock) -> StatusRegistry:
-    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
+    return status_registry(clock)
 
 
 def test_an_empty_board_is_ready_and_knows_nothing(board: StatusRegistry) -> None:

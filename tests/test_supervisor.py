@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 
 import pytest
+from tests.fixtures.board import status_registry
 
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
@@ -52,7 +53,7 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def board(clock: VirtualClock) -> StatusRegistry:
-    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
+    return status_registry(clock)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import asyncio
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -16,28 +16,22 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
-    BackwardModel,
     Calibration,
-    Field,
-    Metrics,
-    Provenance,
-    Verdict,
-    WaveBasis,
     to_document,
 )
 from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles, project
+from sunarc.optics import Camera, project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, StatusRegistry, WorkerStatus
 from sunarc.sky import Site, sun_angles, sun_directions
 
 TOKEN = "a token that is long enough"  # noqa: S105 - of the test alone
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
-SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 LENS = Camera(
     width=1748,
     height=1748,
@@ -53,35 +47,8 @@ LENS = Camera(
 def calibration(camera: Camera = LENS) -> Calibration:
     """Return a calibration whose every number is chosen, none fitted."""
     names = ("principal_point_x_px", "principal_point_y_px", "rotation_x", "rotation_y", "rotation_z")
-    basis = WaveBasis(center_px=(873.5, 873.5), half_px=(1400.0, 1400.0), orders=np.array([[1, 1], [2, 1]]))
-    return Calibration(
-        camera=camera,
-        poses=(camera.rotation_cam_enu,),
-        parameter_names=names,
-        covariance=np.diag([1e-4, 1e-4, 1e-10, 1e-10, 1e-10]),
-        field=Field(amplitude_px=0.05, length_px=425.0, basis=basis, cross=np.zeros((2, 5, 2))),
-        sky_rms_deg=0.006,
-        sky_max_deg=0.012,
-        metrics=Metrics(
-            n=1440, rmse_px=0.041, rmse_all_px=0.06, mae_px=0.036, sd_px=0.04, sd_of_distance_px=0.02, rmse_deg=0.004
-        ),
-        pose=pose_angles(camera.rotation_cam_enu),
-        backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
-        evidence=Provenance(
-            days=("2013-05-13",),
-            n_supplied=1500,
-            n_used=1440,
-            n_rejected=60,
-            options={},
-            sigma_px=0.03,
-            inflation=1.0,
-            radial_px=1.7,
-            clock_error_s=0.01,
-        ),
-        verdict=Verdict(accepted=True, findings=(Finding("direction_sigma", {"sigma_deg": 0.006}),)),
-        method="robust",
-        site=SITE,
-    )
+    covariance, orders = np.diag([1e-4, 1e-4, 1e-10, 1e-10, 1e-10]), np.array([[1, 1], [2, 1]])
+    return chosen_calibration(camera, names=names, covariance=covariance, orders=orders)
 
 
 def document(
@@ -90,12 +57,7 @@ def document(
     """Return a calibration document."""
     solved = calibration(camera)
     if not accepted:
-        solved = replace(
-            solved,
-            verdict=Verdict(
-                accepted=False, findings=(Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1}),)
-            ),
-        )
+        solved = refused(solved, Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1}))
     return to_document(
         solved,
         id=name,

@@ -21,7 +21,8 @@ from pathlib import Path
 from threading import Thread
 
 import uvicorn
-from tests.api.conftest import LENS, NOON, SITE, TOKEN, fill, new_archive, write_image
+from tests.api.conftest import LENS, NOON, TOKEN, fill, new_archive, write_image
+from tests.fixtures.calibrations import SITE
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Refit

@@ -17,7 +17,8 @@ import pytest
 import uvicorn
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
-from tests.api.conftest import LENS, NOON, SITE
+from tests.api.conftest import LENS, NOON
+from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import SunPoint
 from sunarc.optics import project

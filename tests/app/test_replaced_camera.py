@@ -8,13 +8,14 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
 from sunarc.archive import LENS_CHANGED, Archive
 from sunarc.cameras import CameraInfo
 from sunarc.runtime.clock import ClockState
 
-from .test_same_camera import INFO, Camera
+from .test_same_camera import Camera
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from tests.fixtures.cameras import INFO
 
 from sunarc.app import Service
 from sunarc.archive import Archive, open_archive, upgrade
@@ -17,20 +18,6 @@ from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.settings import Settings
 from sunarc.sky import Site
-
-INFO = CameraInfo(
-    address="127.0.0.9",
-    vendor="Test",
-    model="Sky",
-    serial="1",
-    width=8,
-    height=6,
-    pixel_format="Mono12",
-    full_scale=4095,
-    exposure_min_us=5.0,
-    exposure_max_us=1e6,
-    exposure_step_us=1.0,
-)
 
 
 class Camera:

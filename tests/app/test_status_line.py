@@ -10,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.board import status_registry
 
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.runtime.clock import VirtualClock
@@ -26,7 +27,7 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def board(clock: VirtualClock) -> StatusRegistry:
-    return StatusRegistry(version="0.1", started_at=START, monotonic=clock.monotonic)
+    return status_registry(clock)
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 from numpy.typing import NDArray
-from tests.api.conftest import NOON, SITE, fill, new_archive
+from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.calibrations import SITE
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import uvicorn
-from tests.api.conftest import NOON, SITE, fill, new_archive
+from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.calibrations import SITE
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import open_archive

@@ -7,22 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.fixtures.calibrations import chosen_calibration
 
 from sunarc.calibration import (
-    BackwardModel,
-    Calibration,
-    Field,
-    Metrics,
-    Provenance,
-    Verdict,
-    WaveBasis,
     camera_sees,
     hemisphere,
     to_document,
 )
-from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles, project
-from sunarc.sky import Site
+from sunarc.optics import Camera, project
 
 FloatArray = NDArray[np.float64]
 
@@ -41,33 +33,11 @@ LENS = Camera(
 
 def document_of(camera: Camera) -> dict[str, Any]:
     """Return the document of a calibration whose every number is chosen."""
-    basis = WaveBasis(center_px=(873.5, 799.5), half_px=(1400.0, 1400.0), orders=np.array([[1, 1]]))
-    numbers = dict.fromkeys(("rmse_px", "rmse_all_px", "mae_px", "sd_px", "sd_of_distance_px", "rmse_deg"), 0.04)
-    made = Calibration(
-        camera=camera,
-        poses=(camera.rotation_cam_enu,),
-        parameter_names=("principal_point_x_px", "rotation_z"),
+    made = chosen_calibration(
+        camera,
+        names=("principal_point_x_px", "rotation_z"),
         covariance=np.array([[1e-4, 1e-8], [1e-8, 1e-10]]),
-        field=Field(amplitude_px=0.05, length_px=425.0, basis=basis, cross=np.zeros((2, 2, 1))),
-        sky_rms_deg=0.006,
-        sky_max_deg=0.012,
-        metrics=Metrics(n=1440, **numbers),
-        pose=pose_angles(camera.rotation_cam_enu),
-        backward=BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.003),
-        evidence=Provenance(
-            days=("2013-05-13",),
-            n_supplied=1500,
-            n_used=1440,
-            n_rejected=60,
-            options={},
-            sigma_px=0.03,
-            inflation=1.0,
-            radial_px=1.7,
-            clock_error_s=0.01,
-        ),
-        verdict=Verdict(accepted=True, findings=(Finding("simulated_camera"),)),
-        method="robust",
-        site=Site(latitude=36.604043, longitude=-97.484856, altitude=318.0),
+        orders=np.array([[1, 1]]),
     )
     day = datetime(2013, 5, 13, tzinfo=UTC)
     return to_document(

@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from tests.api.conftest import SITE, calibration
+from tests.api.conftest import calibration
+from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import CameraRecord, backup_into, open_archive, upgrade
 from sunarc.calibration import to_document

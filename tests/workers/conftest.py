@@ -3,29 +3,23 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures.board import status_registry
+from tests.fixtures.calibrations import SITE
+from tests.fixtures.cameras import INFO
 
+from sunarc.archive import Archive, CameraArchive
+from sunarc.calibration import CalibrationOptions
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
+from sunarc.workers import RefitOptions, RefitWorker
 
 NOON = datetime(2013, 5, 13, 18, 30, 10, tzinfo=UTC)
-INFO = CameraInfo(
-    address="127.0.0.9",
-    vendor="Test",
-    model="Sky",
-    serial="1",
-    width=8,
-    height=6,
-    pixel_format="Mono12",
-    full_scale=4095,
-    exposure_min_us=5.0,
-    exposure_max_us=1e6,
-    exposure_step_us=1.0,
-)
 
 
 @dataclass
@@ -76,12 +70,34 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def board(clock: VirtualClock) -> StatusRegistry:
-    return StatusRegistry(version="test", started_at=clock.now(), monotonic=clock.monotonic)
+    return status_registry(clock)
 
 
 @pytest.fixture
 def camera(clock: VirtualClock) -> FakeCamera:
     return FakeCamera(clock)
+
+
+def refit_worker(
+    archive: Archive,
+    board: StatusRegistry,
+    clock: VirtualClock,
+    *,
+    now: datetime,
+    cadence_s: float,
+    **changes: Any,  # noqa: ANN401 - of its arguments
+) -> RefitWorker:
+    """Return the refit worker of the camera "roof" at the paper's site."""
+    return RefitWorker(
+        camera=CameraArchive(archive, name="roof", site=SITE),
+        options=RefitOptions(),
+        calibration=CalibrationOptions(),
+        cadence_s=cadence_s,
+        clock=clock,
+        now=lambda: now,
+        board=board,
+        **changes,
+    )
 
 
 class StopAfter(threading.Event):

@@ -7,8 +7,9 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, SunPoint
 from sunarc.sky import Site
 from sunarc.workers import SunPredictor
 
@@ -18,9 +19,7 @@ NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(CameraRecord(name="sky", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=8))
+    opened = new_archive(tmp_path, name="sky")
     opened.epoch_at("sky", NOON - timedelta(days=30), reason="first")
     yield opened
     opened.close()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.fixtures.cameras import INFO
 
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
@@ -16,8 +17,6 @@ from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
-
-from .conftest import INFO
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera

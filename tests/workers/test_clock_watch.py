@@ -8,8 +8,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, SunPoint
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -24,10 +25,7 @@ HOUR_S = 3600.0
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Archive:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
-    return opened
+    return new_archive(tmp_path)
 
 
 MakeWatch = Callable[..., ClockWatch]

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
-from tests.api.conftest import LENS, SITE, calibration
+from tests.api.conftest import LENS, calibration
+from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import (
     Archive,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.fixtures.archive import new_archive
 
 from sunarc.archive import Archive, CameraRecord, Recovery, SunPoint, open_archive, upgrade
 from sunarc.workers import DatabaseWorker, SightingWriteBuffer
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "sunarc.sqlite")
-    archive = open_archive(tmp_path / "sunarc.sqlite")
-    archive.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
+    archive = new_archive(tmp_path)
     yield archive
     archive.close()
 

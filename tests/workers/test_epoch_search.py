@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.fixtures.archive import new_archive
+from tests.workers.conftest import refit_worker
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Event, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, Event, Refit, SunPoint
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -29,7 +31,7 @@ from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import RefitOptions, RefitWorker, points_of
+from sunarc.workers import RefitWorker, points_of
 from sunarc.workers.calibrating.epoch_search import SEARCHED, EpochSearch
 from sunarc.workers.calibrating.solver_process import Problem, SolverDiedError
 
@@ -91,27 +93,12 @@ def search_here(problem: Problem, **_: object) -> tuple[PoseStep, ...]:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Archive:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(
-        CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
-    )
-    return opened
+    return new_archive(tmp_path, width=SIZE[0], height=SIZE[1])
 
 
 @pytest.fixture
 def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
-    return RefitWorker(
-        camera=CameraArchive(archive, name="roof", site=SGP),
-        options=RefitOptions(),
-        calibration=CalibrationOptions(),
-        cadence_s=600.0,
-        clock=clock,
-        now=lambda: NOW,
-        board=board,
-        solve=solve_here,
-        search=search_here,
-    )
+    return refit_worker(archive, board, clock, now=NOW, cadence_s=600.0, solve=solve_here, search=search_here)
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.archive import new_archive
 
-from sunarc.archive import FROZEN, Archive, CameraArchive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import FROZEN, Archive, CameraArchive, SunPoint
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions
 from sunarc.optics import project
@@ -56,12 +57,7 @@ def frame_at(seconds: float, *, shown_s: float | None = None) -> Frame:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Archive:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(
-        CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIDE, height=SIDE)
-    )
-    return opened
+    return new_archive(tmp_path, width=SIDE, height=SIDE)
 
 
 @pytest.fixture

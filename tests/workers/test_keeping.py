@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, SunPoint
 from sunarc.errors import OutsideError
 from sunarc.workers import SightingWriteBuffer
 from sunarc.workers.sightings import write_buffer as keeping
@@ -35,9 +36,7 @@ class Refusing(Archive):
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Refusing:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=8, height=6))
+    opened = new_archive(tmp_path)
     return Refusing(opened._engine, opened._file)
 
 

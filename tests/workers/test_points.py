@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pvlib
 import pytest
-from tests.api.conftest import LENS, SITE, document
+from tests.api.conftest import LENS, document
+from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
 from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions, SunPoints, measure_day

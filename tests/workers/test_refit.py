@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.archive import new_archive
+from tests.workers.conftest import refit_worker
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, Refit, SunPoint
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
 from sunarc.findings import Finding
 from sunarc.optics import project
@@ -19,7 +21,7 @@ from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
-from sunarc.workers import RefitOptions, RefitWorker
+from sunarc.workers import RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem, SolveFailedError, SolverDiedError, solve_in_child
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
@@ -40,11 +42,7 @@ def good() -> Calibration:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Archive:
-    upgrade(tmp_path / "sunarc.sqlite")
-    opened = open_archive(tmp_path / "sunarc.sqlite")
-    opened.save_camera(
-        CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=318.0, width=SIZE[0], height=SIZE[1])
-    )
+    opened = new_archive(tmp_path, width=SIZE[0], height=SIZE[1])
     points = sightings()
     epoch = opened.epoch_at("roof", datetime.fromtimestamp(points.unix_s[0], UTC), reason="first frame")
     opened.add_sun_points(
@@ -65,15 +63,7 @@ def archive(tmp_path: Path) -> Archive:
 
 @pytest.fixture
 def worker(archive: Archive, board: StatusRegistry, clock: VirtualClock) -> RefitWorker:
-    return RefitWorker(
-        camera=CameraArchive(archive, name="roof", site=SGP),
-        options=RefitOptions(),
-        calibration=CalibrationOptions(),
-        cadence_s=30.0,
-        clock=clock,
-        now=lambda: NOW,
-        board=board,
-    )
+    return refit_worker(archive, board, clock, now=NOW, cadence_s=30.0)
 
 
 Answer = Calibration | SolveFailedError | None

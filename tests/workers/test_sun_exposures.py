@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.fixtures.cameras import INFO
 
 from sunarc.detection import Detection
 from sunarc.imaging import SunExposureOptions
 from sunarc.workers import SunExposures
 from sunarc.workers.capture.sun_exposure_control import SPOILED_AFTER
-
-from .conftest import INFO
 
 if TYPE_CHECKING:
     from sunarc.runtime.clock import VirtualClock

@@ -8,6 +8,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from tests.fixtures.cameras import INFO
 
 from sunarc.cameras import Frame
 from sunarc.imaging import SunExposureOptions
@@ -16,7 +17,7 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
 from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
 
-from .conftest import INFO, NOON, FakeCamera, StopAfter
+from .conftest import NOON, FakeCamera, StopAfter
 
 HDR_US = (3_000.0, 12_000.0, 48_000.0)
 RATE = np.clip(np.linspace(-0.02, 0.05, 96), 0.0, None)[None, :] * np.ones((96, 1))  # counts in 1 µs
