@@ -41,6 +41,7 @@ def backup(path: Path, target: Path, *, replace: bool = False) -> Path:
             copy.execute("PRAGMA journal_mode=DELETE")  # a copy is one file
         partial.chmod(PRIVATE)
         give_to_owner_of(target.parent, partial)
+        # Renamed last: a copy that a power cut ended never has a name that a restore would take.
         partial.replace(target)
         keep_name(target.parent)
     except (sqlite3.Error, OSError) as error:

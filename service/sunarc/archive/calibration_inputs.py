@@ -52,6 +52,7 @@ class UsedSightings(Store):
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
         columns = _as_then(found, epochs, air)
+        # Rows of the same keys may have been edited since: the fit would not be the same.
         if _digest(columns) != kept.digest:
             raise _changed(calibration_id, "its sightings were changed since")
         return columns
@@ -96,6 +97,7 @@ def _listed(ids: IntArray) -> Select[tuple[int]]:
 
 def _packed(ids: IntArray) -> bytes:
     """Return keys as steps, compressed: a few thousand take a few kilobytes."""
+    # Keys rise by small steps: their differences compress to a few bits each.
     return zlib.compress(np.diff(ids, prepend=0).astype("<i8").tobytes(), 9)
 
 

@@ -41,6 +41,7 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
     ).all()
     ids = [str(row.id) for row in known]
     place = {int(row[0]): place for place, row in enumerate(known)}  # an epoch may be written down after a later one
+    # Few epochs and millions of rows: names are looked up once an epoch, not once a row.
     numbers, member = np.unique(rows["epoch"], return_inverse=True)
     places = np.array([place[int(number)] for number in numbers], dtype=np.int64)
     present, epoch = np.unique(places[member], return_inverse=True)

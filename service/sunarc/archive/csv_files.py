@@ -159,6 +159,7 @@ def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterat
     header = next((row for row in reader if row), None)
     if header is None:
         raise InputError(field=name, problem="is empty", remedy=f"give a header with {','.join(required)}")
+    # Spreadsheets begin a file with a byte order mark, which would hide the first column.
     names = [cell.strip().lstrip("\ufeff") for cell in header]
     missing = [column for column in required if column not in names]
     if missing:

@@ -37,6 +37,7 @@ class Changes:
                 except sqlite3.Error as error:
                     raise OutsideError(f"cannot use the database {self._file.path}: {error}") from error
                 self._opened += 1  # each connection counts from the start
+            # SQLite counts commits of other connections only: this one writes nothing, so that it sees them all.
             (version,) = self._connection.execute("PRAGMA data_version").fetchone()
             return int(version) + (self._opened << 32)
 

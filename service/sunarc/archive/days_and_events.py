@@ -50,6 +50,7 @@ class Journal(Store):
         """
         c = tables.refit.c
         waiting = select(tables.refit).where(c.camera == refit.camera, c.state == "requested", c.finished_at.is_(None))
+        # Read under the write lock: two requests at once would otherwise both find nothing.
         with self._writing() as connection:
             found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:

@@ -62,6 +62,7 @@ def read_document(connection: Connection, calibration_id: str) -> Mapping[str, A
     stored, checksum = (None, "") if found is None else found  # an id that is no UTF-8 finds nothing
     if stored is None or hashlib.sha256(stored).hexdigest() != checksum:
         return None
+    # The checksum is of the stored bytes: parsing first would raise on a flipped bit.
     document = json.loads(stored)
     return document if isinstance(document, dict) else None
 

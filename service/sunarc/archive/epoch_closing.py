@@ -97,6 +97,7 @@ def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpo
 def _join(connection: Connection, wrong: PoseEpoch, before: PoseEpoch) -> None:
     """Let an epoch end where it began, and the one before it take its place and its sightings."""
     epochs, c = pose_epoch.c, sun_point.c
+    # The row stays, of no duration: its id is never given again, and the event can still name it.
     connection.execute(update(pose_epoch).where(epochs.id == wrong.id).values(ended_at=wrong.started_at))
     connection.execute(update(pose_epoch).where(epochs.id == before.id).values(ended_at=wrong.ended_at))
     admitted = update(sun_point).where(c.pose_epoch == wrong.id, c.reason == MOVED, c.accepted.is_(True))

@@ -251,6 +251,7 @@ def _write_whole(target: Path, encoded: bytes) -> None:
         with part.open("wb") as file:
             file.write(encoded)
             file.flush()
+            # Before the rename: else the name could reach the disk before the data do.
             os.fdatasync(file.fileno())
         part.replace(target)
     except OSError:

@@ -37,6 +37,7 @@ def lock_state(folder: Path) -> Iterator[None]:
     try:
         _take(descriptor, folder)
         os.ftruncate(descriptor, 0)
+        # Written after the lock is held: what a reader finds is the holder's id or nothing.
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:

@@ -63,6 +63,7 @@ class Sightings(Store):
     def open_epoch(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
         """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
         epochs = tables.pose_epoch.c
+        # Read under the write lock, so that no other thread opens an epoch between the check and the row.
         with self._writing() as connection:
             known = select(tables.pose_epoch).where(epochs.camera == camera)
             before = values_of(connection, known, PoseEpoch)

@@ -42,5 +42,6 @@ def distance_m(first: _Place, second: _Place) -> float:
     """Return the great-circle distance of two places in metres (haversine, a sphere)."""
     a, b = np.radians([first.latitude, second.latitude])
     east = np.radians(second.longitude - first.longitude)
+    # The haversine stays exact for near places, where the cosine rule loses all its digits.
     square = np.sin((b - a) / 2.0) ** 2 + np.cos(a) * np.cos(b) * np.sin(east / 2.0) ** 2
     return float(2.0 * _EARTH_RADIUS_M * np.arcsin(np.sqrt(min(square, 1.0))))

@@ -30,6 +30,7 @@ class Reserve:
         part = self._path.with_suffix(".part")
         try:
             with part.open("wb") as file:
+                # Blocks are taken, not a hole: a sparse file would set nothing aside.
                 os.posix_fallocate(file.fileno(), 0, self.size_bytes)
             part.replace(self._path)
         except OSError:

@@ -62,6 +62,7 @@ def clear_interval(connection: Connection, camera: str, since: datetime, until: 
     connection.execute(
         update(calibration).where(*served, *within, c.valid_until <= until).values(valid_until=c.valid_from)
     )
+    # Last, for it ends at `since` what the first two left: one that began before and reaches in.
     reaching = update(calibration).where(
         *served, c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > since)
     )

@@ -53,6 +53,7 @@ def splined_model(camera: Camera) -> SplinedModel:
     design = _design(u, knots_per_u)
     wanted = (sky.pixels - center) / focal - u
     bending = _bending()
+    # Control points beyond the image have no data: the third differences continue the surface smoothly.
     normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
     control = spsolve(normal, design.T @ wanted)
     row_column = (u + design @ control) * focal + center
@@ -81,6 +82,7 @@ def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> byt
 
 def _design(u: FloatArray, knots_per_u: float) -> csr_array:
     """Return (n, knots²): the weight of every control point, the row of the image slowest."""
+    # Four knots carry each place; just below the last but one, so that the fourth exists.
     place = np.clip(u * knots_per_u + (_KNOTS - 1) / 2.0, 1.0, _KNOTS - 2.0 - 1e-9)
     node = np.floor(place).astype(np.int64)
     s = place - node

@@ -72,6 +72,7 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     start[2] = 1.0
     start[7:9] = 0.5 * math.pi * _SCALE * 0.6, 0.6 * _SCALE
     free = np.ones(start.size, dtype=bool)
+    # Readers of the cubic form ignore the affine part in places, so that it has to stay the identity.
     free[2:4] = not cubic
     rays = sky.rays @ frame.T
     wanted = sky.pixels[:, ::-1]
@@ -166,6 +167,7 @@ def _backward(
         z = Polynomial(polynomial)(radius)
         rays = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        # The pixel's error is minus that of where its ray lands, mirrored about the pixel to keep the sign.
         error = fit_error(camera, sky, 2.0 * sky.pixels - _landing(camera, rays))
         if error.max_px < good_px:
             break

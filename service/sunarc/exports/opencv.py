@@ -50,6 +50,7 @@ def fisheye_model(camera: Camera) -> FisheyeModel:
             *(0.0,) * 3,
         ]
     )
+    # Pixels, distortion and radians differ by three orders: without scales the solver stops early.
     scale = np.r_[np.full(4, 1.0), np.full(4, 1e-3), np.full(3, 1e-3)]
 
     def misfit(parameters: FloatArray) -> FloatArray:

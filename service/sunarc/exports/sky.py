@@ -72,6 +72,7 @@ def fit_error(camera: Camera, sky: Sky, pixels: FloatArray) -> FitError:
     off = (pixels - sky.pixels)[known]
     angle = np.linalg.solve(local_stretch(camera, sky.directions[known]), off[..., None])[..., 0]
     off_px, off_deg = np.linalg.norm(off, axis=-1), np.degrees(np.linalg.norm(angle, axis=-1))
+    # The error is stated up to the first direction for which the other model has no pixel.
     unknown = np.arccos(np.clip(sky.rays[~known, 2], -1.0, 1.0))
     return FitError(
         rms_px=float(np.sqrt(np.mean(off_px**2))),

@@ -105,6 +105,7 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     camera = calibration.camera
     x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
     grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
+    # The grid is that of the service's own table, so that a file and the API give the same directions.
     looked_up = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
     error = _bilinear_error(camera, x, y, np.asarray(looked_up[..., 2:5], dtype=np.float64))
     names = np.array(calibration.parameter_names)
@@ -218,5 +219,6 @@ def _bilinear_error(
     from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
 
     between = RegularGridInterpolator((y, x), directions, bounds_error=False, fill_value=None)(sky.pixels[:, ::-1])
+    # Interpolated unit vectors are a little short; a reader has to do the same.
     between /= np.linalg.norm(between, axis=-1, keepdims=True)
     return fit_error(camera, sky, project(camera, between))

@@ -112,6 +112,7 @@ def _joined(accepted_ones: list[Detection]) -> Detection:
         best,
         x_px=float(mean[0]),
         y_px=float(mean[1]),
+        # Birge's ratio, upward only: frames that agree by luck are not more certain than their sigmas.
         sigma_px=math.sqrt(max(1.0, chi2 / freedom) / float(weight.sum())),
     )
     scatter = f"of {len(accepted_ones)} frames, chi² {chi2:.1f} for {freedom}"

@@ -68,6 +68,7 @@ def detect_sun(
         found = _search(image, sensor=sensor, options=options)
     else:
         found = _detect_near(image, sensor=sensor, expectation=expectation, options=options)
+    # Only without a prediction: a full moon fits a disc as well as a dimmed sun does.
     if clear is None and expectation is None and exposure_us is not None:
         found = _reject_unpredicted_faint(found, options, exposure_us)
     return replace(_reject_faint(found, clear, options), exposure_us=exposure_us)

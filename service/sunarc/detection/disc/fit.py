@@ -143,6 +143,7 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
     free, middle = problem.prior.free, problem.prior.log_psf
     count = len(free)
     nonlinear[free] += np.minimum(np.maximum(step[:count], -2.0), 2.0)
+    # Beyond a factor of 4.5 the sources are too coarse or too many for this point spread.
     nonlinear[PSF] = min(max(nonlinear[PSF], middle - 1.5), middle + 1.5)
     nonlinear[WINGS] = min(max(nonlinear[WINGS], 0.0), 0.3)
     flux, background = step[count : count + colours], step[count + colours : count + 2 * colours]
@@ -152,6 +153,7 @@ def _stepped(problem: Problem, state: State, step: FloatArray) -> State:
 
 def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[State, Evaluation, bool]:
     """Minimise by Levenberg and Marquardt's method."""
+    # Almost a Gauss-Newton step: the start is within a pixel, and each rejected step raises the damping 100-fold.
     damping = 1e-6
     binned = problem.sensor.binning > 1  # clipped means tell the disc's size, which moves their centre
     settled = math.inf if problem.window.saturated_px and not binned else _CONVERGED_COST
@@ -165,6 +167,7 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
         moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
         still = moved < _CONVERGED_PX and abs(gained) < settled
         small = still or (moved < 10.0 * _CONVERGED_PX and abs(gained) < 0.01)
+        # A step that raises the cost by less than 1e-3 is taken: the weights follow the model, which moves the cost.
         if gained > -1e-3:
             state, evaluation, damping = following, tried, damping * 0.1
         else:
@@ -182,6 +185,7 @@ def _outliers(evaluation: Evaluation) -> NDArray[np.bool_]:
     if float(deviation.max()) <= _OUTLIER:
         return np.zeros(deviation.size, np.bool_)
     typical = 1.4826 * median_of(deviation)
+    # Only what is half as bad as the worst: a hot pixel drags the fit, and its neighbours look bad with it.
     bad = deviation > max(_OUTLIER * max(1.0, typical), 0.5 * float(deviation.max()))
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)
 
@@ -196,6 +200,7 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
     best = int(np.argmax(levels))
     flux_sigma = math.sqrt(max(float(inverse(matrix[first_flux:, first_flux:])[best, best]), 1e-30))
     level = float(levels[best]) / (math.pi * problem.sources.core.mean_level)
+    # Mean square beyond the expected variance: negative by chance where the model is right.
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
     top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
     return DiscFit(

@@ -115,10 +115,12 @@ def with_levels(problem: Problem, nonlinear: FloatArray) -> tuple[State, Evaluat
     colours = problem.window.colours
     dark = State(nonlinear, np.zeros(colours), np.zeros(colours), np.zeros(4))
     planes = _planes(problem, dark)
+    # The model is not known yet, so that the variance comes from the counts themselves.
     misfit = _compared(problem, dark, planes, moved=(), by_counts=True)
     linear = problem.window.linear.ravel()[problem.pixel]
     matrix, gradient = kernels.normal_of(misfit[3], misfit[2] * linear, misfit[1])
     levels = inverse(matrix) @ gradient
+    # A dark hole would give a negative flux, which is no disc.
     flux = np.maximum(levels[:colours], 1e-3)
     best = State(nonlinear, flux, levels[colours : 2 * colours], levels[2 * colours :])
     return best, _evaluated(problem, best, planes)
@@ -129,6 +131,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(matrix.diagonal(), 1e-12))
     both = scale[:, None] * scale
     scaled = matrix / both
+    # A ridge on the scaled diagonal: parameters of no information stay invertible, the others do not notice.
     scaled.ravel()[:: scale.size + 1] += 1e-11
     return np.asarray(np.linalg.inv(scaled) / both)
 
@@ -175,6 +178,7 @@ def _compared(
 ) -> kernels.Compared:
     psf, (x, y) = math.exp(state.nonlinear[PSF]), (state.nonlinear[:2] - problem.origin).tolist()
     a, b, d = state.nonlinear[STRETCH].tolist()
+    # (d, b, a) / det is the inverse of the symmetric stretch: pixels to solar radii, over the glare's core.
     core = _GLARE_CORE * max(abs(a * d - b * b), 1e-9)
     gain = problem.sensor.gain_e_per_count
     answer: kernels.Compared = kernels.compared(

@@ -48,6 +48,7 @@ def _tile_maxima(image: Image, tile: int) -> Image:
             top[x] = 0
         for y in range(row * tile, min((row + 1) * tile, height - 1), 2):
             upper, lower = image[y], image[y + 1]
+            # Two rows at a time: of a core of three by three pixels one 2×2 block is always whole.
             for x in range(width - 1):
                 left, right = min(upper[x], lower[x]), min(upper[x + 1], lower[x + 1])
                 top[x] = max(top[x], min(left, right))
@@ -98,6 +99,7 @@ def _belongs(x: float, y: float, spots: list[Spot]) -> bool:
 
 def measure_spot(image: Image, *, x: int, y: int, reach: int) -> Spot:
     """Measure the spot at a pixel by what exceeds half its level, the window moved onto it once."""
+    # A spot at the window's edge is cut: its centroid is pulled inward, so that the window is moved once.
     for last in (False, True):
         x0, y0 = max(0, min(x - reach, image.shape[1] - 2)), max(0, min(y - reach, image.shape[0] - 2))
         part = image[y0 : y + reach + 2, x0 : x + reach + 2].astype(np.float64)

@@ -53,6 +53,7 @@ def _profile(beyond: Image) -> FloatArray:
         return nothing
     ordered, half = np.sort(beyond, axis=0), len(beyond) // 2
     level = 0.5 * (ordered[half].astype(np.float64) + ordered[half - 1 + len(beyond) % 2])
+    # The window's darkest column stands for the sky: smear is never negative.
     excess = level - level.min()
     spread = 1.4826 * median_of(np.abs(beyond - level).ravel())
     noise = _MEDIAN_NOISE * max(spread, 0.3) / math.sqrt(beyond.shape[0])

@@ -60,6 +60,7 @@ def disc_sources(*, radius_px: float, psf_px: float, limb_darkening: float) -> S
 
 @lru_cache(maxsize=64)
 def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
+    # Rings 0.7 of the point spread apart: a coarser disc would show them, a finer one costs time a source.
     rings = min(max(4, math.ceil(1.4 * radius_in_psf)), _MOST_RINGS)
     nodes, node_weights = np.polynomial.legendre.leggauss(rings)
     radii = 0.5 * (nodes + 1.0)
@@ -67,10 +68,12 @@ def _sources(radius_in_psf: float, limb_darkening: float) -> Sources:
     counts = np.maximum(6, np.ceil(2.0 * math.pi * radii * radius_in_psf / 1.1)).astype(int)
     ring = np.repeat(np.arange(rings), counts)
     within = np.arange(ring.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    # Every other ring is turned by half a step, so that sources of neighbouring rings do not line up.
     angle = 2.0 * math.pi * (within + 0.5 * (ring % 2)) / counts[ring]
     positions = np.ascontiguousarray(radii[ring, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
     weights = ring_weights[ring] / counts[ring]
     weights /= weights.sum()
+    # The cache gives the same arrays to every caller and thread.
     positions.flags.writeable = weights.flags.writeable = False
     return Sources(positions, weights, 1.0 - limb_darkening / 3.0)
 
@@ -119,6 +122,7 @@ def render_disc(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     rows, columns = shape
     out = np.zeros((11, rows, columns))
     across, down = np.zeros((3, columns)), np.zeros((3, rows))
+    # The half pixel keeps a pixel whose near edge is within reach though its centre is not.
     reach = _REACH * psf + 0.5
     for k in range(weights.size):
         u, v, weight = positions[k, 0], positions[k, 1], weights[k]

@@ -45,6 +45,7 @@ def cut(image: Image, *, center: tuple[float, float], half: int, sensor: Sensor,
     y0, y1 = (min(max(0, end), height) for end in (y - half, y + half + 1))
     part = image[y0:y1, x0:x1]
     saturated = saturated_pixels(part, sensor=sensor, saturation_fraction=saturation_fraction)
+    # A mean that only may hold clipped pixels still tells the disc's size; the model clips it as the sensor did.
     full = part >= saturation_fraction * sensor.full_scale if sensor.binning > 1 else saturated
     usable = ~_grown(saturated) if sensor.blooming else ~full
     colour, colours = _colours(part.shape, first=(x0, y0), bayer=sensor.bayer)

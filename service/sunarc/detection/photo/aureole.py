@@ -112,6 +112,7 @@ def _ringed(pixels: _Pixels, state: FloatArray, inner: float, *, cut: float) -> 
     if np.count_nonzero(inside) < _LEAST_PIXELS:
         return None
     offset, turned, distance, value = offset[inside], turned[inside], distance[inside], pixels.light[inside]
+    # Rings of equal ratio: the glare falls by a power of the distance.
     edges = inner * (_OUTER ** (np.arange(_RINGS + 1) / _RINGS))
     ring = np.clip(np.searchsorted(edges, distance) - 1, 0, _RINGS - 1)
     flat = value - offset @ state[4:] / inner
@@ -123,6 +124,7 @@ def _ringed(pixels: _Pixels, state: FloatArray, inner: float, *, cut: float) -> 
     if np.count_nonzero(known) < _RINGS // 2:
         return None
     profile, middle = profile[known], middle[known]
+    # Where the profile rises (a cloud's rim), its slope says nothing of the centre.
     slope = np.minimum(np.interp(distance, middle, np.gradient(profile, middle)), 0.0)
     residual = flat - np.interp(distance, middle, profile)
     jacobian = np.column_stack(
@@ -162,6 +164,7 @@ def _normal(rings: _Rings, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         own = rings.sector == k
         weighted = jacobian[own] * rings.weight[own, None]
         matrix[k], gradient[k] = weighted.T @ jacobian[own], weighted.T @ residual[own]
+    # The prior on the ellipse has a fiftieth of the pixels' weight: a short arc cannot trade shape for position.
     prior = np.zeros(6)
     prior[2:4] = _SHAPE_SIGMA**-2 * rings.weight.size / 50.0
     matrix += np.diag(prior) / _SECTORS

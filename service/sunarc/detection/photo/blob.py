@@ -49,6 +49,7 @@ def _blob(
 ) -> Blob:
     x, y, width, height, area = (int(value) for value in stats)
     own = (labels[y : y + height, x : x + width] == k).astype(np.uint8)
+    # The padding keeps the outline closed where the region touches its box.
     contours, _ = cv2.findContours(np.pad(own, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(contours, key=len)
     perimeter = max(float(cv2.arcLength(outline, closed=True)), 1.0)

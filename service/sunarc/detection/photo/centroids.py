@@ -38,6 +38,7 @@ def sun_blob(counts: Image) -> Blob | None:
     """Return the largest region at or above the 99.99th percentile of the V-image, after erosion and dilation."""
     bins = int(np.iinfo(counts.dtype).max) + 1
     histogram = np.asarray(cv2.calcHist([np.ascontiguousarray(counts)], [0], None, [bins], [0, bins])).ravel()
+    # A percentile by histogram: counts are whole numbers, so that millions of pixels need not be sorted.
     brighter = np.cumsum(histogram[::-1], dtype=np.float64)[::-1]
     level = int(np.flatnonzero(brighter >= max((1.0 - _PERCENTILE / 100.0) * counts.size, 1.0))[-1])
     mask = (counts >= level).astype(np.uint8)
@@ -79,6 +80,7 @@ def smear_column(value_row: FloatArray, sum_row: FloatArray) -> float | None:
     if value_row.size < 2 * _SMEAR_AVERAGE:
         return None
     box = np.ones(_SMEAR_AVERAGE) / _SMEAR_AVERAGE
+    # At the ends the box covers fewer pixels: without the weight both ends would look bright.
     weight = np.convolve(np.ones(value_row.size), box, mode="same")
     above = [row - np.convolve(row, box, mode="same") / weight for row in (value_row, sum_row)]
     product = above[0] * above[1]

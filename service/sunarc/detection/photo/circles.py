@@ -75,8 +75,10 @@ def _outline(mask: NDArray[np.uint8], start: Circle) -> FloatArray:
     held = [c for c in contours if cv2.pointPolygonTest(c, (start.x, start.y), measureDist=False) >= 0]
     if not held:
         return np.zeros((0, 2))
+    # Of an outline and the holes in it, the innermost one around the start is the region's own.
     points = min(held, key=cv2.contourArea)[:, 0, :].astype(np.float64)
     height, width = mask.shape
+    # Points on the border are the image's outline, not the region's.
     inner = (points > 0).all(axis=1) & (points[:, 0] < width - 1) & (points[:, 1] < height - 1)
     return np.asarray(points[inner])
 
@@ -96,6 +98,7 @@ def _fitted(points: FloatArray, start: Circle) -> Circle:
         step = np.linalg.solve(matrix, design.T @ (weight * residual))
         x, y, radius = x + float(step[0]), y + float(step[1]), max(radius + float(step[2]), 1.0)
         core = np.abs(residual[weight > 0.0])
+        # Not below half a pixel: an outline of whole pixels scatters by that much.
         scale = max(1.4826 * float(np.median(core)) if core.size else scale, _LEAST_SCALE_PX)
     followed = np.abs(residual) < max(_CUT * _LEAST_SCALE_PX, 0.1 * radius)
     angle = np.arctan2(points[followed, 1] - y, points[followed, 0] - x)
