@@ -32,7 +32,7 @@ sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
     from sunarc.runtime import clock
     from sunarc.workers.timing import clock_agreement
-    clock_agreement.SETTLE_S = 60.0  # ten minutes otherwise
+    clock_agreement.SETTLE_S = 150.0  # ten minutes otherwise
     def setting():
         seconds, state = open("/etc/sunarc/clock").read().split()
         return float(seconds), state == "synchronised"
@@ -118,7 +118,7 @@ def test_a_start_with_the_clock_400_days_ahead_costs_neither_calibration_nor_ima
     field.do("systemctl", "restart", "sunarc")
     field.wait_until_ready()
     before = trusted(field)
-    wait_for(lambda: trusted(field) >= before + 10, within_s=300.0, what="trusted sightings", every_s=1.0)
+    wait_for(lambda: trusted(field) >= before + 10, within_s=400.0, what="trusted sightings", every_s=1.0)
     assert field.ask("/v1/calibration")["id"] == calibration
     assert field.sql("SELECT count(*) FROM pose_epoch") == "1"
     assert field.sql("SELECT kind FROM event WHERE kind IN ('bump', 'lens', 'clock')") == ""

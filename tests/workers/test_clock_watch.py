@@ -15,6 +15,7 @@ from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers import UNKNOWN_ERROR_S, ClockOptions, ClockWatch, FrameTime
+from sunarc.workers.timing.clock_agreement import SETTLE_S
 from sunarc.workers.timing.clock_watch import LEAST_ERROR_S, SHOW_STEP_S
 
 from .conftest import NOON
@@ -202,6 +203,18 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
     assert archive.events("roof") == ()
     watch.look()
     assert [event.kind for event in archive.events("roof")] == ["clock_step"]
+
+
+@pytest.mark.parametrize(("days", "trusted"), [(1, True), (400, False)])
+def test_a_start_long_after_the_record_is_distrusted_until_the_clock_has_settled(
+    watch_with: MakeWatch, clock: VirtualClock, archive: Archive, *, days: int, trusted: bool
+) -> None:
+    store_sighting(archive, clock.now() - timedelta(days=days), clock_error_s=0.01)
+    watch = watch_with()
+    assert watch.trusted() == trusted
+    clock.advance(SETTLE_S + 1.0)
+    watch.look()
+    assert watch.trusted()
 
 
 def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_be_read_at_first(

@@ -24,7 +24,14 @@ from sunarc.calibration import (
     project_with_covariance,
     to_document,
 )
-from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
+from sunarc.calibration.change_detection import (
+    Change,
+    Sighting,
+    SightingWindow,
+    WatchOptions,
+    detect_change,
+    update_window,
+)
 from sunarc.errors import OutsideError
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.status import StatusRegistry
@@ -206,6 +213,20 @@ def test_a_camera_that_looks_elsewhere_is_followed(imager: Imager) -> None:
     assert [event.kind for event in imager.events()] == ["bump"]
     assert off_in_sigmas(imager.served(), moved) < 2.0
     assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size >= 4
+
+
+def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
+    imager: Imager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detect_change, "REMEMBERED", 12)
+    moved = turned(TRUTH, (12.0, 8.0, -20.0))
+    monkeypatch.setattr(imager.watch._reposer, "improve", lambda: False)
+    imager.see_many(TRUTH, range(-10, 0))
+    imager.see_many(moved, range(30), verdict="elsewhere")
+    assert [event.kind for event in imager.events()] == ["bump"]
+    assert len(imager.archive.epochs("roof")) == 2
+    assert "changed_bump" in imager.codes()
+    assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size == 30
 
 
 def test_a_set_clock_leaves_the_calibration_alone_until_it_is_right_again(imager: Imager) -> None:

@@ -184,12 +184,24 @@ class WatchWorker:
     def _act(self, change: Change) -> None:
         """Tell, and do what the change asks for."""
         at = _moment(change.at_unix_s)
+        moved = change.kind == "bump" or change.kind in LENS_KINDS
+        if moved and self._is_of_this_epoch(change):
+            self._show(change, at)
+            self._archive.readmit(self._camera, since=at, until=self._latest())
+            return
         self._tell(change, at)
-        if change.kind == "bump" or change.kind in LENS_KINDS:
+        if moved:
             self._open_epoch(change, at)
         else:
             self._fault, self._agreeing = change, 0
             self._camera.exclude(since=at, reason=f"{change.kind}: {change.text}")
+
+    def _is_of_this_epoch(self, change: Change) -> bool:
+        """Return whether a move began the present epoch, and no pose has been found since: it is no second one."""
+        epoch = self._present_epoch()
+        if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
+            return False
+        return bool(self._archive.events(self._camera, kind=change.kind, since=epoch.started_at, until=self._latest()))
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
@@ -232,6 +244,9 @@ class WatchWorker:
             time=at, kind=change.kind, severity="alarm", text=change.text, camera=self._camera.name, details=details
         )
         self._camera.archive.add_event(event)
+        self._show(change, at)
+
+    def _show(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
         self._board.set_reason(Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy))
 

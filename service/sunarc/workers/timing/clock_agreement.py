@@ -48,8 +48,10 @@ class ClockAgreement:
         left_s : what is left of a wait that an earlier process began, seconds.
         """
         self._began_s, self._newest_stored = reading.monotonic_s, newest_stored
-        if newest_stored is not None and reading.wall < newest_stored - timedelta(seconds=LARGE_STEP_S):
-            left_s = max(left_s, SETTLE_S)
+        if newest_stored is not None:
+            gap = reading.wall - newest_stored
+            if not -timedelta(seconds=LARGE_STEP_S) <= gap <= _LONGEST_GAP:  # not one service's end and start
+                left_s = max(left_s, SETTLE_S)
         if left_s > self.wait_s(reading.monotonic_s):
             self._settling = _Settling(reading.monotonic_s, min(left_s, IMPLAUSIBLE_SETTLE_S))
 
