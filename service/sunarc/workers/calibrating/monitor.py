@@ -185,8 +185,9 @@ class WatchWorker:
         """Tell, and do what the change asks for."""
         at = _moment(change.at_unix_s)
         moved = change.kind == "bump" or change.kind in LENS_KINDS
-        if moved and self._is_of_this_epoch(change):
-            self._show(change, at)
+        epoch = self._epoch_begun_by(change) if moved else None
+        if epoch is not None:
+            self._show(change, epoch.started_at)
             self._archive.readmit(self._camera, since=at, until=self._latest())
             return
         self._tell(change, at)
@@ -196,12 +197,13 @@ class WatchWorker:
             self._fault, self._agreeing = change, 0
             self._camera.exclude(since=at, reason=f"{change.kind}: {change.text}")
 
-    def _is_of_this_epoch(self, change: Change) -> bool:
-        """Return whether a move began the present epoch, and no pose has been found since: it is no second one."""
+    def _epoch_begun_by(self, change: Change) -> PoseEpoch | None:
+        """Return the present epoch where the move began it and no pose has been found since; None for another move."""
         epoch = self._present_epoch()
         if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
-            return False
-        return bool(self._archive.events(self._camera, kind=change.kind, since=epoch.started_at, until=self._latest()))
+            return None
+        known = self._archive.events(self._camera, kind=change.kind, since=epoch.started_at, until=self._latest())
+        return epoch if known else None
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
