@@ -188,7 +188,7 @@ class WatchWorker:
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
             self._show(change, epoch.started_at)
-            self._archive.readmit(self._camera, since=at, until=self._latest())
+            self._camera.readmit(since=at, until=self._latest())
             return
         self._tell(change, at)
         if moved:
@@ -202,7 +202,7 @@ class WatchWorker:
         epoch = self._present_epoch()
         if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
             return None
-        known = self._archive.events(self._camera, kind=change.kind, since=epoch.started_at, until=self._latest())
+        known = self._camera.events(kind=change.kind, since=epoch.started_at, until=self._latest())
         return epoch if known else None
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
