@@ -104,6 +104,5 @@ def test_a_store_that_cannot_be_read_hinders_no_start(start: Callable[[], Servic
         images=ImageStore(tmp_path / "images"),
         camera="imager",
         until=None,
-        largest_clock_error_s=2.0,
     )
     assert board.snapshot().last_sighting_at is None

@@ -148,14 +148,12 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
         options=CalibrationOptions(),
         wander_deg=0.0,
         now=clock.now,
-        largest_clock_error_s=2.0,
     )
     watch = WatchWorker(
         camera=CameraArchive(archive, name="roof", site=SITE),
         options=WatchOptions(),
         reposer=reposer,
         now=clock.now,
-        largest_clock_error_s=2.0,
         board=board,
     )
     watch.remember()

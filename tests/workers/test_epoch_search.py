@@ -189,7 +189,6 @@ def searching(archive: Archive) -> EpochSearch:
         camera=CameraArchive(archive, name="roof", site=SGP),
         options=CalibrationOptions(),
         circle=None,
-        largest_clock_error_s=2.0,
         now=lambda: NOW,
     )
 

@@ -79,7 +79,7 @@ def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
 def test_the_search_for_pose_epochs_is_given_the_measured_air(archive: Archive) -> None:
     search = EpochSearch(
         camera=CameraArchive(archive, name="roof", site=SITE), options=CalibrationOptions(), circle=None,
-        largest_clock_error_s=1.0, now=lambda: NOON + timedelta(days=2),
+        now=lambda: NOON + timedelta(days=2),
     )  # fmt: skip
     problem = search.due()
     assert problem is not None

@@ -94,14 +94,12 @@ class Imager:
             options=CalibrationOptions(level_within_deg=40.0),
             wander_deg=0.0,
             now=lambda: self.now,
-            largest_clock_error_s=2.0,
         )
         return WatchWorker(
             camera=CameraArchive(self.archive, name="roof", site=SGP),
             options=WatchOptions(),
             reposer=reposer,
             now=lambda: self.now,
-            largest_clock_error_s=2.0,
             board=self.board,
         )
 

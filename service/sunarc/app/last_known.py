@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import TypedDict
 
 from sunarc.archive import Archive, ImageStore
+from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.errors import OutsideError
 from sunarc.runtime.status import StatusRegistry
 
@@ -27,7 +28,6 @@ def restore_last_known(
     images: ImageStore,
     camera: str,
     until: datetime | None,
-    largest_clock_error_s: float,
 ) -> None:
     """Write on the board when the last frame and the last accepted sighting were, as the store has them.
 
@@ -37,9 +37,8 @@ def restore_last_known(
     archive, images : what was stored; where that cannot be read, nothing is written.
     camera : whose sightings.
     until : now; later times are of a clock that was ahead. None where times jump by nature (replay, simulation).
-    largest_clock_error_s : a sighting whose clock may be wrong by more is not counted.
     """
-    wanted: _Wanted = {"until": until, "largest_clock_error_s": largest_clock_error_s, "newest_first": True, "limit": 1}
+    wanted: _Wanted = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
     try:
         looks = archive.sun_points(camera, **wanted)
         sightings = archive.sun_points(camera, accepted=True, **wanted)

@@ -13,7 +13,7 @@ import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, CameraArchive, ImageStore, Recovery, Refit, Reserve
-from sunarc.calibration import DayOptions
+from sunarc.calibration import MAX_CLOCK_ERROR_S, DayOptions
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
@@ -74,13 +74,11 @@ class Service:
         self.archive = archive
         self.camera = CameraArchive(archive, name=settings.name, site=settings.site)
         self.clock = clock
-        self.largest_clock_error_s = settings.refit.selection.largest_clock_error_s
         self.board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = self._new_clock_watch()
         self.predictor = SunPredictor(
             self.camera,
-            largest_clock_error_s=self.largest_clock_error_s,
         )
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
@@ -118,7 +116,6 @@ class Service:
             camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
             finds_steps=self._in_real_time,
             board=self.board,
-            largest_clock_error_s=self.largest_clock_error_s,
         )
 
     @property
@@ -133,7 +130,6 @@ class Service:
             images=self.images,
             camera=self.settings.name,
             until=self.clock.now() if self._in_real_time else None,
-            largest_clock_error_s=self.largest_clock_error_s,
         )
 
     def workers(self) -> tuple[Supervised, ...]:
@@ -217,7 +213,7 @@ class Service:
         now = self.frame_time.now()
         if self.frame_time.known and self.clock_watch.trusted():
             return now
-        newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=self.largest_clock_error_s)
+        newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=MAX_CLOCK_ERROR_S)
         return now if newest is None else newest + timedelta(microseconds=1)
 
     def capture_worker(self) -> CaptureWorker:
@@ -321,10 +317,8 @@ class Service:
                 options=settings.calibration,
                 wander_deg=settings.watch.wander_deg,
                 now=self.frame_time.now,
-                largest_clock_error_s=self.largest_clock_error_s,
             ),
             now=self.frame_time.now,
-            largest_clock_error_s=self.largest_clock_error_s,
             board=self.board,
         )
 

@@ -23,6 +23,9 @@ _AIR_RUNS = 8
 """Days, or runs of days in a longer record, whose air is taken to differ: the weather's in a short record, the season's
 in a long one, whose daily weather averages out."""
 
+MAX_CLOCK_ERROR_S = 2.0
+"""Sightings whose clock may be wrong by more are used for nothing: 2 s turn the sky by 0.008 degrees."""
+
 
 def _unknown() -> FloatArray:
     return np.array(np.nan)

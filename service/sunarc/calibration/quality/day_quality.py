@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sunarc.bounds import Count, Positive, Share, require_bounds
 from sunarc.calibration.model.metrics import measures
-from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampling_of
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
@@ -54,7 +54,7 @@ class DayOptions:
     clear_sd_px: Positive = 1.5
     smallest_count: Count = 20
     smallest_arc_deg: Positive = 15.0
-    largest_clock_error_s: Positive = 2.0
+    largest_clock_error_s: Positive = MAX_CLOCK_ERROR_S
     doubtful_share: Annotated[float, Gt(0.0), Le(1.0)] = 0.5
 
     def __post_init__(self) -> None:

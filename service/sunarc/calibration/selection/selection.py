@@ -15,7 +15,7 @@ from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
 from sunarc.bounds import Count, Positive, require_bounds
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
 from sunarc.calibration.selection.sky_grid import sky_patches
 from sunarc.sky import Site, sun_directions
 
@@ -47,7 +47,7 @@ class SelectionOptions:
     most_per_patch: Count = 96
     most_per_epoch: Count = 64
     most: Count = 30_000
-    largest_clock_error_s: Positive = 2.0
+    largest_clock_error_s: Positive = MAX_CLOCK_ERROR_S
 
     def __post_init__(self) -> None:
         """Refuse limits that leave nothing."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
-from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PoseStep
+from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
 from sunarc.errors import InputError
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import Problem
@@ -41,7 +41,6 @@ class EpochSearch:
     ----------
     camera : its archive and site.
     options, circle : how to fit.
-    largest_clock_error_s : sightings whose clock may be wrong by more are left out.
     now : frame time, which dates events.
     """
 
@@ -51,13 +50,11 @@ class EpochSearch:
         *,
         options: CalibrationOptions,
         circle: ImageCircle | None,
-        largest_clock_error_s: float,
         now: Callable[[], datetime],
     ) -> None:
         self._camera = camera
         self._options = options
         self._circle = circle
-        self._largest_clock_error_s = largest_clock_error_s
         self._now = now
         self._last_id = 0
 
@@ -89,7 +86,7 @@ class EpochSearch:
         if self._camera.current_calibration() is not None:
             imported = self._camera.sun_point_columns(method="import")
             fresh &= np.isin(columns.ids, imported.ids)
-        sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > self._largest_clock_error_s)
+        sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > MAX_CLOCK_ERROR_S)
         if not np.any(fresh):
             return fresh
         times, new = columns.unix_s, columns.unix_s[fresh]

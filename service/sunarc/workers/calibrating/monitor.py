@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, Event, PoseEpoch, SunPoint
-from sunarc.calibration import Calibration
+from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration
 from sunarc.calibration.change_detection import (
     LENS_KINDS,
     REMEMBERED,
@@ -46,7 +46,6 @@ class WatchWorker:
     options : thresholds of a change.
     reposer : poses the camera anew.
     now : frame time; sightings and pose epochs dated later are not used.
-    largest_clock_error_s : a sighting whose clock may be wrong by more is not used.
     board : where a change degrades the service.
     """
 
@@ -57,14 +56,12 @@ class WatchWorker:
         options: WatchOptions,
         reposer: ProvisionalPoseEstimator,
         now: Callable[[], datetime],
-        largest_clock_error_s: float,
         board: StatusRegistry,
     ) -> None:
         self._camera = camera
         self._options = options
         self._reposer = reposer
         self._now = now
-        self._largest_clock_error_s = largest_clock_error_s
         self._board = board
         self._sightings: DropOldestQueue[Sighting] = DropOldestQueue(capacity=_WAITING)
         self._watch = SightingWindow()
@@ -84,7 +81,7 @@ class WatchWorker:
         clock_error_s: float | None = None,
     ) -> None:
         """Take note of a sighting, unless its time is doubtful; never waits."""
-        if clock_error_s is None or clock_error_s <= self._largest_clock_error_s:
+        if clock_error_s is None or clock_error_s <= MAX_CLOCK_ERROR_S:
             self._sightings.put(self._watched(moment, x_px, y_px, sigma_px))
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -107,7 +104,7 @@ class WatchWorker:
         seen = self._camera.sun_points(
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
-            largest_clock_error_s=self._largest_clock_error_s,
+            largest_clock_error_s=MAX_CLOCK_ERROR_S,
             newest_first=True,
             limit=2 * REMEMBERED,
         )

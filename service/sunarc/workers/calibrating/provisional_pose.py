@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import sunarc
 from sunarc.archive import LENS_CHANGED, CalibrationRecord, CameraArchive, PoseEpoch
-from sunarc.calibration import Calibration, CalibrationOptions, estimate_pose, to_document
+from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, estimate_pose, to_document
 from sunarc.errors import InputError
 from sunarc.workers.fit_input import points_of
 
@@ -40,7 +40,6 @@ class ProvisionalPoseEstimator:
     options : what makes a pose acceptable.
     wander_deg : 1-sigma by which the mount wanders.
     now : frame time, which dates calibrations; pose epochs and sightings dated later are not used.
-    largest_clock_error_s : a sighting whose clock may be wrong by more is not used.
     """
 
     def __init__(
@@ -50,13 +49,11 @@ class ProvisionalPoseEstimator:
         options: CalibrationOptions,
         wander_deg: float,
         now: Callable[[], datetime],
-        largest_clock_error_s: float,
     ) -> None:
         self._camera = camera
         self._options = options
         self._wander_deg = wander_deg
         self._now = now
-        self._largest_clock_error_s = largest_clock_error_s
         self._tried: _Tried | None = None
 
     def improve(self) -> bool:
@@ -72,7 +69,7 @@ class ProvisionalPoseEstimator:
         if lens is None or self._is_of_later(current, epoch):
             return False
         columns = self._camera.sun_point_columns(
-            pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=self._largest_clock_error_s
+            pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
         count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0

@@ -123,7 +123,6 @@ class RefitWorker:
             camera,
             options=calibration,
             circle=self._circle(),
-            largest_clock_error_s=options.selection.largest_clock_error_s,
             now=now,
         )
 

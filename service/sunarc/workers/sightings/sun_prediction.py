@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from sunarc.archive import CameraArchive
-from sunarc.calibration import project_with_covariance
+from sunarc.calibration import MAX_CLOCK_ERROR_S, project_with_covariance
 from sunarc.detection import ClearSun, Expectation, clear_sun
 from sunarc.optics import local_stretch
 from sunarc.sky import sun_angles, sun_directions
@@ -28,12 +28,10 @@ class SunPredictor:
     archive : where the calibrations are.
     camera : the camera's name.
     site : where it stands.
-    largest_clock_error_s : the brightness of a sighting whose clock may be wrong by more is not used.
     """
 
-    def __init__(self, camera: CameraArchive, *, largest_clock_error_s: float | None = None) -> None:
+    def __init__(self, camera: CameraArchive) -> None:
         self._camera = camera
-        self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
         self._clear: tuple[datetime, ClearSun | None] | None = None
 
@@ -57,7 +55,7 @@ class SunPredictor:
         unix_s, levels = self._camera.sun_levels(
             since=moment - _BRIGHTNESS_OF,
             until=moment,
-            largest_clock_error_s=self._largest_clock_error_s,
+            largest_clock_error_s=MAX_CLOCK_ERROR_S,
         )
         zenith = sun_angles(unix_s, self._camera.site).apparent_zenith
         day = np.floor((unix_s + self._camera.site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)

@@ -14,6 +14,7 @@ from annotated_types import Gt, Le
 
 from sunarc.archive import Archive, Event
 from sunarc.bounds import require_bounds
+from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
@@ -72,7 +73,6 @@ class ClockWatch:
     camera_error_s : bound of the camera's disciplined clock where it dates the frames; None where the host's does.
     finds_steps : false for times that jump by nature: a replay's, or a simulation's that skips its nights.
     board : where the clock's state is shown.
-    largest_clock_error_s : sightings whose clock may be wrong by more say nothing of the present time.
     """
 
     def __init__(
@@ -86,7 +86,6 @@ class ClockWatch:
         camera_error_s: float | None,
         finds_steps: bool,
         board: StatusRegistry,
-        largest_clock_error_s: float = 2.0,
     ) -> None:
         self._clock = clock
         self._frame_time = frame_time
@@ -96,7 +95,6 @@ class ClockWatch:
         self._camera_error_s = camera_error_s
         self._finds_steps = finds_steps
         self._board = board
-        self._largest_clock_error_s = largest_clock_error_s
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
         self._left_alone_since_s = clock.monotonic()
@@ -169,7 +167,7 @@ class ClockWatch:
 
     def _is_camera_far_off(self) -> bool:
         smallest_s = min(self._camera_offsets_s(), key=abs, default=0.0)
-        return abs(smallest_s) > self._largest_clock_error_s
+        return abs(smallest_s) > MAX_CLOCK_ERROR_S
 
     def _compare(self) -> None:
         if not self._finds_steps or not self._frame_time.known:
@@ -194,7 +192,7 @@ class ClockWatch:
         """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
-            newest = self._archive.newest_sighting_time(self._camera, largest_clock_error_s=self._largest_clock_error_s)
+            newest = self._archive.newest_sighting_time(self._camera, largest_clock_error_s=MAX_CLOCK_ERROR_S)
             events = self._archive.events(self._camera, since=now.wall - day, until=now.wall + timedelta(seconds=1))
         except OutsideError as error:
             _log.warning("could not compare the clock with the record: %s", error)
