@@ -53,8 +53,10 @@ def _times(days: tuple[float, ...], *, hours: tuple[float, float], cadence_s: fl
 
 
 def _sightings(camera: Camera, times: FloatArray, *, sigma_px: float, seed: int) -> SunPoints:
+    """Return sightings with white noise, to 1e-6 px: the last digit of `project` does not reach the fit."""
     pixels = project(camera, sun_directions(times, SGP))
-    return SunPoints(unix_s=times, pixels=pixels + np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape))
+    noise = np.random.default_rng(seed).normal(0.0, sigma_px, pixels.shape)
+    return SunPoints(unix_s=times, pixels=np.round(pixels + noise, 6))
 
 
 def _equisolid() -> Calibration:
