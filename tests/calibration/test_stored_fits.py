@@ -155,7 +155,6 @@ def _answer(solved: Calibration) -> dict[str, list[float]]:
         "metrics": [solved.metrics.rmse_px, solved.metrics.mae_px, solved.metrics.rmse_deg],
         "sky_deg": [solved.sky_rms_deg, solved.sky_max_deg],
         "field": [solved.field.amplitude_px, solved.field.length_px],
-        "backward": [*solved.backward.radial, *solved.backward.decentering],
         "counts": [float(solved.evidence.n_used), float(solved.evidence.n_rejected)],
     }
 

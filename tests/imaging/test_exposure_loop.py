@@ -106,7 +106,7 @@ def test_the_level_above_the_air_is_the_peak_per_microsecond_over_the_clear_sky_
     state = SunExposureState(exposures_us=(100.0,))
     for zenith, air_mass in ((0.0, 1.0), (60.0, 1.994), (80.0, 5.58)):
         found = step(state, SunLook(peaks=(Peak(exposure_us=100.0, fraction=0.5),), apparent_zenith=zenith))
-        assert found.level_above_air == pytest.approx(0.005 * math.exp(0.3 * air_mass), rel=3e-3)
+        assert found.level_above_air == pytest.approx(0.005 * math.exp(0.2 * air_mass), rel=3e-3)
 
 
 def test_one_exposure_needs_two_good_cycles_and_a_sun_above_ten_degrees() -> None:
@@ -156,7 +156,7 @@ def test_a_lost_sun_is_awaited_with_the_exposure_of_a_clear_sky_at_its_height() 
         state = step(state, gone)
         assert (state.exposures_us, state.cycles_lost, state.cycles_steady) == ((100.0,), lost, 0)
     state = step(state, gone)
-    assert state.exposures_us[0] == pytest.approx(AIM / (0.004 * math.exp(-0.3 * 1.994)), abs=1.0)
+    assert state.exposures_us[0] == pytest.approx(AIM / (0.004 * math.exp(-0.2 * 1.994)), abs=1.0)
     assert state.exposures_us[1] == pytest.approx(4.0 * state.exposures_us[0], abs=2.1)
     known = step(state, replace(gone, clear_level_per_us=0.002))
     assert known.exposures_us[0] == pytest.approx(AIM / 0.002, abs=0.51)

@@ -106,14 +106,13 @@ class Service:
         self._open_camera = open_camera
 
     def _new_clock_watch(self) -> ClockWatch:
-        settings = self.settings
         return ClockWatch(
             clock=self.clock,
             frame_time=self.frame_time,
             archive=self.archive,
-            camera=settings.name,
-            options=settings.clock,
-            camera_error_s=settings.capture.camera_clock_error_s if settings.dated_by_camera else None,
+            camera=self.settings.name,
+            options=self.settings.clock,
+            camera_error_s=self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None,
             finds_steps=self._in_real_time,
             board=self.board,
         )

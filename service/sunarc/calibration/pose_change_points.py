@@ -16,19 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose_step_evidence import log_bayes_factor
-from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
+from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 _SIDE = 12
 """Sightings that are looked at on either side of a gap."""
@@ -169,7 +167,7 @@ def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) 
     """
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
     scale = robust_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
-    before, after = (tukey_loss(np.nan_to_num(distance, nan=1e4), sigma=scale) for distance in off)
+    before, after = (tukey_loss(finite(distance), sigma=scale) for distance in off)
     wrong = np.r_[0.0, np.cumsum(before - after)]
     return int(near.start + np.argmin(wrong))
 
@@ -180,7 +178,7 @@ def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
     for epoch, pose in enumerate(solved.poses):
         mine = usable.epoch == epoch
         predicted[mine] = project_fast(replace(solved.camera, rotation_cam_enu=pose), usable.directions[mine])
-    return np.asarray(np.nan_to_num(usable.pixels - predicted, nan=1e4))
+    return finite(usable.pixels - predicted)
 
 
 def _gain(before: FloatArray, after: FloatArray, usable: FilteredSightings, solved: Calibration) -> float:
@@ -246,9 +244,7 @@ def _one_pose(usable: FilteredSightings, row: int) -> bool:
     return bool(usable.epoch[row] == usable.epoch[row - 1])
 
 
-def _same_hours(
-    residual: FloatArray, usable: FilteredSightings, early: NDArray[np.int64], late: NDArray[np.int64]
-) -> float:
+def _same_hours(residual: FloatArray, usable: FilteredSightings, early: IntArray, late: IntArray) -> float:
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
     hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], _DAY_S)
     before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], _DAY_S)

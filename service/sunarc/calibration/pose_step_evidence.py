@@ -17,18 +17,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, lens_prior, precisions
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.least_squares.priors import LENS, N_LENS, lens_prior, precisions
 from sunarc.calibration.model.options import LensTolerances
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma
-from sunarc.optics import Camera, project_with_rows_fast
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from sunarc.optics import Camera, Param, project_with_rows_fast
+from sunarc.optics.camera import POSE
 
 _MOST_ROWS = 280
 """Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
@@ -214,7 +211,7 @@ def _derivatives(camera: Camera, rows: _Rows, *, turn_rad: float) -> FloatArray:
     """Return (n, 2, p): the prediction by lens, pose and (`turn_rad` > 0) step, each of unit prior variance."""
     widest = float(np.clip(camera.max_angle, 0.1, _RIGHT_ANGLE))
     prior = lens_prior(camera, tolerances=LensTolerances(), circle=None, field_angle=widest)
-    basis = np.zeros((23, N_LENS + 3))
+    basis = np.zeros((len(Param), N_LENS + 3))
     basis[LENS, :N_LENS] = prior.basis / np.sqrt(precisions(_RADIAL_PX, _DECENTERING_PX))
     basis[POSE, N_LENS:] = _POSE_RAD * np.eye(3)
     by_parameters = project_with_rows_fast(camera, rows.directions)[1]

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
@@ -18,9 +18,6 @@ from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.pose import daily_pose_offset
 from sunarc.calibration.pose_change_points import best_row, calibrate_moved
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _PER_DAY = 150
 """Sightings of a day that the search looks at; the step itself is dated among all."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sunarc.array_types import FloatArray
+from sunarc.robust_statistics import biweights
 
+UNSEEN_PX = 1e4
+"""Residual of a direction that the camera cannot see, px: beyond any cut."""
 CUT = 5.0
 """Distance in sigmas beyond which a sighting counts nothing."""
 
@@ -16,16 +18,20 @@ _ROUNDS = 60
 _KEEP = 2.5
 
 
-def tukey_weights(distance: FloatArray, *, sigma: float, cut: float = CUT) -> FloatArray:
-    """Return weights from 1 (at 0) to 0 (from `cut` sigmas on) for 2-D distances."""
-    ratio = np.minimum(distance / (cut * sigma), 1.0)
-    return np.asarray((1.0 - ratio**2) ** 2)
+def finite(residual: FloatArray) -> FloatArray:
+    """Return residuals, px; `UNSEEN_PX` where the camera cannot see the direction."""
+    return np.where(np.isfinite(residual), residual, UNSEEN_PX)
 
 
-def tukey_loss(distance: FloatArray, *, sigma: float, cut: float = CUT) -> FloatArray:
-    """Return the loss whose weights `tukey_weights` are: d²/2σ² near 0, constant from `cut` sigmas on."""
-    ratio = np.minimum(distance / (cut * sigma), 1.0)
-    return np.asarray(cut**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
+def tukey_weights(distance: FloatArray, *, sigma: float) -> FloatArray:
+    """Return weights from 1 (at 0) to 0 (from `CUT` sigmas on) for 2-D distances."""
+    return biweights(distance / (CUT * sigma))
+
+
+def tukey_loss(distance: FloatArray, *, sigma: float) -> FloatArray:
+    """Return the loss whose weights `tukey_weights` are: d²/2σ² near 0, constant from `CUT` sigmas on."""
+    ratio = np.minimum(distance / (CUT * sigma), 1.0)
+    return np.asarray(CUT**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
 
 
 def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-9) -> float:

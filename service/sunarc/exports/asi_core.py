@@ -12,13 +12,11 @@ import re
 
 import numpy as np
 import scipy.io
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration import BackProjectionMap
 from sunarc.exports.ocam import OcamModel
-
-FloatArray = NDArray[np.float64]
 
 _HORIZON_DEG = 90.0
 

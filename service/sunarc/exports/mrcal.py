@@ -10,14 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 from scipy.sparse.linalg import spsolve
 
+from sunarc.array_types import FloatArray
 from sunarc.exports.sky import FitError, fit_error, sky_of
 from sunarc.optics import Camera
-
-FloatArray = NDArray[np.float64]
 
 _KNOTS = 40
 _STIFFNESS = 1e-7

@@ -12,12 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
 from sunarc.optics import Camera, project, rotation_matrix
-
-FloatArray = NDArray[np.float64]
 
 _FORWARD = 11
 _BACKWARD = tuple((0, *range(2, degree + 1)) for degree in (4, 5, 6, 7, 8))

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
 from sunarc.optics import Camera, rotation_matrix
-
-FloatArray = NDArray[np.float64]
 
 _WITHIN = math.radians(89.5)
 

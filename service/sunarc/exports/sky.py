@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration import camera_sees, hemisphere
 from sunarc.optics import Camera, local_stretch, project, rising_limit, rotation_matrix
-
-FloatArray = NDArray[np.float64]
 
 _COUNT = 4000
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration import BackProjectionMap, Calibration, lookup
 from sunarc.exports.sky import FitError, fit_error, sky_of
 from sunarc.extras import extra_module
@@ -134,13 +135,13 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     return Table(variables=variables, attributes=attributes), error
 
 
-def _every(step: int, size: int) -> NDArray[np.int64]:
+def _every(step: int, size: int) -> IntArray:
     """Return every so manieth pixel, and the last one."""
     return np.unique(np.r_[np.arange(0, size, step), size - 1])
 
 
-def _axes(x: NDArray[np.int64], y: NDArray[np.int64]) -> dict[str, Variable]:
-    def axis(name: str, values: NDArray[np.int64], meaning: str) -> Variable:
+def _axes(x: IntArray, y: IntArray) -> dict[str, Variable]:
+    def axis(name: str, values: IntArray, meaning: str) -> Variable:
         return Variable(
             dimensions=(name,), values=values.astype(np.int32), attributes={"units": "1", "long_name": meaning}
         )
@@ -212,9 +213,7 @@ def _attributes(document: Mapping[str, Any], *, title: str) -> dict[str, Any]:
     }
 
 
-def _bilinear_error(
-    camera: Camera, x: NDArray[np.int64], y: NDArray[np.int64], directions: NDArray[np.float64]
-) -> FitError:
+def _bilinear_error(camera: Camera, x: IntArray, y: IntArray, directions: FloatArray) -> FitError:
     sky = sky_of(camera, within=camera.max_angle)
     from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, Place, place_of
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 5
 _LEVEL = 1e-4

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
+from sunarc.array_types import FloatArray, IntArray
+
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 TOLERANCE = 1.6

@@ -11,8 +11,8 @@ from annotated_types import Gt, Le, Lt
 
 from sunarc.bounds import require_bounds
 from sunarc.errors import InputError
+from sunarc.sky import clear_transmission
 
-_OPTICAL_DEPTH = 0.3
 _BRACKET_RATIO = 4.0
 """The two exposures of a bracket are this factor apart: with a band of a factor of 2 they span a factor of 8."""
 _MAX_CHANGE = 16.0
@@ -133,7 +133,7 @@ def next_sun_exposures(
         wanted = state.exposures_us[0]
     steady = state.cycles_steady + 1 if _any_good(peaks, options, bounds) else 0
     best = _best(peaks, options)
-    level = best.fraction / best.exposure_us / _transmission(look.apparent_zenith)
+    level = best.fraction / best.exposure_us / _transmission(look)
     settled = steady >= _STEADY_AFTER and look.apparent_zenith < _LOW_SUN_ZENITH_DEG
     return SunExposureState(
         exposures_us=_beside_the_clear(wanted, look, options, bounds, settled=settled),
@@ -174,15 +174,13 @@ def _beside_the_clear(
 
 
 def _clear_us(state: SunExposureState, look: SunLook, options: SunExposureOptions) -> float | None:
-    level = look.clear_level_per_us or state.level_above_air * _transmission(look.apparent_zenith)
+    level = look.clear_level_per_us or state.level_above_air * _transmission(look)
     return _aim(options) / level if level > 0.0 else None
 
 
-def _transmission(apparent_zenith: float) -> float:
-    """Return a clear sky's, by Kasten and Young's (1989) relative air mass; for a first guess only."""
-    zenith = min(max(apparent_zenith, 0.0), 88.0)
-    air_mass = 1.0 / (math.cos(math.radians(zenith)) + 0.50572 * (96.07995 - zenith) ** -1.6364)
-    return math.exp(-_OPTICAL_DEPTH * air_mass)
+def _transmission(look: SunLook) -> float:
+    """Return a clear sky's transmission at the sun's height, below 88 degrees that of 88: for a first guess only."""
+    return clear_transmission(min(look.apparent_zenith, 88.0))
 
 
 def _finite_positive(value: float) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.detection import Image, Sensor
 from sunarc.errors import InputError
 from sunarc.jit import njit
@@ -86,7 +87,7 @@ def _require_alike(images: Sequence[Image], exposures_us: Sequence[float]) -> No
 @njit(nogil=True)
 def _merge(  # noqa: PLR0917 - numba compiles no keyword-only arguments
     stack: Image,
-    exposures: NDArray[np.float64],
+    exposures: FloatArray,
     black: float,
     saturated_from: float,
     read_variance: float,

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.imaging.brightness import Exposed
-
-FloatArray = NDArray[np.float64]
 
 MOST_ALL_OVER = 2.0
 """Factor by which nearly all of the sky may gain or lose light within two minutes. The sun that comes out changes what

@@ -1,8 +1,8 @@
 """Camera model: projection, back-projection and derivatives."""
 
-from sunarc.optics.camera import PARAMETER_NAMES, Camera
-from sunarc.optics.fast import InverseTable, inverse_table, project_fast, project_with_rows_fast
-from sunarc.optics.forward import project, project_with_jacobian
+from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
+from sunarc.optics.fast import InverseTable, inverse_table
+from sunarc.optics.forward import project, project_fast, project_with_jacobian, project_with_rows_fast
 from sunarc.optics.inverse import unproject
 from sunarc.optics.pose import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
 from sunarc.optics.projections import PROJECTIONS, Projection, angle_limit, ideal_angle, ideal_radius
@@ -13,6 +13,7 @@ __all__ = [
     "PROJECTIONS",
     "Camera",
     "InverseTable",
+    "Param",
     "PoseAngles",
     "Projection",
     "angle_limit",

@@ -4,35 +4,54 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.optics.projections import PROJECTIONS, Projection
 
 RADIAL_ORDERS = tuple(range(2, 10))
 """Powers n of the radial coefficients k_n (Eq. 9; a k_1 would be the focal length once more)."""
 
-PARAMETER_NAMES: tuple[str, ...] = (
-    "focal_length_x_px",
-    "focal_length_y_px",
-    "skew_px",
-    "principal_point_x_px",
-    "principal_point_y_px",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
-    "translation_x",
-    "translation_y",
-    "translation_z",
-    *(f"k{n}" for n in RADIAL_ORDERS),
-    "p1",
-    "p2",
-    "p3",
-    "p4",
-)
-"""The paper's β (Eq. 13), in its order; rotations in radians, distances in sun distances."""
+
+class Param(IntEnum):
+    """Place of each parameter in the paper's β (Eq. 13); rotations in radians, translations in sun distances."""
+
+    FOCAL_LENGTH_X_PX = 0
+    FOCAL_LENGTH_Y_PX = 1
+    SKEW_PX = 2
+    PRINCIPAL_POINT_X_PX = 3
+    PRINCIPAL_POINT_Y_PX = 4
+    ROTATION_X = 5
+    ROTATION_Y = 6
+    ROTATION_Z = 7
+    TRANSLATION_X = 8
+    TRANSLATION_Y = 9
+    TRANSLATION_Z = 10
+    K2 = 11
+    K3 = 12
+    K4 = 13
+    K5 = 14
+    K6 = 15
+    K7 = 16
+    K8 = 17
+    K9 = 18
+    P1 = 19
+    P2 = 20
+    P3 = 21
+    P4 = 22
+
+
+PARAMETER_NAMES = tuple(one.name.lower() for one in Param)
+FOCAL_LENGTH = slice(Param.FOCAL_LENGTH_X_PX, Param.SKEW_PX)
+PRINCIPAL_POINT = slice(Param.PRINCIPAL_POINT_X_PX, Param.ROTATION_X)
+POSE = slice(Param.ROTATION_X, Param.TRANSLATION_X)
+TRANSLATION = slice(Param.TRANSLATION_X, Param.K2)
+RADIAL = slice(Param.K2, Param.P1)
+DECENTERING = slice(Param.P1, Param.P4 + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +100,8 @@ class Camera:
         if not np.all(np.isfinite(self.to_vector())) or not math.isfinite(self.max_angle):
             raise InputError(field="camera", problem="a parameter is not finite", remedy="give finite numbers")
 
-    def to_vector(self) -> NDArray[np.float64]:
-        """Return the 23 parameters in the order of `PARAMETER_NAMES`."""
+    def to_vector(self) -> FloatArray:
+        """Return the 23 parameters in the order of `Param`."""
         return np.array(
             [
                 *self.focal_length_px,
@@ -97,18 +116,18 @@ class Camera:
 
     def with_parameters(self, vector: ArrayLike) -> Camera:
         """Return this camera with the 23 parameters of `vector`."""
-        v = [float(x) for x in np.asarray(vector, dtype=np.float64)]
+        v = np.asarray(vector, dtype=np.float64).tolist()
         if len(v) != len(PARAMETER_NAMES):
             raise InputError(
                 field="parameters", problem=f"{len(v)} numbers", remedy=f"give {len(PARAMETER_NAMES)} numbers"
             )
         return replace(
             self,
-            focal_length_px=(v[0], v[1]),
-            skew_px=v[2],
-            principal_point_px=(v[3], v[4]),
-            rotation_cam_enu=(v[5], v[6], v[7]),
-            translation=(v[8], v[9], v[10]),
-            radial=tuple(v[11:19]),
-            decentering=tuple(v[19:23]),
+            focal_length_px=tuple(v[FOCAL_LENGTH]),
+            skew_px=v[Param.SKEW_PX],
+            principal_point_px=tuple(v[PRINCIPAL_POINT]),
+            rotation_cam_enu=tuple(v[POSE]),
+            translation=tuple(v[TRANSLATION]),
+            radial=tuple(v[RADIAL]),
+            decentering=tuple(v[DECENTERING]),
         )

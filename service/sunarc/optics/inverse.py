@@ -7,14 +7,13 @@ decentering, then in one dimension for the angle.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import angle_limit
-
-FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 30
 _TOLERANCE = 1e-14
@@ -32,11 +31,7 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     -------
     (..., 3) unit vectors, east-north-up; NaN where no direction within `max_angle` lands on the pixel.
     """
-    x, y = np.moveaxis(np.asarray(pixel, dtype=np.float64), -1, 0)
-    if camera.mirrored:
-        x = camera.width - 1.0 - x
-    y_hat = (y - camera.principal_point_px[1]) / camera.focal_length_px[1]
-    x_hat = (x - camera.principal_point_px[0] - camera.skew_px * y_hat) / camera.focal_length_px[0]
+    x_hat, y_hat = calibrated(camera, np.asarray(pixel, dtype=np.float64))
     x_hat, y_hat = _without_decentering(camera, x_hat, y_hat)
     radius = np.hypot(x_hat, y_hat)
     theta = _angle_of_radius(camera, radius)
@@ -44,6 +39,15 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     sine = np.sin(theta)
     ray = np.stack([sine * x_hat / safe, sine * y_hat / safe, np.cos(theta)], axis=-1)
     return np.asarray(ray @ rotation_matrix(camera.rotation_cam_enu))
+
+
+def calibrated(camera: Camera, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return x̂, ŷ (...) of pixels (..., 2): in focal lengths from the axis, the decentering still in it."""
+    x, y = pixel[..., 0], pixel[..., 1]
+    if camera.mirrored:
+        x = camera.width - 1.0 - x
+    y_hat = (y - camera.principal_point_px[1]) / camera.focal_length_px[1]
+    return (x - camera.principal_point_px[0] - camera.skew_px * y_hat) / camera.focal_length_px[0], y_hat
 
 
 def _without_decentering(camera: Camera, x_hat: FloatArray, y_hat: FloatArray) -> tuple[FloatArray, FloatArray]:

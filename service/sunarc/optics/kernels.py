@@ -1,4 +1,4 @@
-"""The loops over many directions and pixels, compiled; the numpy path beside them says what they must equal.
+"""The lens as compiled loops over many directions and pixels: its one definition, forwards and with derivatives.
 
 Compiled once and kept on disk, without the interpreter's lock (`nogil`), never in parallel by
 themselves: who wants two threads starts two.
@@ -7,20 +7,25 @@ themselves: who wants two threads starts two.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.jit import njit
+from sunarc.optics.camera import Param
 from sunarc.optics.projections import PROJECTIONS
-
-FloatArray = NDArray[np.float64]
 
 PROJECTION_CODES = {name: code for code, name in enumerate(PROJECTIONS)}
 """The projections by number, as the kernels know them."""
 
 _RIGHT_ANGLE = math.pi / 2
 _ON_AXIS = 1e-12
+# plain integers: the compiler indexes faster by them than by members of an enumeration
+_FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
+_X0, _Y0 = int(Param.PRINCIPAL_POINT_X_PX), int(Param.PRINCIPAL_POINT_Y_PX)
+_ROTATION, _TRANSLATION = int(Param.ROTATION_X), int(Param.TRANSLATION_X)
+_RADIAL, _RADIALS, _P1, _SIZE = int(Param.K2), int(Param.P1 - Param.K2), int(Param.P1), len(Param)
 _BLOCK = 512
 """Pixels taken together, so that the simple loops run in vector registers."""
 
@@ -47,6 +52,12 @@ def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[floa
 
 
 @njit(nogil=True)
+def decentering_bracket(p1: float, p2: float, u: float, v: float) -> tuple[float, float]:
+    """Return the bracket of Eq. 12 in the direction (u, v): the shift over its radial profile."""
+    return p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v, 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
+
+
+@njit(nogil=True)
 def pixels_of(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray, code: int, mirror: float, max_angle: float, rotation: FloatArray, directions: FloatArray
 ) -> FloatArray:
@@ -54,29 +65,14 @@ def pixels_of(  # noqa: PLR0917 - compiled functions take positions
 
     `mirror` is width - 1 for a mirrored image, negative for one that is not.
     """
-    n = directions.shape[0]
-    result = np.empty((n, 2))
-    radial, p1, p2, p3, p4 = vector[11:19], vector[19], vector[20], vector[21], vector[22]
-    for i in range(n):
-        e, north, up = directions[i, 0], directions[i, 1], directions[i, 2]
-        x = rotation[0, 0] * e + rotation[0, 1] * north + rotation[0, 2] * up + vector[8]
-        y = rotation[1, 0] * e + rotation[1, 1] * north + rotation[1, 2] * up + vector[9]
-        z = rotation[2, 0] * e + rotation[2, 1] * north + rotation[2, 2] * up + vector[10]
-        across = math.sqrt(x * x + y * y)
-        theta = math.atan2(across, z)
-        if not theta <= max_angle:
-            result[i, 0] = np.nan
-            result[i, 1] = np.nan
-            continue
-        radius, _ = _radius_and_slope(code, radial, theta)
-        u, v = (x / across, y / across) if across > _ON_AXIS else (1.0, 0.0)
-        square = radius * radius
-        profile = square * (1.0 + square * (p3 + square * p4))
-        x_hat = radius * u + profile * (p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v)
-        y_hat = radius * v + profile * (2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v))
-        column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
-        result[i, 0] = mirror - column if mirror >= 0.0 else column
-        result[i, 1] = vector[1] * y_hat + vector[4]
+    result = np.empty((directions.shape[0], 2))
+    shape = np.empty(11)
+    for i in range(directions.shape[0]):
+        x, y, z = _in_camera(vector, rotation, directions[i])
+        if _shape_at(vector, code, max_angle, x, y, z, shape):
+            _write_pixel(vector, mirror, shape, result[i])
+        else:
+            result[i, 0], result[i, 1] = np.nan, np.nan
     return result
 
 
@@ -96,21 +92,28 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     """
     n = directions.shape[0]
     pixels = np.empty((n, 2))
-    rows = np.zeros((n, 2, 23))
+    rows = np.zeros((n, 2, _SIZE))
     shape = np.empty(11)
     for i in range(n):
-        x, y, z = (
-            rotation[0, 0] * directions[i, 0] + rotation[0, 1] * directions[i, 1] + rotation[0, 2] * directions[i, 2],
-            rotation[1, 0] * directions[i, 0] + rotation[1, 1] * directions[i, 1] + rotation[1, 2] * directions[i, 2],
-            rotation[2, 0] * directions[i, 0] + rotation[2, 1] * directions[i, 1] + rotation[2, 2] * directions[i, 2],
-        )
-        if not _shape_at(vector, code, max_angle, x + vector[8], y + vector[9], z + vector[10], shape):
+        x, y, z = _in_camera(vector, rotation, directions[i])
+        if not _shape_at(vector, code, max_angle, x, y, z, shape):
             pixels[i, 0], pixels[i, 1] = np.nan, np.nan
             continue
         _lens_rows(vector, mirror, shape, pixels[i], rows[i])
-        _vector_rows(vector, mirror, shape, x + vector[8], y + vector[9], z + vector[10], rows[i])
+        _vector_rows(vector, mirror, shape, x, y, z, rows[i])
         _pose_rows(rotation, turn, directions[i], rows[i])
     return pixels, rows
+
+
+@njit(nogil=True)
+def _in_camera(vector: FloatArray, rotation: FloatArray, direction: FloatArray) -> tuple[float, float, float]:
+    """Return R w + t."""
+    e, north, up = direction[0], direction[1], direction[2]
+    return (
+        rotation[0, 0] * e + rotation[0, 1] * north + rotation[0, 2] * up + vector[_TRANSLATION],
+        rotation[1, 0] * e + rotation[1, 1] * north + rotation[1, 2] * up + vector[_TRANSLATION + 1],
+        rotation[2, 0] * e + rotation[2, 1] * north + rotation[2, 2] * up + vector[_TRANSLATION + 2],
+    )
 
 
 @njit(nogil=True)
@@ -122,12 +125,11 @@ def _shape_at(  # noqa: PLR0917 - compiled functions take positions
     theta = math.atan2(across, z)
     if not theta <= max_angle:
         return False
-    radius, slope = _radius_and_slope(code, vector[11:19], theta)
-    p1, p2, p3, p4 = vector[19], vector[20], vector[21], vector[22]
+    radius, slope = _radius_and_slope(code, vector[_RADIAL:_P1], theta)
+    p1, p2, p3, p4 = vector[_P1], vector[_P1 + 1], vector[_P1 + 2], vector[_P1 + 3]
     u, v = (x / across, y / across) if across > _ON_AXIS else (1.0, 0.0)
     square = radius * radius
-    bx = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v
-    by = 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
+    bx, by = decentering_bracket(p1, p2, u, v)
     rise = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
     shape[0], shape[1], shape[2], shape[3], shape[4] = theta, radius, slope, u, v
     shape[5], shape[6], shape[7] = square * (1.0 + square * (p3 + square * p4)), bx, by
@@ -136,31 +138,39 @@ def _shape_at(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
+def _write_pixel(vector: FloatArray, mirror: float, shape: FloatArray, pixel: FloatArray) -> tuple[float, float]:
+    """Write the pixel, and return (x̂, ŷ)."""
+    x_hat = shape[1] * shape[3] + shape[5] * shape[6]
+    y_hat = shape[1] * shape[4] + shape[5] * shape[7]
+    column = vector[_FX] * x_hat + vector[_SKEW] * y_hat + vector[_X0]
+    pixel[0] = mirror - column if mirror >= 0.0 else column
+    pixel[1] = vector[_FY] * y_hat + vector[_Y0]
+    return x_hat, y_hat
+
+
+@njit(nogil=True)
 def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: FloatArray, row: FloatArray) -> None:
     """Write the pixel and its derivatives by K, k and p."""
     theta, radius, u, v, profile = shape[0], shape[1], shape[3], shape[4], shape[5]
     bx, by, gx, gy = shape[6], shape[7], shape[8], shape[9]
     sign = -1.0 if mirror >= 0.0 else 1.0
-    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
-    x_hat, y_hat = radius * u + profile * bx, radius * v + profile * by
-    column = vector[0] * x_hat + vector[2] * y_hat + vector[3]
-    pixel[0] = mirror - column if mirror >= 0.0 else column
-    pixel[1] = vector[1] * y_hat + vector[4]
-    row[0, 0], row[1, 1], row[0, 2] = sign * x_hat, y_hat, sign * y_hat
-    row[0, 3], row[1, 4] = sign, 1.0
+    ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
+    x_hat, y_hat = _write_pixel(vector, mirror, shape, pixel)
+    row[0, _FX], row[1, _FY], row[0, _SKEW] = sign * x_hat, y_hat, sign * y_hat
+    row[0, _X0], row[1, _Y0] = sign, 1.0
     tau = theta / _RIGHT_ANGLE
     power = tau * tau
-    for k in range(8):
-        row[0, 11 + k], row[1, 11 + k] = power * (ax * gx + skew * gy), power * ay * gy
+    for k in range(_RADIALS):
+        row[0, _RADIAL + k], row[1, _RADIAL + k] = power * (ax * gx + skew * gy), power * ay * gy
         power *= tau
     both = profile * 2.0 * u * v
     first, second = profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
-    row[0, 19], row[1, 19] = ax * first + skew * both, ay * both
-    row[0, 20], row[1, 20] = ax * both + skew * second, ay * second
+    row[0, _P1], row[1, _P1] = ax * first + skew * both, ay * both
+    row[0, _P1 + 1], row[1, _P1 + 1] = ax * both + skew * second, ay * second
     fourth = radius**4
-    row[0, 21], row[1, 21] = fourth * (ax * bx + skew * by), fourth * ay * by
+    row[0, _P1 + 2], row[1, _P1 + 2] = fourth * (ax * bx + skew * by), fourth * ay * by
     sixth = fourth * radius * radius
-    row[0, 22], row[1, 22] = sixth * (ax * bx + skew * by), sixth * ay * by
+    row[0, _P1 + 3], row[1, _P1 + 3] = sixth * (ax * bx + skew * by), sixth * ay * by
 
 
 @njit(nogil=True)
@@ -171,8 +181,8 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
     radius, slope, u, v, profile = shape[1], shape[2], shape[3], shape[4], shape[5]
     gx, gy, across = shape[8], shape[9], shape[10]
     sign = -1.0 if mirror >= 0.0 else 1.0
-    ax, ay, skew = sign * vector[0], vector[1], sign * vector[2]
-    p1, p2 = vector[19], vector[20]
+    ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
+    p1, p2 = vector[_P1], vector[_P1 + 1]
     on_axis = across <= _ON_AXIS
     norm = x * x + y * y + z * z
     per_norm = slope / z if on_axis else radius / across
@@ -184,7 +194,7 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
     by_phi = (-v, u, 0.0)
     for a in range(3):
         cx, cy = gx * by_theta[a] + hx * by_phi[a], gy * by_theta[a] + hy * by_phi[a]
-        row[0, 8 + a], row[1, 8 + a] = ax * cx + skew * cy, ay * cy
+        row[0, _TRANSLATION + a], row[1, _TRANSLATION + a] = ax * cx + skew * cy, ay * cy
 
 
 @njit(nogil=True)
@@ -192,22 +202,70 @@ def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, ro
     """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
     e, north, up = direction[0], direction[1], direction[2]
     for c in range(2):
-        vx, vy, vz = row[c, 8], row[c, 9], row[c, 10]
+        vx, vy, vz = row[c, _TRANSLATION], row[c, _TRANSLATION + 1], row[c, _TRANSLATION + 2]
         wx = vx * rotation[0, 0] + vy * rotation[1, 0] + vz * rotation[2, 0]
         wy = vx * rotation[0, 1] + vy * rotation[1, 1] + vz * rotation[2, 1]
         wz = vx * rotation[0, 2] + vy * rotation[1, 2] + vz * rotation[2, 2]
         mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
         for a in range(3):
-            row[c, 5 + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
+            row[c, _ROTATION + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
+
+
+class InverseConstants(NamedTuple):
+    """Numbers of a camera's inverse, as the kernels take them.
+
+    per_fx, per_fy : inverse focal lengths, 1/px. skew, x0, y0 : px. mirror : see `pixels_of`. p1 … p4 : decentering.
+    per_radius : pieces of the table per unit of the radius. limit : largest radius. exact_from : radius from which on
+    the table is too coarse.
+    """
+
+    per_fx: float
+    per_fy: float
+    skew: float
+    x0: float
+    y0: float
+    mirror: float
+    p1: float
+    p2: float
+    p3: float
+    p4: float
+    per_radius: float
+    limit: float
+    exact_from: float
+
+
+@njit(nogil=True)
+def calibrated_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
+    """Return (x̂, ŷ) of a pixel: in focal lengths from the axis, the decentering still in it."""
+    y_hat = (y - constants.y0) * constants.per_fy
+    column = constants.mirror - x if constants.mirror >= 0.0 else x
+    return (column - constants.x0 - constants.skew * y_hat) * constants.per_fx, y_hat
+
+
+@njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def decentering_of(constants: InverseConstants, x: float, y: float) -> tuple[float, float]:
+    """Return the shift of Eq. 12 at a point in focal lengths."""
+    xx, yy, xy = x * x, y * y, 2.0 * x * y
+    square = xx + yy
+    profile = 1.0 + square * (constants.p3 + square * constants.p4)
+    p1, p2 = constants.p1, constants.p2
+    return profile * (p1 * (square + 2.0 * xx) + p2 * xy), profile * (p1 * xy + p2 * (square + 2.0 * yy))
 
 
 @njit(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
 def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positions
-    constants: FloatArray, rotation: FloatArray, table: FloatArray, rounds: int, pixels: FloatArray, result: FloatArray
-) -> None:
-    """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`)."""
-    ax, ay, skew, x0, y0, mirror, p1, p2, p3, p4, per_radius, limit = constants
-    sign, offset = (-1.0, mirror - x0) if mirror >= 0.0 else (1.0, -x0)
+    constants: InverseConstants,
+    rotation: FloatArray,
+    table: FloatArray,
+    rounds: int,
+    pixels: FloatArray,
+    result: FloatArray,
+) -> bool:
+    """Write the directions (n, 3) that pixels (n, 2) look at, from a table of cubic pieces (see `InverseTable`).
+
+    Infinite where the table is too coarse; returned is whether it is anywhere.
+    """
+    coarse = False
     last = table.shape[0] - 1.0
     xe, xn, xu = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     ye, yn, yu = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -217,24 +275,23 @@ def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positio
     for begin in range(0, pixels.shape[0], _BLOCK):
         size = min(_BLOCK, pixels.shape[0] - begin)
         for k in range(size):
-            y_hat[k] = (pixels[begin + k, 1] - y0) * ay
-            x_hat[k] = (sign * pixels[begin + k, 0] + offset - skew * y_hat[k]) * ax
+            x_hat[k], y_hat[k] = calibrated_of(constants, pixels[begin + k, 0], pixels[begin + k, 1])
             x[k], y[k] = x_hat[k], y_hat[k]
         for _ in range(rounds):
             for k in range(size):
-                xx, yy, xy = x[k] * x[k], y[k] * y[k], 2.0 * x[k] * y[k]
-                square = xx + yy
-                profile = 1.0 + square * (p3 + square * p4)
-                x[k] = x_hat[k] - profile * (p1 * (square + 2.0 * xx) + p2 * xy)
-                y[k] = y_hat[k] - profile * (p1 * xy + p2 * (square + 2.0 * yy))
+                shift_x, shift_y = decentering_of(constants, x[k], y[k])
+                x[k], y[k] = x_hat[k] - shift_x, y_hat[k] - shift_y
         for k in range(size):
             radius[k] = math.sqrt(x[k] * x[k] + y[k] * y[k])
         for k in range(size):
             i = begin + k
-            if not radius[k] <= limit:
+            if not radius[k] <= constants.limit:
                 result[i, 0], result[i, 1], result[i, 2] = np.nan, np.nan, np.nan
                 continue
-            place = radius[k] * per_radius
+            if radius[k] > constants.exact_from:
+                result[i, 0], coarse = np.inf, True
+                continue
+            place = radius[k] * constants.per_radius
             piece = np.uint64(min(place, last))
             s = place - piece
             scale = table[piece, 0] + s * (table[piece, 1] + s * (table[piece, 2] + s * table[piece, 3]))
@@ -242,3 +299,4 @@ def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positio
             result[i, 0] = scale * (xe * x[k] + ye * y[k]) + ze * z
             result[i, 1] = scale * (xn * x[k] + yn * y[k]) + zn * z
             result[i, 2] = scale * (xu * x[k] + yu * y[k]) + zu * z
+    return coarse

@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
+from sunarc.array_types import FloatArray
+from sunarc.sky import angles_from_direction
 
 
 class PoseAngles(NamedTuple):
@@ -42,13 +43,9 @@ def pose_angles(rotation_cam_enu: ArrayLike) -> PoseAngles:
     The direction of the tilt is meaningless for a level camera and is then given as 0.
     """
     matrix = rotation_matrix(rotation_cam_enu)
-    x_axis, z_axis = matrix[0], matrix[2]
-    horizontal = math.hypot(z_axis[0], z_axis[1])
-    return PoseAngles(
-        phi_xz_deg=math.degrees(math.atan2(x_axis[1], x_axis[0])),
-        theta_zz_deg=math.degrees(math.atan2(horizontal, z_axis[2])),
-        psi_z_deg=math.degrees(math.atan2(z_axis[0], z_axis[1])) % 360.0 if horizontal > 0.0 else 0.0,
-    )
+    tilt, lean = (float(angle) for angle in angles_from_direction(matrix[2]))
+    phi = math.degrees(math.atan2(matrix[0, 1], matrix[0, 0]))
+    return PoseAngles(phi_xz_deg=phi, theta_zz_deg=tilt, psi_z_deg=lean if tilt > 0.0 else 0.0)
 
 
 def rotation_from_pose_angles(angles: PoseAngles) -> tuple[float, float, float]:

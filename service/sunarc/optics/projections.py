@@ -9,12 +9,12 @@ import math
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from sunarc.array_types import FloatArray
 
 Projection = Literal["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
 PROJECTIONS: tuple[Projection, ...] = get_args(Projection)
-
-FloatArray = NDArray[np.float64]
 
 _ANGLE_LIMIT: dict[Projection, float] = {
     "perspective": math.pi / 2,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.forward import project_with_jacobian, radius_slope
 from sunarc.optics.projections import angle_limit
-
-FloatArray = NDArray[np.float64]
 
 
 def local_stretch(camera: Camera, direction_enu: ArrayLike) -> FloatArray:

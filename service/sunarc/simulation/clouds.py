@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.simulation.options import Weather
 
 _SIZE = 1024
@@ -48,7 +49,7 @@ def _transmittance(weather: Weather, seed: int) -> NDArray[np.float32]:
     return np.exp(-depth).astype(np.float32)
 
 
-def _fractal_noise(rng: np.random.Generator) -> NDArray[np.float64]:
+def _fractal_noise(rng: np.random.Generator) -> FloatArray:
     """Draw periodic noise of unit variance with the spectrum of cloud fields (power ~ k^-11/3)."""
     frequency = np.fft.fftfreq(_SIZE)
     k = np.hypot(frequency[:, None], frequency[None, :])

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, project_with_jacobian
 from sunarc.optics.stretch import tangent_basis
 from sunarc.sky import SOLAR_RADIUS
-
-FloatArray = NDArray[np.float64]
 
 _RINGS = 16
 _SPOKES = 48
@@ -65,7 +64,7 @@ def disc_points(camera: Camera, sun_enu: FloatArray, *, limb_darkening: float) -
     )
 
 
-def is_covered(direction_enu: FloatArray, sun_enu: FloatArray, *, share: float) -> NDArray[np.bool_]:
+def is_covered(direction_enu: FloatArray, sun_enu: FloatArray, *, share: float) -> BoolArray:
     """Return (n,) which points of the disc are behind an edge that hides this share of its diameter from the left."""
     rightward = np.array([sun_enu[1], -sun_enu[0], 0.0]) / max(math.hypot(sun_enu[0], sun_enu[1]), 1e-9)
     along = (direction_enu - sun_enu) @ rightward / SOLAR_RADIUS

@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, rotation_matrix, unproject
 from sunarc.simulation.options import Obstruction
-
-FloatArray = NDArray[np.float64]
 
 _ROWS_AT_ONCE = 64
 
@@ -40,7 +39,7 @@ def pixel_field(camera: Camera, *, field_deg: float, obstructions: tuple[Obstruc
     return field
 
 
-def is_blocked(direction_enu: FloatArray, obstructions: tuple[Obstruction, ...]) -> NDArray[np.bool_]:
+def is_blocked(direction_enu: FloatArray, obstructions: tuple[Obstruction, ...]) -> BoolArray:
     """Return (...) whether directions end on the ground or on an obstruction."""
     east, north, up = np.moveaxis(direction_enu, -1, 0)
     blocked = up <= 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import IntArray
 from sunarc.jit import njit
 
 Float32Array = NDArray[np.float32]
@@ -92,7 +93,7 @@ def count_light(  # noqa: PLR0917 - numba takes arguments by position
     light: Float32Array,
     smear_e: Float32Array,
     noise: Float32Array,
-    starts: NDArray[np.int64],
+    starts: IntArray,
     sensor: Float32Array,
     out: NDArray[np.uint16],
 ) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.cameras import Counts
 from sunarc.detection import Bayer
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
@@ -17,10 +18,9 @@ from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
-from sunarc.sky import Site, relative_air_mass, solar_date, sun_angles
+from sunarc.sky import Site, clear_transmission, solar_date, sun_angles
 from sunarc.sky.directions import direction_from_angles
 
-FloatArray = NDArray[np.float64]
 Region = tuple[int, int, int, int]
 
 _NOISE_LENGTH = 1 << 20
@@ -208,13 +208,13 @@ class Scene:
         through = np.array([transmittance_towards(*layer, *ray) for ray in direction_enu.astype(np.float32)])
         return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
-    def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> NDArray[np.bool_]:
+    def _uncovered(self, direction_enu: FloatArray, sun_enu: FloatArray) -> BoolArray:
         return ~is_covered(direction_enu, sun_enu, share=self.options.sun_cover)
 
     def _disc_rate(self, sun_up: float) -> float:
         """Return full scales per microsecond in the middle of the disc, behind the air and the filter."""
-        air = float(relative_air_mass(90.0 - math.degrees(math.asin(sun_up))))
-        return self.options.sun_rate * self.options.nd_transmission * math.exp(-0.2 * air)
+        through = clear_transmission(90.0 - math.degrees(math.asin(sun_up)))
+        return self.options.sun_rate * self.options.nd_transmission * through
 
     def _levels(self, sun_up: float, share: float) -> NDArray[np.float32]:
         """Return the levels of `sky_light` in full scales per microsecond."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.optics import Camera, PoseAngles, rotation_from_pose_angles
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 """The Southern Great Plains site of the paper's imager USI 1.8."""

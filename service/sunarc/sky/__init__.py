@@ -1,7 +1,7 @@
 """Position of the sun, refraction, directions and local mean solar days."""
 
-from sunarc.sky.air import relative_air_mass
-from sunarc.sky.days import day_bounds_unix_s, solar_date
+from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
+from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.refraction import (
     ASSUMED_AIR_SD,
@@ -16,6 +16,7 @@ from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_
 
 __all__ = [
     "ASSUMED_AIR_SD",
+    "CLEAR_OPTICAL_DEPTH",
     "DAILY_AIR_SD",
     "MEASURED_AIR_SD",
     "PRESSURE_BOUNDS_PA",
@@ -25,13 +26,17 @@ __all__ = [
     "SunAngles",
     "angles_from_direction",
     "angular_distance",
+    "clear_transmission",
+    "date_of_day",
     "day_bounds_unix_s",
+    "day_of_date",
     "direction_from_angles",
     "hour_angle",
     "raised",
     "refraction_rad",
     "relative_air_mass",
     "solar_date",
+    "solar_days",
     "sun_angles",
     "sun_directions",
     "upward",

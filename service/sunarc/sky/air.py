@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.sky.directions import FloatArray
+from sunarc.array_types import FloatArray
+
+CLEAR_OPTICAL_DEPTH = 0.2
+"""Vertical optical depth of a clear sky in the visible: Rayleigh scattering 0.1 at 550 nm and as much of aerosol."""
+
+
+def clear_transmission(apparent_zenith: float) -> float:
+    """Return the share of the sun's light that a clear sky lets through, the sun at an apparent zenith (degrees)."""
+    return math.exp(-CLEAR_OPTICAL_DEPTH * float(relative_air_mass(apparent_zenith)))
 
 
 def relative_air_mass(apparent_zenith: ArrayLike) -> FloatArray:

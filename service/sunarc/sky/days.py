@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from datetime import UTC, date, datetime, timedelta
 
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
+
 _SECONDS_PER_DEGREE = 240.0
 _SECONDS_PER_DAY = 86_400.0
+_FIRST_DAY = date(1970, 1, 1)
 
 
 def solar_date(unix_s: float, *, longitude: float) -> date:
@@ -18,6 +23,21 @@ def solar_date(unix_s: float, *, longitude: float) -> date:
     """
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=unix_s + longitude * _SECONDS_PER_DEGREE)
     return moment.date()
+
+
+def solar_days(unix_s: FloatArray, *, longitude: float) -> IntArray:
+    """Return the local mean solar days (n,) of times (n,), counted from 1970."""
+    return np.floor((unix_s + longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
+
+
+def date_of_day(day: int) -> date:
+    """Return the date of a day counted from 1970."""
+    return _FIRST_DAY + timedelta(days=day)
+
+
+def day_of_date(day: date) -> int:
+    """Return the number of a date, counted from 1970."""
+    return (day - _FIRST_DAY).days
 
 
 def day_bounds_unix_s(day: date, *, longitude: float) -> tuple[float, float]:

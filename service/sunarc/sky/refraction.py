@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.sky.directions import FloatArray
+from sunarc.array_types import FloatArray
 from sunarc.sky.site import Site
 
 ASSUMED_AIR_SD = 0.04

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sunarc.array_types import FloatArray
 from sunarc.sky.algorithm import load_spa
-from sunarc.sky.directions import FloatArray, direction_from_angles
+from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.site import Site
 
 SOLAR_RADIUS = math.radians(0.2666)

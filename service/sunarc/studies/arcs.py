@@ -9,11 +9,10 @@ from datetime import date
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.optics import Camera, project
 from sunarc.simulation import SGP
 from sunarc.sky import day_bounds_unix_s, sun_angles, sun_directions
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_ZENITH_DEG = 89.6
 """Up to this apparent zenith angle the paper's detector found the sun (section 3.3)."""

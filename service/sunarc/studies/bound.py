@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_triangular
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration import ImageCircle, LensTolerances, Method, hemisphere, prior_knowledge
 from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius, project_with_jacobian
-from sunarc.optics.camera import RADIAL_ORDERS
+from sunarc.optics.camera import FOCAL_LENGTH, RADIAL, RADIAL_ORDERS, Param
 from sunarc.studies.trials import QUANTITIES
-
-FloatArray = NDArray[np.float64]
 
 _RIGHT_ANGLE = math.pi / 2
 _FREE = np.array([i for i, name in enumerate(PARAMETER_NAMES) if not name.startswith("translation")])
@@ -55,9 +53,9 @@ def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
     theta = np.linspace(0.0, _RIGHT_ANGLE, 181)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
     held = np.zeros((3, len(PARAMETER_NAMES)))
-    held[0, 11:19] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
-    held[1, :2] = 1.0, -1.0
-    held[2, 2] = 1.0
+    held[0, RADIAL] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
+    held[1, FOCAL_LENGTH] = 1.0, -1.0
+    held[2, Param.SKEW_PX] = 1.0
     basis = np.zeros((len(PARAMETER_NAMES), _FREE.size - 3))
     basis[_FREE] = null_space(held[:, _FREE])
     return basis, np.zeros(basis.shape[1])

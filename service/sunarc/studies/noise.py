@@ -6,9 +6,8 @@ import math
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sunarc.array_types import BoolArray, FloatArray
 
 SD_OF_DISTANCE = math.sqrt(2.0 - math.pi / 2.0)
 """Standard deviation of the 2-D distance of round Gaussian errors of 1 px per axis (Rayleigh's): the paper's SD."""
@@ -50,7 +49,7 @@ def cloud_noise(rng: np.random.Generator, n: int, *, core_px: float, share: floa
     return drawn(float(brentq(too_wide, 1e-3, 1e3)))
 
 
-def _episodes(rng: np.random.Generator, n: int, share: float) -> NDArray[np.bool_]:
+def _episodes(rng: np.random.Generator, n: int, share: float) -> BoolArray:
     covered = np.zeros(n, dtype=bool)
     while covered.mean() < share:
         begin, length = rng.integers(n), rng.geometric(1.0 / _CLOUD_FRAMES)

@@ -8,14 +8,12 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration import Calibration
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles
 from sunarc.studies.drawing import BLUE, GREY, INK, LETTERING_PT, ORANGE, TITLE_PT, VERMILLION, key, letter, new_sheet
 from sunarc.studies.residuals import Residuals
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 RESIDUAL_SHEET_PX = (1800, 1000)
 

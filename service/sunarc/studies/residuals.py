@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration import Calibration, SunPoints
 from sunarc.optics import project, unproject
 from sunarc.sky import angles_from_direction, angular_distance, sun_directions
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +33,7 @@ class Residuals:
     offset_deg: FloatArray
     apparent_zenith_deg: FloatArray
     azimuth_deg: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -64,7 +62,7 @@ def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
     )
 
 
-def _used(calibration: Calibration, points: SunPoints, offset: FloatArray) -> NDArray[np.bool_]:
+def _used(calibration: Calibration, points: SunPoints, offset: FloatArray) -> BoolArray:
     """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
     if calibration.used is not None and calibration.used.size == len(points):
         return calibration.used

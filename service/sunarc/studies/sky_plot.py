@@ -9,15 +9,13 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.projections.polar import PolarAxes
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration import Calibration, sigma_deg
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles
 from sunarc.studies.drawing import INK, LETTERING_PT, TITLE_PT, VERMILLION, new_sheet
 from sunarc.studies.residuals import Residuals
-
-FloatArray = NDArray[np.float64]
 
 SKY_SHEET_PX = (1150, 1050)
 
@@ -58,7 +56,7 @@ def sky_sigma(calibration: Calibration, *, zenith_deg: FloatArray, azimuth_deg: 
     return np.where(_within(calibration.camera, directions), sigma, np.nan).reshape(grid_z.shape)
 
 
-def _within(camera: Camera, directions: FloatArray) -> NDArray[np.bool_]:
+def _within(camera: Camera, directions: FloatArray) -> BoolArray:
     pixels = project(camera, directions)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels <= np.array([camera.width, camera.height]) - 0.5)

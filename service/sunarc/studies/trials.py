@@ -10,14 +10,12 @@ from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration import CalibrationOptions, ImageCircle, Method, SunPoints, calibrate, hemisphere
 from sunarc.optics import Camera, angle_limit, project
 from sunarc.simulation import SGP, true_camera
 from sunarc.studies.arcs import SYNTHETIC_DAY, Arc, arcs
-
-FloatArray = NDArray[np.float64]
 
 QUANTITIES = (
     "arc_rmse_px",

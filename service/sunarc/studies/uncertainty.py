@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration import Method
 from sunarc.simulation import true_camera
 from sunarc.studies.bound import cramer_rao_bound
 from sunarc.studies.trials import QUANTITIES, Trial, run_trials, synthetic_arc
 
-FloatArray = NDArray[np.float64]
 Row = dict[str, str | int | float]
 
 LARGEST_SIGMA_PX = 10.0

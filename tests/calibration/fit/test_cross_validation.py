@@ -63,7 +63,6 @@ def _fit(
         epoch=np.zeros(n, dtype=np.int64),
         day=np.repeat(np.arange(n_days), PER_DAY),
         refraction_sd=np.zeros((n, 1)),
-        n_dropped=0,
         dropped=(),
     )
     return robust, usable

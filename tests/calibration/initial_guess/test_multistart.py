@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.initial_guess.decentering_starts import P1, P3, P4, best_of_starts
+from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import (
     at_rest,
     best_start,
@@ -19,7 +19,7 @@ from sunarc.calibration.initial_guess.multistart import (
     lowest,
     undistorted,
 )
-from sunarc.calibration.least_squares.priors import LENS
+from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.optics import PARAMETER_NAMES
@@ -49,7 +49,7 @@ def seen(problem: Problem, truth: FloatArray) -> Observations:
 
 def test_the_indices_of_the_decentering_are_those_of_the_lens() -> None:
     names = [PARAMETER_NAMES[i] for i in LENS]
-    assert (names[P1], names[P3], names[P4]) == ("p1", "p3", "p4")
+    assert (names[Whitened.P1], names[Whitened.P3], names[Whitened.P4]) == ("p1", "p3", "p4")
 
 
 def test_distances_are_in_relative_sigmas(problem: Problem, truth: FloatArray, seen: Observations) -> None:
@@ -134,8 +134,8 @@ def test_the_sign_of_the_decentering_is_found(problem: Problem, precision: Float
     """From the opposite decentering the fit does not stay in the valley that it begins in."""
     truth = problem.unknowns([replace(small_camera(), focal_length_px=(220.5, 220.5), skew_px=0.0)])
     begin = truth.copy()
-    begin[[P1, P1 + 1]] *= -1.0
-    begin[[P3, P4]] = 0.0
+    begin[DECENTERING] *= -1.0
+    begin[HIGHER] = 0.0
     exact = observed(problem.camera(truth), sun_arc(60, widest_deg=70.0), sigma_px=0.01).weighted(np.full(60, 1e4))
     found = best_of_starts(problem, exact, begin, precision=precision)
     residual = problem.residuals(found, exact)

@@ -15,7 +15,6 @@ from sunarc.calibration.least_squares.priors import (
     FREE_NAMES,
     LENS,
     N_LENS,
-    POSE,
     RADIAL,
     lens_prior,
     precisions,
@@ -24,6 +23,7 @@ from sunarc.calibration.least_squares.priors import (
 )
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
 from sunarc.optics import PARAMETER_NAMES, Camera, Projection, ideal_radius, project
+from sunarc.optics.camera import POSE
 from sunarc.optics.forward import distorted_radius
 
 TOLERANCES = LensTolerances()
@@ -31,10 +31,10 @@ CIRCLE = ImageCircle(x=318.0, y=241.0, radius=231.0)
 
 
 def test_the_indices_divide_the_parameters_into_lens_pose_and_translation() -> None:
-    assert [PARAMETER_NAMES[i] for i in POSE] == ["rotation_x", "rotation_y", "rotation_z"]
+    assert PARAMETER_NAMES[POSE] == ("rotation_x", "rotation_y", "rotation_z")
     translation = {i for i, name in enumerate(PARAMETER_NAMES) if name.startswith("translation")}
-    assert sorted([*LENS, *POSE, *translation]) == list(range(23))
-    assert sorted(FREE) == sorted([*LENS, *POSE])
+    assert sorted([*LENS, *np.r_[POSE], *translation]) == list(range(23))
+    assert sorted(FREE) == sorted([*LENS, *np.r_[POSE]])
     assert tuple(name for name in PARAMETER_NAMES if not name.startswith("translation")) == FREE_NAMES
     lens_names = [PARAMETER_NAMES[i] for i in LENS]
     assert lens_names[RADIAL] == [f"k{n}" for n in range(2, 10)]
@@ -152,7 +152,7 @@ def test_prior_knowledge_holds_the_lens_as_its_prior_does_and_the_pose_not_at_al
     prior = lens_prior(camera, tolerances=TOLERANCES, circle=CIRCLE, field_angle=math.pi / 2)
     assert basis.shape == (23, 20)
     np.testing.assert_allclose(basis[np.ix_(LENS, np.arange(17))], prior.basis)
-    np.testing.assert_allclose(basis[np.ix_(POSE, np.arange(17, 20))], np.eye(3))
+    np.testing.assert_allclose(basis[POSE, 17:], np.eye(3))
     np.testing.assert_allclose(basis[8:11], 0.0)
     np.testing.assert_allclose(precision, [*precisions(2.0, 0.7), 0.0, 0.0, 0.0])
 

@@ -24,7 +24,6 @@ def _usable(unix_s: FloatArray, *, day: object = 0, epoch: object = 0) -> Filter
         epoch=np.broadcast_to(np.asarray(epoch, dtype=np.int64), (n,)),
         day=np.broadcast_to(np.asarray(day, dtype=np.int64), (n,)),
         refraction_sd=np.zeros((n, 1)),
-        n_dropped=0,
         dropped=(),
     )
 

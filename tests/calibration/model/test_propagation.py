@@ -24,7 +24,6 @@ from sunarc.calibration.least_squares.priors import FREE
 from sunarc.calibration.model.covariance import (
     direction_covariance,
     hemisphere,
-    last_angle,
     pose_error,
     project_with_covariance,
     sigma_deg,
@@ -250,13 +249,6 @@ def test_both_errors_add() -> None:
     one = pose_error(small_camera(), SGP, clock_error_s=1.0, site_error_m=0.0)
     other = pose_error(small_camera(), SGP, clock_error_s=0.0, site_error_m=100.0)
     np.testing.assert_allclose(both, one + other, rtol=1e-12)
-
-
-def test_a_camera_answers_no_further_than_its_radius_rises() -> None:
-    assert last_angle(ideal_camera(), wanted=1.2) == pytest.approx(1.2)
-    falling = replace(ideal_camera(), radial=(-1.0, *([0.0] * 7)))
-    # r = theta - (theta / 90 deg)^2 rises up to theta = (90 deg)^2 / 2
-    assert last_angle(falling, wanted=2.0) == pytest.approx((math.pi / 2) ** 2 / 2.0, abs=1e-3)
 
 
 def test_a_field_without_amplitude_is_not_looked_at() -> None:

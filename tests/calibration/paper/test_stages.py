@@ -40,7 +40,6 @@ def _usable(seen: Observations) -> FilteredSightings:
         epoch=seen.epoch,
         day=np.zeros(n, dtype=np.int64),
         refraction_sd=np.zeros((n, 1)),
-        n_dropped=0,
         dropped=(),
     )
 

@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import sqrtm
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.search import brightest_spots, measure_spot, median_of, semi_axes, symmetric_root
+from sunarc.detection.disc.search import brightest_spots, measure_spot, semi_axes, symmetric_root
+from sunarc.robust_statistics import median_of
 
 
 def frame(*discs: tuple[float, float, float, float], size: tuple[int, int] = (150, 200)) -> Image:

@@ -10,13 +10,11 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence
-
-FloatArray = NDArray[np.float64]
 
 _AMPLITUDES_PX = (0.1, 0.5, 2.0, 8.0)
 """1-sigma of the drift: from what passes for noise to the largest that detectors were seen to follow."""
@@ -50,11 +48,11 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
-def _inliers(window: ResidualModel, begin: int) -> NDArray[np.bool_]:
+def _inliers(window: ResidualModel, begin: int) -> BoolArray:
     return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
 
 
-def _begin_of_last_run(rows: NDArray[np.int64]) -> int:
+def _begin_of_last_run(rows: IntArray) -> int:
     """Return where the last run of rows begins; a single row between does not end it."""
     breaks = np.flatnonzero(np.diff(rows) > 2)
     return int(rows[breaks[-1] + 1] if breaks.size else rows[0])

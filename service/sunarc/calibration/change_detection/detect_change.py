@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.change_detection.hypotheses import best_hypothesis
 from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
 from sunarc.calibration.change_detection.values import Change, Sighting, SightingWindow, WatchOptions
 from sunarc.calibration.model.result import Calibration
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 REMEMBERED = 56
 _TRUSTED_SQUARE = 30.0

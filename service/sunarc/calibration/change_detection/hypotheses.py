@@ -11,21 +11,18 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.change_detection.cloud_drift import drift_evidence
 from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis, WatchOptions
 from sunarc.calibration.pose.error_model import joined, predicted, turned
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
-from sunarc.calibration.pose.residuals import finite
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
-from sunarc.optics import project_fast, rotation_matrix
+from sunarc.calibration.robust_loss import finite
+from sunarc.optics import Param, project_fast, rotation_matrix
 from sunarc.sky import Site, sun_directions
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
@@ -45,7 +42,12 @@ _CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
 _LARGEST_SPREAD_PX2 = 1.0
 _LONG, _ROUGH_PX = 10, 5.0
 _FOCAL_SHARE, _CENTER_SHARE, _RADIAL = 0.05, 0.03, 0.02
-_OF_LENS: dict[ChangeKind, tuple[int, ...]] = {"refocus": (0,), "shift": (3, 4), "lens": (0, 3, 4, 11, 12)}
+_CENTER = (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)
+_OF_LENS: dict[ChangeKind, tuple[Param, ...]] = {
+    "refocus": (Param.FOCAL_LENGTH_X_PX,),
+    "shift": _CENTER,
+    "lens": (Param.FOCAL_LENGTH_X_PX, *_CENTER, Param.K2, Param.K3),
+}
 """Which of the camera's parameters may be others after a change of the lens."""
 
 
@@ -229,18 +231,18 @@ def _other_lens(window: ResidualModel, turn: Hypothesis, *, kind: ChangeKind = "
     names = list(window.error_model.chosen)
     camera, size = window.camera, window.error_model.mean.size
     spread = {
-        0: _FOCAL_SHARE * camera.focal_length_px[0],
-        3: _CENTER_SHARE * camera.width,
-        4: _CENTER_SHARE * camera.height,
-        11: _RADIAL,
-        12: _RADIAL,
+        Param.FOCAL_LENGTH_X_PX: _FOCAL_SHARE * camera.focal_length_px[0],
+        Param.PRINCIPAL_POINT_X_PX: _CENTER_SHARE * camera.width,
+        Param.PRINCIPAL_POINT_Y_PX: _CENTER_SHARE * camera.height,
+        Param.K2: _RADIAL,
+        Param.K3: _RADIAL,
     }
     columns = np.zeros((size, len(_OF_LENS[kind])))
     for column, index in enumerate(_OF_LENS[kind]):
         if index in names:
             columns[names.index(index), column] = spread[index]
-        if index == 0 and 0 in names and 1 in names:
-            columns[names.index(1), column] = spread[index]
+    if Param.FOCAL_LENGTH_Y_PX in names:  # both focal lengths change alike
+        columns[names.index(Param.FOCAL_LENGTH_Y_PX)] = columns[names.index(Param.FOCAL_LENGTH_X_PX)]
     return replace(turn, kind=kind, free=np.concatenate([turn.free, columns], axis=1))
 
 

@@ -12,13 +12,13 @@ from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
 from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
-from sunarc.calibration.pose.residuals import finite
+from sunarc.calibration.robust_loss import finite
+from sunarc.optics import Param
 
 FloatArray = NDArray[np.float64]
 
 _SECOND_RAD = 7.292e-5
-_FOCAL, _CENTER = 0, (3, 4)
-"""Where the camera's parameters hold the focal length and the principal point."""
+_FOCAL, _CENTER = Param.FOCAL_LENGTH_X_PX, (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)
 _UNITS: dict[ChangeKind, str] = {"clock": "s", "refocus": "%", "shift": "px"}
 _PERHAPS: dict[ChangeKind, str] = {
     "lens": "another lens",

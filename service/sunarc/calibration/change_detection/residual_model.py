@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.change_detection.values import SightingWindow, WatchOptions
 from sunarc.calibration.least_squares.problem import by_elevation
 from sunarc.calibration.model.result import Calibration
@@ -20,11 +20,10 @@ from sunarc.calibration.pose.error_model import (
     stated,
 )
 from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density
-from sunarc.calibration.pose.residuals import finite, noise_px
+from sunarc.calibration.pose.residuals import noise_px
+from sunarc.calibration.robust_loss import finite
 from sunarc.optics import Camera, project_with_rows_fast
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, Site, refraction_rad
-
-FloatArray = NDArray[np.float64]
 
 _WANDER_S = 2.0 * 3600.0
 """Time over which a mast and its mount wander with the sun on them."""

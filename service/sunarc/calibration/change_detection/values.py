@@ -8,13 +8,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray, picked
 from sunarc.bounds import require_bounds
 from sunarc.optics import Camera
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
@@ -57,14 +54,6 @@ class Sighting:
     sigma_px: float = math.nan
 
 
-def _column() -> FloatArray:
-    return np.zeros(0)
-
-
-def _mask() -> BoolArray:
-    return np.zeros(0, dtype=bool)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SightingWindow:
     """The last sightings, the oldest first; a value: every look makes a new one.
@@ -77,11 +66,11 @@ class SightingWindow:
     surprise : (n, 2) by how many sigmas it did not, in whitened axes; 0 where it is not trusted.
     """
 
-    unix_s: FloatArray = field(default_factory=_column)
+    unix_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     pixels: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     directions: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    sigma_px: FloatArray = field(default_factory=_column)
-    trusted: BoolArray = field(default_factory=_mask)
+    sigma_px: FloatArray = field(default_factory=lambda: np.zeros(0))
+    trusted: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     surprise: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __len__(self) -> int:
@@ -89,11 +78,11 @@ class SightingWindow:
 
     def since(self, unix_s: float) -> SightingWindow:
         """Return what is remembered from a moment on."""
-        return self._picked(self.unix_s >= unix_s)
+        return picked(self, self.unix_s >= unix_s)
 
     def last(self, count: int) -> SightingWindow:
         """Return the last ones."""
-        return self._picked(np.arange(len(self)) >= len(self) - count)
+        return picked(self, np.arange(len(self)) >= len(self) - count)
 
     def with_one(self, seen: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
         """Return this with one more sighting."""
@@ -104,16 +93,6 @@ class SightingWindow:
             sigma_px=np.append(self.sigma_px, seen.sigma_px),
             trusted=np.append(self.trusted, trusted),
             surprise=np.vstack([self.surprise, surprise]),
-        )
-
-    def _picked(self, which: BoolArray) -> SightingWindow:
-        return SightingWindow(
-            unix_s=self.unix_s[which],
-            pixels=self.pixels[which],
-            directions=self.directions[which],
-            sigma_px=self.sigma_px[which],
-            trusted=self.trusted[which],
-            surprise=self.surprise[which],
         )
 
 

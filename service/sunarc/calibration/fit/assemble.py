@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from datetime import UTC, datetime, timedelta
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.cross_validation import HeldOut
 from sunarc.calibration.initial_guess.candidates import camera_from_circle, camera_from_size
-from sunarc.calibration.least_squares.priors import FREE_NAMES, lens_prior, precisions
+from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, lens_prior, precisions
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
-from sunarc.calibration.model.covariance import last_angle, pose_error, sky_sigma_deg
+from sunarc.calibration.model.covariance import pose_error, sky_sigma_deg
 from sunarc.calibration.model.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
@@ -22,10 +21,9 @@ from sunarc.calibration.model.result import Calibration, Provenance, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, own_verdict
 from sunarc.findings import Finding
-from sunarc.optics import Camera, pose_angles, rotation_matrix, rotation_vector
-from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
+from sunarc.optics import Camera, pose_angles, rising_limit, rotation_matrix, rotation_vector
+from sunarc.optics.camera import POSE
+from sunarc.sky import Site, date_of_day
 
 _UNKNOWN_POSE = math.pi**2
 
@@ -55,7 +53,7 @@ class Fitted(NamedTuple):
     covariance: FloatArray
     field: Field
     residual: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
     sigma_px: float
     inflation: float
     radial_px: float
@@ -68,8 +66,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
     cameras = [tidied(camera, options) for camera in fitted.cameras]
     camera = cameras[-1]
     covariance = fitted.covariance.copy()
-    place = slice(5, 8)
-    covariance[place, place] += pose_error(
+    covariance[POSE, POSE] += pose_error(
         camera, job.site, clock_error_s=_clock_error(job.points), site_error_m=options.site_error_m
     )
     calibration = Calibration(
@@ -106,7 +103,7 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     return replace(
         camera,
         rotation_cam_enu=turn,
-        max_angle=last_angle(camera, wanted=math.radians(options.max_angle_deg)),
+        max_angle=rising_limit(camera, up_to=math.radians(options.max_angle_deg)),
     )
 
 
@@ -125,7 +122,7 @@ def _metrics(fitted: Fitted, usable: FilteredSightings, cameras: list[Camera]) -
     )
 
 
-def _used(fitted: Fitted, job: Job) -> NDArray[np.bool_]:
+def _used(fitted: Fitted, job: Job) -> BoolArray:
     used = np.zeros(len(job.points), dtype=bool)
     used[job.usable.index] = fitted.used
     return used
@@ -138,7 +135,7 @@ def _clock_error(points: SunPoints) -> float:
 
 def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Provenance:
     return Provenance(
-        days=_dates(job.usable),
+        days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
         n_used=n_used,
         n_rejected=len(job.points) - n_used,
@@ -152,11 +149,6 @@ def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radia
     )
 
 
-def _dates(usable: FilteredSightings) -> tuple[str, ...]:
-    first = datetime(1970, 1, 1, tzinfo=UTC)
-    return tuple((first + timedelta(days=int(day))).date().isoformat() for day in np.unique(usable.day))
-
-
 def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
     """Return the calibration without a fit: the ideal lens, level, with its prior uncertainty."""
     options, circle, image_size = job.options, job.circle, job.image_size
@@ -166,18 +158,18 @@ def refused(job: Job, findings: tuple[Finding, ...]) -> Calibration:
         camera = camera_from_circle(circle, image_size=image_size, options=options)
     tolerances = options.tolerances
     prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=math.pi / 2)
-    covariance = np.zeros((20, 20))
-    lens = np.r_[0:5, 8:20]
+    covariance = np.zeros((FREE.size, FREE.size))
+    lens = np.isin(FREE, LENS)
     covariance[np.ix_(lens, lens)] = (
         prior.basis / precisions(tolerances.radial_px, tolerances.decentering_px)
     ) @ prior.basis.T
-    covariance[5:8, 5:8] = _UNKNOWN_POSE * np.eye(3)
+    covariance[POSE, POSE] = _UNKNOWN_POSE * np.eye(3)
     return Calibration(
         camera=camera,
         poses=(camera.rotation_cam_enu,),
         parameter_names=FREE_NAMES,
         covariance=covariance,
-        field=no_field(camera, size=20),
+        field=no_field(camera, size=FREE.size),
         sky_rms_deg=180.0,
         sky_max_deg=180.0,
         metrics=NO_METRICS,

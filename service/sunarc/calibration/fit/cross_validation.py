@@ -6,13 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.model.sightings import FilteredSightings
-
-FloatArray = NDArray[np.float64]
 
 _FOLDS = 5
 

@@ -14,17 +14,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged
-from sunarc.calibration.initial_guess.decentering_starts import P3, P4
+from sunarc.calibration.least_squares.priors import HIGHER
 from sunarc.calibration.least_squares.problem import Problem
 
-FloatArray = NDArray[np.float64]
-
-_HIGHER = [P3, P4]
 _SPACING = 1.0
 _PLACES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
 """Values of p3 and p4 in units of their prior's 1-sigma: they hold 98 % of it in each."""
@@ -53,7 +50,7 @@ def mixed_over_decentering(
     unknowns : the fit, (p,).
     scales : those of the fit.
     """
-    inner = posterior.covariance[np.ix_(_HIGHER, _HIGHER)]
+    inner = posterior.covariance[HIGHER, HIGHER]
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
         return posterior
     free = marginal_fit(system.normal(), system.basis, scales).covariance
@@ -81,17 +78,17 @@ def _conditional(
     """Return the fit with p3 and p4 held at a place."""
     held = np.array(place)
     basis = problem.prior.basis.copy()
-    mean = problem.prior.mean + basis[:, _HIGHER] @ held
-    basis[:, _HIGHER] = 0.0
+    mean = problem.prior.mean + basis[:, HIGHER] @ held
+    basis[:, HIGHER] = 0.0
     there = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
-    start[_HIGHER] = 0.0
+    start[HIGHER] = 0.0
     found, _ = irls_converged(there, system.moved(there, start), scales)
     about = system.moved(there, found)
     covariance = marginal_fit(about.normal(), about.basis, scales).covariance.copy()
-    covariance[_HIGHER] = covariance[:, _HIGHER] = 0.0
+    covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     shift = found - unknowns
-    shift[_HIGHER] = held - unknowns[_HIGHER]
+    shift[HIGHER] = held - unknowns[HIGHER]
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
         log_evidence=_log_evidence(about, scales) - 0.5 * float(held @ held) + _CELL,

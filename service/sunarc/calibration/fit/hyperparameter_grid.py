@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
-
-FloatArray = NDArray[np.float64]
 
 _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 """Lengths tried, as fractions of the image's shorter side."""

@@ -12,15 +12,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_weights
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales, marginal_fits
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.residual_field import WaveBasis
-
-FloatArray = NDArray[np.float64]
 
 _HELD = 0.95
 _ELLIPSE = -2.0 * math.log(1.0 - _HELD)

@@ -11,14 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares, loosened, undistorted
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import tukey_loss
-
-FloatArray = NDArray[np.float64]
 
 _SCALES = (0.7, 1.0, 1.4)
 """The cost is compared at these multiples of the noise: a fit must not win by the choice of its scale."""

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.least_squares.priors import N_LENS, precisions
 from sunarc.calibration.model.residual_field import WaveBasis
-
-FloatArray = NDArray[np.float64]
 
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""

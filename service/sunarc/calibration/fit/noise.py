@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 
 _LARGEST = 0.995
 _GAP = 1.6

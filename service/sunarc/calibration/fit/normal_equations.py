@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _STEPS = 8
 _HALVINGS = 6
@@ -57,7 +52,7 @@ class LinearSystem:
             n_air=self.n_air,
         )
 
-    def normal_of(self, which: NDArray[np.bool_]) -> NormalEquations:
+    def normal_of(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
         picked = self.rows[which], self.waves[which], self.residual[which], self.seen.information[which]
         return normal_sums(*picked, at=self.at, n_air=self.n_air)

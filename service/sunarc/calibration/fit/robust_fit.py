@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, likely_scales, log_evidence, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
@@ -33,9 +33,6 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
 from sunarc.optics import Camera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
@@ -91,7 +88,7 @@ class _Course(NamedTuple):
 
     bins: Bins
     run: IntArray
-    follows: NDArray[np.bool_]
+    follows: BoolArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -247,7 +244,7 @@ def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins
     return lowest(problem, seen, [at, deepest], precision=precision)
 
 
-def _noise(left: FloatArray, seen: Observations, follows: NDArray[np.bool_], run: IntArray) -> _Noise:
+def _noise(left: FloatArray, seen: Observations, follows: BoolArray, run: IntArray) -> _Noise:
     """Return the noise as it shows beside model and field."""
     distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
     sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)

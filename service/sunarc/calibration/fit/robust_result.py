@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.assemble import Fitted, tidied
 from sunarc.calibration.fit.cross_validation import held_out
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS, POSE
+from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.optics import Camera
+from sunarc.optics import Camera, Param
+from sunarc.optics.camera import POSE
 from sunarc.optics.pose import right_jacobian
-
-FloatArray = NDArray[np.float64]
 
 
 def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions) -> Fitted:
@@ -25,8 +24,8 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
     last = fit.problem.n_epochs - 1
     cameras = [fit.problem.camera(fit.unknowns, epoch) for epoch in range(last + 1)]
     chosen = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
-    to_parameters = np.zeros((23, N_LENS + 3))
-    to_parameters[np.ix_(LENS, np.arange(N_LENS))] = fit.problem.prior.basis
+    to_parameters = np.zeros((len(Param), N_LENS + 3))
+    to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
     to_parameters[POSE, N_LENS:] = _turned(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
     field = Field(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
+from sunarc.robust_statistics import cauchy_weights
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camer
         left, _, right = np.linalg.svd((weight[:, None] * rays).T @ world)
         matrix = left @ np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right
         chord = np.linalg.norm(rays - world @ matrix.T, axis=-1)
-        weight = 1.0 / (1.0 + (chord / max(float(np.median(chord)), 1e-9)) ** 2)
+        weight = cauchy_weights(chord, scale=max(float(np.median(chord)), 1e-9))
     return replace(camera, rotation_cam_enu=rotation_vector(matrix)), float(np.median(chord))
 
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.candidates import (
     LARGEST_TILT,
     as_far_as_it_rises,
@@ -17,15 +17,12 @@ from sunarc.calibration.initial_guess.candidates import (
     tilt,
     wahba,
 )
-from sunarc.calibration.least_squares.priors import N_LENS, lens_prior, precisions
+from sunarc.calibration.least_squares.priors import N_LENS, Whitened, lens_prior, precisions
 from sunarc.calibration.least_squares.problem import Observations, Problem, problem_for
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, angle_limit, unproject
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _TRIED = 10
 _THIN = 120
@@ -95,7 +92,7 @@ def _polished(
     free = np.ones(problem.size, dtype=bool)
     if stage == 1:
         free[:N_LENS] = False
-        free[[0, 3, 4]] = True
+        free[[Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]] = True
     for _ in range(3):
         distance = np.linalg.norm(problem.residuals(unknowns, seen), axis=-1)
         sigma = robust_sigma(distance, share=0.5, floor=0.3)

@@ -9,15 +9,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
+from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.solve import Solution, most_probable
-
-FloatArray = NDArray[np.float64]
-
-P1, P3, P4 = 13, 15, 16
-"""Where the whitened unknowns hold p1, p3 and p4."""
+from sunarc.calibration.least_squares.solve import most_probable
 
 _PLACES = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
@@ -34,17 +30,13 @@ def best_of_starts(problem: Problem, seen: Observations, start: FloatArray, *, p
     precision : prior precisions of the unknowns.
     """
     held = np.ones(problem.size, dtype=bool)
-    held[[P3, P4]] = False
+    held[HIGHER] = False
     tried = [most_probable(problem, seen, start, precision=precision, iterations=15)]
     for place in _PLACES:
         at = start.copy()
-        at[[P1, P1 + 1]] = 0.0
-        at[[P3, P4]] = place
+        at[DECENTERING] = 0.0
+        at[HIGHER] = place
         tried.append(most_probable(problem, seen, at, precision=precision, free=held, iterations=4, tolerance=1e-4))
-    promising = sorted(tried[1:], key=_cost)[:_LET_GO]
+    promising = sorted(tried[1:], key=lambda one: one.cost)[:_LET_GO]
     freed = [most_probable(problem, seen, one.unknowns, precision=precision, iterations=15) for one in promising]
-    return min([tried[0], *freed], key=_cost).unknowns
-
-
-def _cost(solution: Solution) -> float:
-    return solution.cost
+    return min([tried[0], *freed], key=lambda one: one.cost).unknowns

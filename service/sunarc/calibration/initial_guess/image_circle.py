@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import ImageCircle
 from sunarc.errors import InputError
+from sunarc.robust_statistics import cauchy_weights
 
 _WORKING_SIZE = 480
 _RAYS = 360
@@ -58,7 +60,7 @@ def _grey(image: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(np.clip(255.0 * np.sqrt(np.clip(values, 0.0, None) / top), 0.0, 255.0), dtype=np.uint8)
 
 
-def _refined(grey: NDArray[np.float64], x: float, y: float, radius: float) -> tuple[float, float, float]:
+def _refined(grey: FloatArray, x: float, y: float, radius: float) -> tuple[float, float, float]:
     """Fit a circle through the steepest outward drop along rays, those that lie off counting less and less."""
     angle = np.linspace(0.0, 2.0 * np.pi, _RAYS, endpoint=False)
     offset = np.arange(-0.06 * radius, 0.06 * radius, 0.5)
@@ -78,12 +80,12 @@ def _refined(grey: NDArray[np.float64], x: float, y: float, radius: float) -> tu
     return x, y, radius
 
 
-def _circle_through(px: NDArray[np.float64], py: NDArray[np.float64]) -> tuple[float, float, float]:
+def _circle_through(px: FloatArray, py: FloatArray) -> tuple[float, float, float]:
     weight = np.ones_like(px)
     for _ in range(10):
         rows = np.stack([2.0 * px, 2.0 * py, np.ones_like(px)], axis=-1) * weight[:, None]
         cx, cy, c = np.linalg.lstsq(rows, (px**2 + py**2) * weight)[0]
         radius = float(np.sqrt(max(c + cx**2 + cy**2, 1.0)))
         off = np.abs(np.hypot(px - cx, py - cy) - radius)
-        weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 0.1)) ** 2)
+        weight = cauchy_weights(off, scale=max(float(np.median(off)), 0.1))
     return float(cx), float(cy), radius

@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.ransac import ransac_start
-from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL
+from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
-
-FloatArray = NDArray[np.float64]
 
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
@@ -36,8 +34,6 @@ _SETTLING = 3
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method knows no prior."""
-_SKEW_AND_ASPECT = np.array([1, 2])
-"""Where the whitened unknowns hold αx − αy and the skew."""
 
 
 def best_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -56,17 +52,17 @@ def best_start(problem: Problem, seen: Observations, start: FloatArray, *, preci
     return lowest(problem, thin, rested, precision=precision)
 
 
-def least_squares(problem: Problem, seen: Observations, start: FloatArray, *, iterations: int = 25) -> FloatArray:
+def least_squares(problem: Problem, seen: Observations, start: FloatArray) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
     precision = loosened(problem)
-    return most_probable(problem, seen, start, precision=precision, iterations=iterations).unknowns
+    return most_probable(problem, seen, start, precision=precision, iterations=25).unknowns
 
 
 def loosened(problem: Problem) -> FloatArray:
     """Return precisions (p,) that hardly hold anything but skew and aspect, which the paper's penalties hold, too."""
     precision = np.full(problem.size, 1e-9)
     precision[:N_LENS] = _LOOSENED
-    precision[_SKEW_AND_ASPECT] = 1.0
+    precision[[Whitened.ASPECT, Whitened.SKEW]] = 1.0
     return precision
 
 
@@ -112,7 +108,7 @@ def _plain_starts(problem: Problem, seen: Observations, start: FloatArray) -> li
     found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
     for step in _FOCAL_STEPS:
         other = plain.copy()
-        other[0] += step
+        other[Whitened.FOCAL_LENGTH] += step
         found.append(least_squares(problem, few.select(slice(None, None, 2)), other))
     return found
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import robust_sigma
-
-FloatArray = NDArray[np.float64]
 
 _TRIALS = 240
 _SAMPLE = 7

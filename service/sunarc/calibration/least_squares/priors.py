@@ -10,29 +10,44 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
-from sunarc.optics import PARAMETER_NAMES, Camera, ideal_radius
-from sunarc.optics.camera import RADIAL_ORDERS
+from sunarc.optics import PARAMETER_NAMES, Camera, Param, ideal_radius
+from sunarc.optics.camera import FOCAL_LENGTH, POSE, PRINCIPAL_POINT, RADIAL_ORDERS, TRANSLATION
 
-FloatArray = NDArray[np.float64]
-
-LENS = np.array([0, 1, 2, 3, 4, *range(11, 23)])
-"""Where the lens's parameters stand among `PARAMETER_NAMES`."""
-POSE = np.array([5, 6, 7])
-"""Where the rotation stands among `PARAMETER_NAMES`."""
-FREE = np.array([*range(8), *range(11, 23)])
-"""What the robust method estimates of one camera: everything but the translation."""
+FREE = np.delete(np.array(Param), TRANSLATION)
+"""What the robust method estimates of one camera: everything but the translation, the pose at `POSE` as among all."""
 FREE_NAMES = tuple(PARAMETER_NAMES[i] for i in FREE)
-
+LENS = np.delete(FREE, POSE)
+"""Where the lens's parameters stand among all."""
 N_LENS = LENS.size
-RADIAL = slice(5, 13)
+
+
+class Whitened(IntEnum):
+    """Place of each of the lens's whitened coordinates in z: as `LENS`, αx and αy as mean and difference."""
+
+    FOCAL_LENGTH = 0
+    ASPECT = 1
+    SKEW = 2
+    CENTER_X = 3
+    CENTER_Y = 4
+    RADIAL = 5
+    P1 = 13
+    P2 = 14
+    P3 = 15
+    P4 = 16
+
+
+RADIAL = slice(Whitened.RADIAL, Whitened.P1)
 """Where z holds the residual radial distortion."""
-DECENTERING = slice(13, 15)
+DECENTERING = slice(Whitened.P1, Whitened.P3)
 """Where z holds p1 and p2."""
+HIGHER = slice(Whitened.P3, Whitened.P4 + 1)
+"""Where z holds p3 and p4."""
 
 _GRID = 181
 _GAUGE = 0.3
@@ -89,15 +104,15 @@ def lens_prior(
     edge = float(ideal_radius(camera.projection, min(field_angle, _RIGHT_ANGLE)))
     center, focal_sd = _center_and_focal(camera, focal, tolerances, circle)
     mean = np.zeros(N_LENS)
-    mean[:5] = focal, focal, 0.0, *center[:2]
+    mean[: Whitened.RADIAL] = focal, focal, 0.0, *center[:2]
     basis = np.zeros((N_LENS, N_LENS))
-    basis[:2, 0] = focal_sd
-    basis[:2, 1] = 0.5 * tolerances.aspect_px, -0.5 * tolerances.aspect_px
-    basis[2, 2] = tolerances.skew_px
-    basis[3, 3] = basis[4, 4] = center[2]
+    basis[FOCAL_LENGTH, Whitened.FOCAL_LENGTH] = focal_sd
+    basis[FOCAL_LENGTH, Whitened.ASPECT] = 0.5 * tolerances.aspect_px, -0.5 * tolerances.aspect_px
+    basis[Whitened.SKEW, Whitened.SKEW] = tolerances.skew_px
+    basis[PRINCIPAL_POINT, PRINCIPAL_POINT] = center[2] * np.eye(2)
     basis[RADIAL, RADIAL] = radial_basis(camera, length=math.radians(tolerances.radial_length_deg), upto=field_angle)
-    basis[13, 13] = basis[14, 14] = 1.0 / (3.0 * focal * edge**2)
-    basis[15, 15] = basis[16, 16] = tolerances.decentering_higher
+    basis[DECENTERING, DECENTERING] = np.eye(2) / (3.0 * focal * edge**2)
+    basis[HIGHER, HIGHER] = tolerances.decentering_higher * np.eye(2)
     return LensPrior(mean=mean, basis=basis)
 
 
@@ -113,10 +128,10 @@ def prior_knowledge(
     circle : the image circle.
     """
     prior = lens_prior(camera, tolerances=tolerances, circle=circle, field_angle=_RIGHT_ANGLE)
-    basis = np.zeros((len(PARAMETER_NAMES), N_LENS + POSE.size))
+    basis = np.zeros((len(Param), N_LENS + 3))
     basis[LENS, :N_LENS] = prior.basis
-    basis[POSE, N_LENS:] = np.eye(POSE.size)
-    return basis, np.concatenate([precisions(tolerances.radial_px, tolerances.decentering_px), np.zeros(POSE.size)])
+    basis[POSE, N_LENS:] = np.eye(3)
+    return basis, np.concatenate([precisions(tolerances.radial_px, tolerances.decentering_px), np.zeros(3)])
 
 
 def _center_and_focal(

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.calibration.least_squares.priors import LENS, N_LENS, POSE, LensPrior
+from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
+from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.optics import Camera, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
+from sunarc.calibration.robust_loss import finite
+from sunarc.optics import Camera, Param, angle_limit, project_fast, project_with_rows_fast
+from sunarc.optics.camera import POSE
+from sunarc.optics.forward import by_direction
 from sunarc.sky import raised, upward
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_UNREACHED_PX = 1e4
-"""Residual of a direction that the camera cannot see."""
 
 
 def _no_refraction() -> FloatArray:
@@ -50,15 +47,9 @@ class Observations:
     def __len__(self) -> int:
         return int(self.information.size)
 
-    def select(self, which: slice | NDArray[np.bool_] | IntArray) -> Observations:
+    def select(self, which: Rows) -> Observations:
         """Return the observations that a slice, an index or a mask picks."""
-        return Observations(
-            directions=self.directions[which],
-            pixels=self.pixels[which],
-            information=self.information[which],
-            epoch=self.epoch[which],
-            refraction_sd=self.refraction_sd[which],
-        )
+        return picked(self, which)
 
     def weighted(self, information: FloatArray) -> Observations:
         """Return the same observations with other information."""
@@ -106,7 +97,7 @@ class Problem:
 
     def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
         """Return the camera of an epoch."""
-        vector = np.zeros(23)
+        vector = np.zeros(len(Param))
         vector[LENS] = self.prior.lens(unknowns[:N_LENS])
         vector[POSE] = unknowns[self.pose_slice(epoch)]
         return self.template.with_parameters(vector)
@@ -128,9 +119,7 @@ class Problem:
         for epoch in range(self.n_epochs):
             mine = self._of(epoch, seen)
             predicted[mine] = project_fast(self.camera(unknowns, epoch), directions[mine])
-        residual = seen.pixels - predicted
-        residual[np.isnan(residual)] = _UNREACHED_PX
-        return np.asarray(residual)
+        return finite(seen.pixels - predicted)
 
     def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
@@ -140,18 +129,17 @@ class Problem:
             mine = self._of(epoch, seen)
             camera = self.camera(unknowns, epoch)
             pixel, by_parameters = project_with_rows_fast(camera, directions[mine])
-            to_unknowns = np.zeros((23, self.size))
-            to_unknowns[np.ix_(LENS, np.arange(N_LENS))] = self.prior.basis
-            to_unknowns[np.ix_(POSE, np.arange(self.size)[self.pose_slice(epoch)])] = np.eye(3)
-            rows[mine] = (by_parameters.reshape(-1, 23) @ to_unknowns).reshape(-1, 2, self.size)
+            to_unknowns = np.zeros((len(Param), self.size))
+            to_unknowns[LENS, :N_LENS] = self.prior.basis
+            to_unknowns[POSE, self.pose_slice(epoch)] = np.eye(3)
+            rows[mine] = (by_parameters.reshape(-1, len(Param)) @ to_unknowns).reshape(-1, 2, self.size)
             if self.n_air:
                 up = by_elevation(camera, directions[mine], by_parameters)
                 rows[mine, :, -self.n_air :] = up[..., None] * seen.refraction_sd[mine, None]
             residual[mine] = seen.pixels[mine] - pixel
-        residual[np.isnan(residual)] = _UNREACHED_PX
-        return residual, rows
+        return finite(residual), rows
 
-    def _of(self, epoch: int, seen: Observations) -> slice | NDArray[np.bool_]:
+    def _of(self, epoch: int, seen: Observations) -> slice | BoolArray:
         """Return which observations belong to an epoch."""
         return slice(None) if self.n_epochs == 1 else seen.epoch == epoch
 
@@ -163,8 +151,7 @@ def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArr
     ----------
     by_parameters : (n, 2, 23) derivatives at these directions, see `project_with_rows_fast`.
     """
-    by_direction = by_parameters[..., 8:11] @ rotation_matrix(camera.rotation_cam_enu)
-    return np.asarray(np.einsum("nai,ni->na", by_direction, upward(directions)))
+    return np.asarray(np.einsum("nai,ni->na", by_direction(camera, by_parameters), upward(directions)))
 
 
 def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int) -> Problem:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.sightings import FilteredSightings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MOST = 16
 _SECONDS = 360.0

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, ideal_angle, ideal_radius, project, rising_limit, rotation_matrix
 from sunarc.optics.forward import decentering_shift
-
-FloatArray = NDArray[np.float64]
+from sunarc.optics.inverse import calibrated
 
 _ORDERS = np.arange(2, 10)
 _ANGLES = 46
@@ -42,7 +42,7 @@ def fit_backward(camera: Camera) -> BackwardModel:
     rays, pixels = _synthetic(camera)
     if pixels.shape[0] < 40:
         return NO_BACKWARD
-    x_hat, y_hat = _calibrated(camera, pixels)
+    x_hat, y_hat = calibrated(camera, pixels)
     target = ideal_radius(camera.projection, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
     wanted = np.stack([target * np.cos(azimuth), target * np.sin(azimuth)], axis=-1)
@@ -73,7 +73,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     (..., 3) unit vectors, east-north-up; NaN where the projection has no angle for the radius.
     """
     pixel = np.asarray(pixels, dtype=np.float64)
-    x_hat, y_hat = _calibrated(camera, pixel)
+    x_hat, y_hat = calibrated(camera, pixel)
     radial = np.array(model.radial) * _scale(camera) ** _ORDERS
     coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])
     point = _ideal_point(camera, coefficients, x_hat, y_hat)
@@ -113,14 +113,6 @@ def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_
     return np.asarray(point * factor[..., None])
 
 
-def _calibrated(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    x, y = pixels[..., 0], pixels[..., 1]
-    if camera.mirrored:
-        x = camera.width - 1.0 - x
-    y_hat = (y - camera.principal_point_px[1]) / camera.focal_length_px[1]
-    return (x - camera.principal_point_px[0] - camera.skew_px * y_hat) / camera.focal_length_px[0], y_hat
-
-
 def _synthetic(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return rays in the camera frame and their pixels, over the part of the image that is seen."""
     limit = math.radians(80.0) if camera.projection == "perspective" else math.pi / 2
@@ -135,7 +127,7 @@ def _synthetic(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return rays[inside], pixels[inside]
 
 
-def camera_sees(camera: Camera, pixels: FloatArray) -> NDArray[np.bool_]:
+def camera_sees(camera: Camera, pixels: FloatArray) -> BoolArray:
     """Return (...): whether pixels lie within the image."""
     x, y = pixels[..., 0], pixels[..., 1]
     with np.errstate(invalid="ignore"):

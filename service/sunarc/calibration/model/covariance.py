@@ -12,8 +12,9 @@ import math
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.model.backward import camera_sees
 from sunarc.calibration.model.residual_field import Field
 from sunarc.optics import (
@@ -22,15 +23,11 @@ from sunarc.optics import (
     pose,
     project,
     project_with_rows_fast,
-    rising_limit,
-    rotation_matrix,
     unproject,
 )
+from sunarc.optics.forward import by_direction
 from sunarc.optics.stretch import tangent_basis
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, raised, refraction_rad
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CHUNK = 4096
 _EARTH_RADIUS_M = 6_371_000.0
@@ -129,7 +126,7 @@ def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, 
         both = np.zeros((1, 2, 2))
     covariance = np.einsum("nap,nbp->nab", weighted, rows) + both
     covariance[~seen] = np.nan
-    return pixels, covariance, by_parameters[..., 8:11] @ rotation_matrix(calibration.camera.rotation_cam_enu)
+    return pixels, covariance, by_direction(calibration.camera, by_parameters)
 
 
 def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -174,7 +171,7 @@ def direction_covariance(camera: Camera, directions: FloatArray, covariance: Flo
     """Return (n, 3, 3): covariances of unit vectors (n, 3), whose pixels have the covariances (n, 2, 2) px²."""
     _, by_parameters = project_with_rows_fast(camera, directions)
     basis = tangent_basis(directions)
-    stretch = by_parameters[..., 8:11] @ rotation_matrix(camera.rotation_cam_enu) @ basis
+    stretch = by_direction(camera, by_parameters) @ basis
     return np.asarray(basis @ _on_sky(covariance, stretch) @ np.swapaxes(basis, -1, -2))
 
 
@@ -239,8 +236,3 @@ def turn_covariance(camera: Camera, turn: FloatArray) -> FloatArray:
     """Return (3, 3): covariance of the rotation vector where that of small turns about east, north and up is given."""
     to_vector = np.linalg.inv(pose.right_jacobian(camera.rotation_cam_enu))
     return np.asarray(to_vector @ turn @ to_vector.T)
-
-
-def last_angle(camera: Camera, *, wanted: float) -> float:
-    """Return the angle in radians up to which a camera may answer: as wanted, less where its radius stops rising."""
-    return rising_limit(camera, up_to=wanted)

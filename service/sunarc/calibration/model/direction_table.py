@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import Uncertain, direction_covariance, uncertainties
 from sunarc.jit import njit
 from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
+from sunarc.optics.kernels import InverseConstants, calibrated_of, decentering_of
 
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.float64] | NDArray[np.float32]
+Rows = FloatArray | NDArray[np.float32]
 
 BACK_PROJECTED = ("zenith_deg", "azimuth_deg", "east", "north", "up", "sigma_deg", "inside")
 """Columns of what `Lookup.back_project` returns; `inside` is 1 or 0."""
@@ -91,7 +92,7 @@ def lookup(calibration: Uncertain) -> Lookup:
     """Return a calibration made ready; takes some tenths of a second."""
     camera = calibration.camera
     table = inverse_table(camera)
-    radius = np.linspace(0.0, float(table.constants[11]), _RINGS)
+    radius = np.linspace(0.0, table.constants.limit, _RINGS)
     turn = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
     covariance, sigma = uncertainties(calibration, _directions(table, radius, turn))
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
@@ -110,7 +111,7 @@ def lookup(calibration: Uncertain) -> Lookup:
 
 def _directions(table: InverseTable, radius: FloatArray, turn: FloatArray) -> FloatArray:
     """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
-    place = np.minimum(radius * table.constants[10], len(table.pieces) - 1e-9)
+    place = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
     piece = place.astype(np.int64)
     powers = (place - piece)[:, None] ** np.arange(4)
     scale = np.sum(table.pieces[piece, :4] * powers, axis=-1)
@@ -150,18 +151,12 @@ def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
 
 @njit(nogil=True)
 def _place(  # noqa: PLR0917 - compiled functions take positions
-    constants: FloatArray, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
+    constants: InverseConstants, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
 ) -> tuple[float, float]:
     """Return the ring and the spoke of a pixel, the decentering taken out to first order."""
-    y_hat = (y - constants[4]) * constants[1]
-    column = constants[5] - x if constants[5] >= 0.0 else x
-    x_hat = (column - constants[3] - constants[2] * y_hat) * constants[0]
-    square = x_hat * x_hat + y_hat * y_hat
-    profile = 1.0 + square * (constants[8] + square * constants[9])
-    cross = 2.0 * x_hat * y_hat
-    shift_x = profile * (constants[6] * (square + 2.0 * x_hat * x_hat) + constants[7] * cross)
-    y_hat -= profile * (constants[6] * cross + constants[7] * (square + 2.0 * y_hat * y_hat))
-    x_hat -= shift_x
+    x_hat, y_hat = calibrated_of(constants, x, y)
+    shift_x, shift_y = decentering_of(constants, x_hat, y_hat)
+    x_hat, y_hat = x_hat - shift_x, y_hat - shift_y
     ring = min(math.sqrt(x_hat * x_hat + y_hat * y_hat) * rings_per_radius, rings - 1.0)
     spoke = math.atan2(y_hat, x_hat) * (spokes / (2.0 * math.pi))
     return ring, spoke + spokes if spoke < 0.0 else spoke
@@ -184,7 +179,7 @@ def _seen(size: tuple[int, int], x: float, y: float) -> float:
 
 @njit(nogil=True)
 def _write_angles(  # noqa: PLR0917 - compiled functions take positions
-    constants: FloatArray,
+    constants: InverseConstants,
     sheet: FloatArray,
     rings_per_radius: float,
     size: tuple[int, int],
@@ -216,7 +211,7 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
 
 @njit(nogil=True)
 def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
-    constants: FloatArray,
+    constants: InverseConstants,
     sheets: FloatArray,
     rings_per_radius: float,
     size: tuple[int, int],

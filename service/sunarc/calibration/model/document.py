@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import MISSING, asdict, fields
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
@@ -22,7 +22,6 @@ from sunarc.sky import Site
 
 SCHEMA = "sunarc.calibration/1"
 
-FloatArray = NDArray[np.float64]
 Document = dict[str, Any]
 
 _SMALLEST_SHARE = 1e-5
@@ -183,7 +182,7 @@ def from_document(document: object) -> Calibration:
             marginal=bool(read.value("verdict.marginal", needed=False)),
         ),
         method=method,
-        site=_read_site(read),
+        site=Site(**read.numbers_of("site", Site)),
     )
 
 
@@ -232,33 +231,17 @@ def _read_field(read: _Reader, size: int) -> Field:
 
 
 def _read_metrics(read: _Reader) -> Metrics:
-    n = read.number("metrics.n")
-    return Metrics(
-        n=int(n) if math.isfinite(n) else 0,
-        rmse_px=read.number("metrics.rmse_px"),
-        rmse_all_px=read.number("metrics.rmse_all_px"),
-        mae_px=read.number("metrics.mae_px"),
-        sd_px=read.number("metrics.sd_px"),
-        sd_of_distance_px=read.number("metrics.sd_of_distance_px"),
-        rmse_deg=read.number("metrics.rmse_deg"),
-        held_out_rmse_px=_or_none(read.number("metrics.held_out_rmse_px")),
-        held_out_expected_px=_or_none(read.number("metrics.held_out_expected_px", needed=False)),
-    )
-
-
-def _or_none(number: float) -> float | None:
-    return number if math.isfinite(number) else None
+    numbers = read.numbers_of("metrics", Metrics)
+    return Metrics(**numbers | {"n": read.count("metrics.n")})
 
 
 def _read_evidence(read: _Reader) -> Provenance:
-    counts = [read.number(f"evidence.{name}", needed=False) for name in ("n_supplied", "n_used", "n_rejected")]
-    n_supplied, n_used, n_rejected = (int(c) if math.isfinite(c) else 0 for c in counts)
     options = read.value("evidence.options")
     return Provenance(
         days=tuple(str(d) for d in read.items("evidence.days")),
-        n_supplied=n_supplied,
-        n_used=n_used,
-        n_rejected=n_rejected,
+        n_supplied=read.count("evidence.n_supplied"),
+        n_used=read.count("evidence.n_used"),
+        n_rejected=read.count("evidence.n_rejected"),
         options=options if isinstance(options, dict) else {},
         sigma_px=read.number("evidence.sigma_px", needed=False),
         inflation=read.number("evidence.inflation", needed=False),
@@ -274,12 +257,8 @@ def _read_evidence(read: _Reader) -> Provenance:
 
 def _read_move(read: _Reader) -> Move:
     x, y, z = read.numbers("pose_before", 3)
-    return Move(
-        before_unix_s=read.number("before_unix_s"),
-        after_unix_s=read.number("after_unix_s"),
-        turn_deg=read.number("turn_deg"),
-        pose_before=(x, y, z),
-    )
+    numbers = {name: read.number(name) for name in ("before_unix_s", "after_unix_s", "turn_deg")}
+    return Move(**numbers, pose_before=(x, y, z))
 
 
 def _read_spread(read: _Reader) -> tuple[float, float, float] | None:
@@ -287,18 +266,6 @@ def _read_spread(read: _Reader) -> tuple[float, float, float] | None:
         return None
     east, north, up = read.numbers("evidence.pose_spread_deg", 3)
     return east, north, up
-
-
-def _read_site(read: _Reader) -> Site:
-    pressure = read.number("site.pressure", needed=False)
-    temperature = read.number("site.temperature", needed=False)
-    return Site(
-        latitude=read.number("site.latitude"),
-        longitude=read.number("site.longitude"),
-        altitude=read.number("site.altitude"),
-        pressure=pressure if math.isfinite(pressure) else None,
-        temperature=temperature if math.isfinite(temperature) else 12.0,
-    )
 
 
 class _Reader:
@@ -331,6 +298,17 @@ class _Reader:
         if isinstance(found, bool) or not isinstance(found, int | float):
             raise InputError(field=key, problem=f"{found!r} is no number", remedy="give a number")
         return float(found)
+
+    def numbers_of(self, key: str, kind: type[Metrics | Site]) -> dict[str, Any]:
+        """Return the numbers that a dataclass holds, by name; those with a default only where there is one."""
+        optional = {f.name: f.default is not MISSING for f in fields(kind)}
+        found = {name: self.number(f"{key}.{name}", needed=not may_miss) for name, may_miss in optional.items()}
+        return {name: number for name, number in found.items() if math.isfinite(number) or not optional[name]}
+
+    def count(self, key: str) -> int:
+        """Return a whole number; 0 where there is none."""
+        found = self.number(key, needed=False)
+        return int(found) if math.isfinite(found) else 0
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
         return tuple(float(v) for v in self.array(key, (count,)))

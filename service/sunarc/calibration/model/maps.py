@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray
 from sunarc.calibration.model.direction_table import Lookup
 
 _ROWS = 16
@@ -28,7 +29,7 @@ class BackProjectionMap:
     azimuth_deg: NDArray[np.float32]
     directions: NDArray[np.float32]
     sigma_deg: NDArray[np.float32]
-    inside: NDArray[np.bool_]
+    inside: BoolArray
 
 
 def back_projection_map(ready: Lookup) -> BackProjectionMap:

@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, unproject
 from sunarc.sky import angular_distance
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +65,7 @@ def measures(residual: FloatArray) -> tuple[float, float, float, float]:
     )
 
 
-def fit_metrics(residual: FloatArray, used: NDArray[np.bool_], angle: FloatArray) -> Metrics:
+def fit_metrics(residual: FloatArray, used: BoolArray, angle: FloatArray) -> Metrics:
     """Return the metrics of a fit.
 
     Parameters

@@ -12,10 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sunarc.array_types import FloatArray, IntArray
 
 _MARGIN_LENGTHS = 1.2
 _REACH = 3.6

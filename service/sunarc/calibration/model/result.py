@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.messages import text_of
 from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.metrics import Metrics
@@ -16,8 +14,6 @@ from sunarc.calibration.model.residual_field import Field
 from sunarc.findings import Finding
 from sunarc.optics import Camera, PoseAngles
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,4 +116,4 @@ class Calibration:
     verdict: Verdict
     method: Method
     site: Site
-    used: NDArray[np.bool_] | None = None
+    used: BoolArray | None = None

@@ -6,19 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
 from sunarc.calibration.model.static_positions import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, sun_directions
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, MEASURED_AIR_SD, Site, refraction_rad, solar_days, sun_directions
 
 _LOWEST_UP = -math.sin(math.radians(1.0))
-_SECONDS_PER_DEGREE = 240.0
-_SECONDS_PER_DAY = 86_400.0
 _AIR_RUNS = 8
 """Days, or runs of days in a longer record, whose air is taken to differ: the weather's in a short record, the season's
 in a long one, whose daily weather averages out."""
@@ -88,17 +84,9 @@ class SunPoints:
     def __len__(self) -> int:
         return int(self.unix_s.size)
 
-    def select(self, which: slice | NDArray[np.bool_] | IntArray) -> SunPoints:
+    def select(self, which: Rows) -> SunPoints:
         """Return the sightings that a slice, an index or a mask picks."""
-        return SunPoints(
-            unix_s=self.unix_s[which],
-            pixels=self.pixels[which],
-            sigma_px=self.sigma_px[which],
-            epoch=self.epoch[which],
-            clock_error_s=self.clock_error_s[which],
-            temperature=self.temperature[which],
-            pressure=self.pressure[which],
-        )
+        return picked(self, which)
 
 
 def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
@@ -126,7 +114,7 @@ class FilteredSightings:
     day : (n,) local mean solar day, counted from 1970.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
-    n_dropped, dropped : how many were left out, and a finding for each cause.
+    dropped, n_dropped : how many were left out, a finding for each cause; all of them.
     static : positions that do not move with the sun, left out.
     """
 
@@ -138,9 +126,9 @@ class FilteredSightings:
     epoch: IntArray
     day: IntArray
     refraction_sd: FloatArray
-    n_dropped: int
     dropped: tuple[Finding, ...]
     static: tuple[StaticPosition, ...] = ()
+    n_dropped: int = 0
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -171,7 +159,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     single = np.ones(order.size, dtype=bool)
     single[1:] = np.any(np.diff(moments, axis=0) != 0.0, axis=-1)
     kept = order[single]
-    day = _solar_day(points.unix_s[kept], site)
+    day = solar_days(points.unix_s[kept], longitude=site.longitude)
     groups = np.unique(np.stack([points.epoch[kept], day], axis=-1), axis=0, return_inverse=True)[1].ravel()
     still = static_sightings(points.pixels[kept], directions[kept], groups)
     static = static_positions(points.pixels[kept], still)
@@ -187,13 +175,13 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         epoch=points.epoch[kept],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], day, site),
-        n_dropped=len(points) - kept.size,
         dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
+        n_dropped=len(points) - kept.size,
     )
 
 
-def _refraction_sd(measured: NDArray[np.bool_], directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
+def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, site: Site) -> FloatArray:
     """Return (n, k): see `FilteredSightings`."""
     days = np.unique(day)
     runs = min(days.size, _AIR_RUNS)
@@ -201,11 +189,6 @@ def _refraction_sd(measured: NDArray[np.bool_], directions: FloatArray, day: Int
     daily = DAILY_AIR_SD * (run[:, None] == np.arange(runs)) * ~measured[:, None]
     share = np.column_stack([MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured, daily])
     return np.asarray(refraction_rad(directions, site)[:, None] * share)
-
-
-def _solar_day(unix_s: FloatArray, site: Site) -> IntArray:
-    """Return (n,) local mean solar days, counted from 1970."""
-    return np.floor((unix_s + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
 
 
 def _relative_sigma(sigma_px: FloatArray) -> FloatArray:

@@ -12,11 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 
 _FEWEST = 8
 """Sightings at one position that can show that it stands still; fewer are left to the robust loss."""

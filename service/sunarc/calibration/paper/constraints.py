@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.optics import Camera, ideal_radius
 from sunarc.optics.camera import RADIAL_ORDERS
 from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope
-
-FloatArray = NDArray[np.float64]
 
 _ANGLES = 181
 _AZIMUTHS = 24

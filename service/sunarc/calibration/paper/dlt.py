@@ -6,13 +6,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.optics import Camera, rotation_vector, unproject
-
-FloatArray = NDArray[np.float64]
 
 
 def direct_linear_pose(camera: Camera, seen: Observations) -> Camera:

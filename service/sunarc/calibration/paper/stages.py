@@ -6,27 +6,21 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import Fitted, no_field
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.paper.constraints import penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
-from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast
+from sunarc.calibration.robust_loss import finite
+from sunarc.optics import PARAMETER_NAMES, Camera, Param, angle_limit, project_with_rows_fast
+from sunarc.optics.camera import TRANSLATION
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_BASIC = [0, 1, 2, 3, 4, 5, 6, 7]
-_TRANSLATION = [8, 9, 10]
-_RADIAL = list(range(11, 19))
-_DECENTERING = list(range(19, 23))
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
 _STEP = 1e-6
-_UNREACHED_PX = 1e4
 _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
@@ -46,21 +40,23 @@ def fit_as_paper(
     mine = usable.epoch == last
     one = seen.select(mine)
     camera = _start(cameras[last], one, options)
-    moving = [*_BASIC, *(_TRANSLATION if options.paper.fit_translation else [])]
-    for stage in ([], _RADIAL, _DECENTERING):
-        moving = sorted([*moving, *stage])
-        if stage == _DECENTERING:
+    last_of_stage = (Param.TRANSLATION_Z, Param.K9, Param.P4)
+    for last_moving in last_of_stage:
+        moving = np.arange(last_moving + 1)
+        if not options.paper.fit_translation:
+            moving = np.delete(moving, TRANSLATION)
+        if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
-        camera, jacobian, misfit = _minimised(camera, one, np.array(moving), options)
+        camera, jacobian, misfit = _minimised(camera, one, moving, options)
     residual = np.full((len(seen), 2), np.nan)
     residual[mine] = -misfit[: 2 * len(one)].reshape(-1, 2)
-    left = max(2 * len(one) - len(moving), 1)
+    left = max(2 * len(one) - moving.size, 1)
     variance = float(np.sum(misfit[: 2 * len(one)] ** 2)) / left
     return Fitted(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
         covariance=variance * _inverse(jacobian),
-        field=no_field(camera, size=len(moving)),
+        field=no_field(camera, size=moving.size),
         residual=np.nan_to_num(residual),
         used=mine,
         sigma_px=math.sqrt(variance),
@@ -103,7 +99,7 @@ def _minimised(
     def misfit(values: FloatArray) -> FloatArray:
         now = built(values)
         pixels, _ = project_with_rows_fast(now, seen.directions)
-        off = np.nan_to_num(pixels - seen.pixels, nan=_UNREACHED_PX)
+        off = finite(pixels - seen.pixels)
         return np.concatenate([off.ravel(), penalties(now, options.paper, largest_angle=edge)])
 
     def slopes(values: FloatArray) -> FloatArray:

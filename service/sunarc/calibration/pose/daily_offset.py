@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.pose.error_model import CameraErrorModel, at_every_angle, joint_covariance, predicted, stated
 from sunarc.calibration.pose.estimate_pose import fit_pose
-from sunarc.calibration.pose.residuals import PredictedSightings, finite, gathered, inflation, noise_px
+from sunarc.calibration.pose.residuals import PredictedSightings, gathered, inflation, noise_px
+from sunarc.calibration.robust_loss import finite
 from sunarc.optics import Camera, rotation_matrix
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
 
 _FEWEST = 20
 

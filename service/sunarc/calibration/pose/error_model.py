@@ -10,19 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sunarc.array_types import FloatArray, IntArray, Rows, picked
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast, rotation_matrix, rotation_vector
+from sunarc.optics.camera import POSE
 from sunarc.optics.pose import right_jacobian
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_POSE = ("rotation_x", "rotation_y", "rotation_z")
 _SHORTEST_LENGTH_PX = 16.0
 
 
@@ -73,9 +70,9 @@ class Predicted:
     rows: FloatArray
     waves: FloatArray
 
-    def select(self, which: NDArray[np.bool_] | IntArray) -> Predicted:
-        """Return those that a mask or an index picks."""
-        return Predicted(pixels=self.pixels[which], rows=self.rows[which], waves=self.waves[which])
+    def select(self, which: Rows) -> Predicted:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
 
 
 def joined(first: Predicted, second: Predicted) -> Predicted:
@@ -96,11 +93,11 @@ def stated(calibration: Calibration) -> CameraErrorModel:
         Where it says nothing of the pose.
     """
     names = calibration.parameter_names
-    if any(name not in names for name in _POSE):
+    if any(name not in names for name in PARAMETER_NAMES[POSE]):
         raise InputError(
             field="uncertainty.parameters", problem="the pose is missing", remedy="give a calibration with its pose"
         )
-    turn = np.array([names.index(name) for name in _POSE])
+    turn = np.array([names.index(name) for name in PARAMETER_NAMES[POSE]])
     to_turn = np.eye(len(names))
     to_turn[np.ix_(turn, turn)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
     field = calibration.field
@@ -186,7 +183,7 @@ def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> 
     """Return a camera changed by (p,): its parameters, and its turn about its own axes."""
     vector = camera.to_vector()
     vector[error_model.chosen] += change
-    vector[5:8] = turned(camera, change[error_model.turn]).rotation_cam_enu
+    vector[POSE] = turned(camera, change[error_model.turn]).rotation_cam_enu
     return camera.with_parameters(vector)
 
 

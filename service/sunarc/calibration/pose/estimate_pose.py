@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
 from sunarc.calibration.model.residual_field import Field
@@ -35,17 +35,14 @@ from sunarc.calibration.pose.gaussian_conditioning import (
     fit_inlier_mixture,
     log_normal,
 )
-from sunarc.calibration.pose.residuals import MOST, PredictedSightings, finite, gathered, inflation, noise_px
+from sunarc.calibration.pose.residuals import MOST, PredictedSightings, gathered, inflation, noise_px
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.quality.fit_checks import Handedness
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import finite, robust_sigma
 from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast
 from sunarc.optics.pose import right_jacobian
 from sunarc.sky import Site
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 FEWEST = 3
 _ROUNDS = 3

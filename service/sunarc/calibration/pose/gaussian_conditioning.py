@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
+from sunarc.array_types import BoolArray, FloatArray, Rows, picked
 from sunarc.calibration.pose.error_model import (
     CameraErrorModel,
     Predicted,
@@ -16,9 +16,7 @@ from sunarc.calibration.pose.error_model import (
     with_parameters,
     with_waves,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from sunarc.calibration.robust_loss import finite
 
 _LEFT_OUT_PX2 = 1e6
 """Variance of a sighting that is left out: it stays in the equations, and says nothing."""
@@ -42,11 +40,9 @@ class Sightings:
     variance: FloatArray
     false_density: FloatArray
 
-    def select(self, which: BoolArray) -> Sightings:
-        """Return those that a mask picks."""
-        return Sightings(
-            residual=self.residual[which], variance=self.variance[which], false_density=self.false_density[which]
-        )
+    def select(self, which: Rows) -> Sightings:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
 
 
 def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
@@ -57,7 +53,7 @@ def false_density(distance_px: FloatArray, *, area_px2: float) -> FloatArray:
     distance_px : (n, 2) from where the sun was expected before anything was known of a change.
     area_px2 : of the image.
     """
-    square = np.sum(np.nan_to_num(distance_px, nan=1e4) ** 2, axis=-1) / _HALO_PX**2
+    square = np.sum(finite(distance_px) ** 2, axis=-1) / _HALO_PX**2
     near = np.exp(-0.5 * square) / (2.0 * math.pi * _HALO_PX**2)
     return np.asarray(np.log(0.5 * near + 0.5 / area_px2))
 

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray, Rows, picked
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.result import Calibration
+from sunarc.calibration.robust_loss import finite
 from sunarc.optics import Camera, project_fast
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOST = 80
 """Sightings, or means of neighbours, that are looked at together."""
@@ -39,14 +37,9 @@ class PredictedSightings:
     variance: FloatArray
     false_density: FloatArray
 
-    def select(self, which: NDArray[np.int64]) -> PredictedSightings:
-        """Return those that an index picks."""
-        return PredictedSightings(
-            directions=self.directions[which],
-            pixels=self.pixels[which],
-            variance=self.variance[which],
-            false_density=self.false_density[which],
-        )
+    def select(self, which: Rows) -> PredictedSightings:
+        """Return those that a slice, an index or a mask picks."""
+        return picked(self, which)
 
 
 def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
@@ -55,11 +48,6 @@ def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     usual = own if math.isfinite(own) and own > 0.0 else _UNKNOWN_SIGMA_PX
     stated_px = np.where(np.isfinite(sigma_px) & (sigma_px > 0.0), sigma_px, usual)
     return np.maximum(stated_px, max(usual, _SMALLEST_SIGMA_PX))
-
-
-def finite(residual: FloatArray) -> FloatArray:
-    """Return residuals, those of directions that the camera cannot see far off."""
-    return np.where(np.isfinite(residual), residual, 1e4)
 
 
 def inflation(start: Calibration) -> float:

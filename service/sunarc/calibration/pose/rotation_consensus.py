@@ -9,14 +9,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.optics import Camera, rotation_matrix, unproject
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LOOKED_AT = 64
 _PAIRS = 400

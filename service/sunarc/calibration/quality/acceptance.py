@@ -6,19 +6,15 @@ import math
 from datetime import date
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints
 from sunarc.calibration.quality.pose_drift import own_sky_rms_deg
 from sunarc.findings import Finding
 from sunarc.optics import project
-from sunarc.sky import sun_directions
-
-FloatArray = NDArray[np.float64]
-
-_FIRST_DAY = date(1970, 1, 1).toordinal()
+from sunarc.sky import day_of_date, solar_days, sun_directions
 
 _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""
@@ -78,8 +74,8 @@ def accept(
 
 def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
     """Return the sightings of the latest pose epoch, of days that a calibration does not rest on."""
-    known = [date.fromisoformat(day).toordinal() - _FIRST_DAY for day in current.evidence.days]
-    day = np.floor((points.unix_s + current.site.longitude * 240.0) / 86_400.0).astype(np.int64)
+    known = [day_of_date(date.fromisoformat(day)) for day in current.evidence.days]
+    day = solar_days(points.unix_s, longitude=current.site.longitude)
     return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known))
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, timedelta
+from datetime import date
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Le
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.bounds import Count, Positive, Share, require_bounds
 from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, SunPoints, filter_sightings
@@ -20,9 +20,18 @@ from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.sky import Site, angular_distance, day_bounds_unix_s, hour_angle, sun_angles
+from sunarc.robust_statistics import cauchy_weights
+from sunarc.sky import (
+    Site,
+    angular_distance,
+    date_of_day,
+    day_bounds_unix_s,
+    day_of_date,
+    hour_angle,
+    solar_date,
+    sun_angles,
+)
 
-FloatArray = NDArray[np.float64]
 DayKind = Literal["clear", "partly", "cloudy", "unusable"]
 
 _SHOW_THE_SUN = frozenset[DayKind]({"clear", "partly"})
@@ -79,10 +88,8 @@ class DayMeasure:
         lie on the arc; the share itself where all of them were observed.
     sd_px : standard deviation of the distances from the arc (Eq. 27c as the paper's Table 1 has it), all sightings.
     rmsd_px : root of the mean square distance from the arc, all sightings.
-    core_sd_px : 1-sigma per axis of the sightings on the arc.
     arc_deg : length of the sun's way between the first and the last sighting on the arc, gaps counted up to 5 degrees.
     solid_angle_sr : solid angle of the patches of sky, 2 degrees wide, with a sighting on the arc.
-    largest_gap_s : longest time between sightings on the arc.
     doubtful_clock : share of the sightings whose clock may be wrong by more than allowed.
     """
 
@@ -95,10 +102,8 @@ class DayMeasure:
     lowest_share: float
     sd_px: float
     rmsd_px: float
-    core_sd_px: float
     arc_deg: float
     solid_angle_sr: float
-    largest_gap_s: float
     doubtful_clock: float
 
 
@@ -143,7 +148,7 @@ def measure_day(
     times = usable.unix_s[on_arc]
     n_cycles = int(np.unique(np.floor(times / cadence_s)).size)
     return DayMeasure(
-        date=(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=int(usable.day[0]))).date().isoformat(),
+        date=date_of_day(int(usable.day[0])).isoformat(),
         n=len(usable),
         n_on_arc=int(on_arc.sum()),
         n_cycles=n_cycles,
@@ -152,10 +157,8 @@ def measure_day(
         lowest_share=sampling.lowest_share(n_cycles),
         sd_px=sd,
         rmsd_px=rmsd,
-        core_sd_px=measures(residual[on_arc])[0] / math.sqrt(2.0),
         arc_deg=arc_length_deg(usable.directions[on_arc]),
         solid_angle_sr=solid_angle_sr(usable.directions[on_arc]),
-        largest_gap_s=float(np.max(np.diff(np.sort(times)), initial=0.0)),
         doubtful_clock=float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)),
     )
 
@@ -193,7 +196,7 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
         arc = waves @ np.linalg.lstsq(waves * root, pixels * root)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
         sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
-        weight = 1.0 / (1.0 + (distance / sigma) ** 2) if number < 6 else tukey_weights(distance, sigma=sigma)
+        weight = cauchy_weights(distance, scale=sigma) if number < 6 else tukey_weights(distance, sigma=sigma)
     return arc, pixels - arc, weight
 
 
@@ -236,15 +239,14 @@ def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
     """
     shown = any(kind in _SHOW_THE_SUN for kind in verdicts.values())
     wanted = _SHOW_THE_SUN if shown else _SHOW_THE_SUN | {"cloudy"}
-    return tuple(sorted((day - date(1970, 1, 1)).days for day, kind in verdicts.items() if kind not in wanted))
+    return tuple(sorted(day_of_date(day) for day, kind in verdicts.items() if kind not in wanted))
 
 
 def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:
     finite = points.unix_s[np.isfinite(points.unix_s)]
     if finite.size == 0:
         return 0
-    middle = float(np.median(finite)) + site.longitude * 240.0
-    day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=middle)).date()
+    day = solar_date(float(np.median(finite)), longitude=site.longitude)
     begin, end = day_bounds_unix_s(day, longitude=site.longitude)
     frames = np.arange(begin, end, cadence_s)
     return int(np.sum(sun_angles(frames, site).apparent_zenith < _HORIZON_DEG))
@@ -268,10 +270,8 @@ def _nothing(n: int, possible: int, observed: int) -> DayMeasure:
         lowest_share=0.0,
         sd_px=math.nan,
         rmsd_px=math.nan,
-        core_sd_px=math.nan,
         arc_deg=0.0,
         solid_angle_sr=0.0,
-        largest_gap_s=0.0,
         doubtful_clock=0.0,
     )
 

@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from sunarc.calibration.model.covariance import sky_sigma_deg, turn_covariance
 from sunarc.calibration.model.result import Calibration
+from sunarc.optics.camera import POSE
+from sunarc.robust_statistics import MAD_TO_SIGMA
 
 FloatArray = NDArray[np.float64]
 
 _FEWEST = 5
 """Days that tell a spread."""
-_MAD_TO_SIGMA = 1.4826
 
 
 def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float, float, float]:
@@ -37,7 +38,7 @@ def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float,
     turns = np.asarray(turns_deg, dtype=np.float64).reshape(-1, 3)
     if turns.shape[0] < _FEWEST:
         return 0.0, 0.0, 0.0
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(turns - np.median(turns, axis=0)), axis=0)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(turns - np.median(turns, axis=0)), axis=0)
     own = np.median(np.asarray(sigmas_deg, dtype=np.float64).reshape(-1, 3) ** 2, axis=0)
     east, north, up = np.sqrt(np.maximum(sigma**2 - own, 0.0)).tolist()
     return east, north, up
@@ -67,7 +68,7 @@ def own_sky_rms_deg(calibration: Calibration) -> float:
 def _widened(calibration: Calibration, sign: float, spread_deg: Sequence[float] | None) -> Calibration:
     turn = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     covariance = calibration.covariance.copy()
-    covariance[5:8, 5:8] += sign * turn_covariance(calibration.camera, turn)
+    covariance[POSE, POSE] += sign * turn_covariance(calibration.camera, turn)
     widened = replace(calibration, covariance=covariance)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most)

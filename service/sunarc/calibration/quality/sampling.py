@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sunarc.array_types import FloatArray
 
 PERIOD_S = 600.0
 """Slots within this time count as one independent sample of the clouds, s: about half of the time in which a cumulus

@@ -12,19 +12,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.bounds import Count, Positive, require_bounds
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
 from sunarc.calibration.selection.sky_grid import sky_patches
-from sunarc.sky import Site, sun_directions
+from sunarc.sky import Site, solar_days, sun_directions
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_SECONDS_PER_DEGREE = 240.0
-_SECONDS_PER_DAY = 86_400
 _PATCH_SLOT_S = 240.0
 """The sun moves by a degree meanwhile; its place in every sighting of a long record would take a minute to compute."""
 _DAY_BITS = 17
@@ -97,7 +91,7 @@ def select_sightings(
     site: Site,
     slot_s: float = 30.0,
     options: SelectionOptions | None = None,
-    left_out_days: NDArray[np.int64] | None = None,
+    left_out_days: IntArray | None = None,
 ) -> Selection:
     """Return which sightings a fit uses; the same record gives the same selection.
 
@@ -113,7 +107,7 @@ def select_sightings(
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
     doubtful = finite & (np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)
     left = np.flatnonzero(finite & ~doubtful)
-    n_finite, day = left.size, _solar_day(points.unix_s[left], site)
+    n_finite, day = left.size, solar_days(points.unix_s[left], longitude=site.longitude)
     if left_out_days is not None:
         used = ~np.isin(day, left_out_days)
         left, day = left[used], day[used]
@@ -134,10 +128,6 @@ def select_sightings(
         n_patches=passes.patches,
         fill=fill,
     )
-
-
-def _solar_day(unix_s: FloatArray, site: Site) -> IntArray:
-    return np.floor((unix_s + site.longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
 
 
 def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sunarc.array_types import FloatArray, IntArray
 
 
 def sky_patches(directions: FloatArray, *, width_deg: float) -> IntArray:

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.detection.values import Detection, FloatArray
+from sunarc.array_types import FloatArray
+from sunarc.detection.values import Detection
 from sunarc.errors import InputError
 
 _AGREE_PX = 0.1  # smaller differences are accepted: a lens's glare moves a saturated disc a little

@@ -6,16 +6,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.detection.values import FloatArray
-from sunarc.sky import relative_air_mass
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.sky import CLEAR_OPTICAL_DEPTH, relative_air_mass
 
 _MIN_PER_BIN = 5
 _BINS_PER_AIR_MASS = 3.0  # per natural logarithm
 _QUANTILE = 0.8  # of a bin's sightings: a few frames with a wrong exposure do not count
 _SPARE_DAYS = 3  # from this number of days on the brightest one is ignored
-_DEPTH, _DEPTH_SIGMA = 0.2, 0.1  # optical depth of a clear sky in the visible
+_DEPTH_SIGMA = 0.1  # of a clear sky's optical depth
 _LEVEL_SIGMA = 0.1  # of a bin's logarithm
 
 
@@ -34,7 +33,7 @@ class ClearSun(NamedTuple):
         return math.exp(self.log_level - self.optical_depth * float(relative_air_mass(apparent_zenith)))
 
 
-def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: NDArray[np.int64]) -> ClearSun | None:
+def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: IntArray) -> ClearSun | None:
     """Return the clear sun's brightness from sightings of some days; None where they are too few.
 
     Parameters
@@ -58,16 +57,16 @@ def clear_sun(*, apparent_zenith: FloatArray, level_per_us: FloatArray, day: NDA
     masses, levels = np.array(tops).T
     design = np.column_stack([np.ones_like(masses), -masses])
     matrix = design.T @ design / _LEVEL_SIGMA**2 + np.diag([0.0, _DEPTH_SIGMA**-2])
-    right = design.T @ levels / _LEVEL_SIGMA**2 + np.array([0.0, _DEPTH / _DEPTH_SIGMA**2])
+    right = design.T @ levels / _LEVEL_SIGMA**2 + np.array([0.0, CLEAR_OPTICAL_DEPTH / _DEPTH_SIGMA**2])
     log_level, depth = np.linalg.solve(matrix, right)
     return ClearSun(float(log_level), float(depth))
 
 
-def _top(air: FloatArray, logs: FloatArray, day: NDArray[np.int64]) -> tuple[float, float] | None:
+def _top(air: FloatArray, logs: FloatArray, day: IntArray) -> tuple[float, float] | None:
     """Return the mean air mass of a bin and the level that a clear sun has there."""
-    above_air = logs + _DEPTH * air  # so that the top is not the highest sun's of the bin
+    above_air = logs + CLEAR_OPTICAL_DEPTH * air  # so that the top is not the highest sun's of the bin
     days = [np.quantile(above_air[day == k], _QUANTILE) for k in np.unique(day) if np.sum(day == k) >= _MIN_PER_BIN]
     if not days:
         return None
     mass, top = float(air.mean()), float(np.sort(days)[-2 if len(days) >= _SPARE_DAYS else -1])
-    return mass, top - _DEPTH * mass
+    return mass, top - CLEAR_OPTICAL_DEPTH * mass

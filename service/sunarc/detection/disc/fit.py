@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.detection.disc import kernels
 from sunarc.detection.disc.model import (
     PSF,
@@ -25,10 +25,10 @@ from sunarc.detection.disc.model import (
     with_levels,
     without,
 )
-from sunarc.detection.disc.search import median_of
 from sunarc.detection.disc.template import SunSources
 from sunarc.detection.disc.window import Window
-from sunarc.detection.values import FloatArray, Sensor
+from sunarc.detection.values import Sensor
+from sunarc.robust_statistics import mad_sigma
 
 _STEPS = 15
 _STEPS_BINNED = 40
@@ -179,12 +179,12 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
     return state, evaluation, False
 
 
-def _outliers(evaluation: Evaluation) -> NDArray[np.bool_]:
+def _outliers(evaluation: Evaluation) -> BoolArray:
     """Return the few pixels that no disc explains (hot or dead ones); none where they are many."""
     deviation = np.abs(evaluation.residual) * np.sqrt(evaluation.weight)
     if float(deviation.max()) <= _OUTLIER:
         return np.zeros(deviation.size, np.bool_)
-    typical = 1.4826 * median_of(deviation)
+    typical = mad_sigma(deviation)
     # Only what is half as bad as the worst: a hot pixel drags the fit, and its neighbours look bad with it.
     bad = deviation > max(_OUTLIER * max(1.0, typical), 0.5 * float(deviation.max()))
     return bad if np.count_nonzero(bad) <= _MOST_OUTLIERS else np.zeros_like(bad)

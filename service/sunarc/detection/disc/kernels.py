@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.values import FloatArray
+from sunarc.array_types import FloatArray
 from sunarc.jit import njit
 
 Indices = NDArray[np.intp]

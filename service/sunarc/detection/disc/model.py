@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.detection.disc import kernels, template
 from sunarc.detection.disc.template import Sources, SunSources
 from sunarc.detection.disc.window import Window
-from sunarc.detection.values import FloatArray, Sensor
+from sunarc.detection.values import Sensor
 
 PSF, WINGS, STRETCH = 2, 3, slice(4, 7)
 """Where ln psf, the wings' share and the stretch (s11, s12, s22) stand among the nonlinear parameters x, y, …"""
@@ -99,7 +100,7 @@ def make_problem(window: Window, *, origin: FloatArray, sensor: Sensor, sources:
     return Problem(window, index, counts, colour, offset, origin, sensor, sources, prior)
 
 
-def without(problem: Problem, bad: NDArray[np.bool_]) -> Problem:
+def without(problem: Problem, bad: BoolArray) -> Problem:
     """Return the problem without some of its pixels."""
     good = ~bad
     return problem._replace(

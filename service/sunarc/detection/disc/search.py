@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.detection.values import FloatArray, Image
+from sunarc.array_types import FloatArray
+from sunarc.detection.values import Image
 from sunarc.jit import njit
+from sunarc.robust_statistics import median_of
 
 _TILE = 64
 
@@ -138,15 +140,6 @@ def _moments_above(mean: FloatArray, cut: float) -> tuple[float, float, float, f
                 count, dx, dy = count + 1, i - x, j - y
                 xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
     return x, y, xx / count, xy / count, yy / count
-
-
-def median_of(values: FloatArray) -> float:
-    """Return the median of a flat array, without numpy's cost a call."""
-    half = values.size // 2
-    if values.size % 2:
-        return float(np.partition(values, half)[half])
-    parted = np.partition(values, (half - 1, half))
-    return 0.5 * float(parted[half - 1] + parted[half])
 
 
 def semi_axes(stretch: FloatArray) -> tuple[float, float]:

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.disc.search import median_of
-from sunarc.detection.values import FloatArray, Image
+from sunarc.array_types import FloatArray
+from sunarc.detection.values import Image
+from sunarc.robust_statistics import mad_sigma
 
 _STEP, _FINE_STEP = 32, 8  # rows looked at first, and where smear shows; even: a Bayer mosaic's rows stay apart
 _FEWEST_ROWS = 8
@@ -55,6 +56,6 @@ def _profile(beyond: Image) -> FloatArray:
     level = 0.5 * (ordered[half].astype(np.float64) + ordered[half - 1 + len(beyond) % 2])
     # The window's darkest column stands for the sky: smear is never negative.
     excess = level - level.min()
-    spread = 1.4826 * median_of(np.abs(beyond - level).ravel())
+    spread = mad_sigma(beyond - level)
     noise = _MEDIAN_NOISE * max(spread, 0.3) / math.sqrt(beyond.shape[0])
     return excess if float(excess.max()) >= _SIGNIFICANT * noise else nothing

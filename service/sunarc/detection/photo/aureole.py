@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.values import FloatArray
+from sunarc.array_types import FloatArray
+from sunarc.robust_statistics import biweights, mad_sigma
 
 _INNER, _OUTER = 1.05, 2.6  # of the saturated radius
 _MARGIN_PX = 1.5
@@ -149,7 +150,7 @@ def _weights(residual: FloatArray, ring: NDArray[np.intp], cut: float) -> FloatA
         below = residual[(ring == k) & (residual < 0.0)]
         scale[k] = -_SIGMA_OF_LOW * float(np.median(below)) if below.size else 1.0
     each = np.maximum(scale, _LEAST_SCALE)[ring]
-    return np.asarray(np.clip(1.0 - (residual / (cut * each)) ** 2, 0.0, None) ** 2 / each**2)
+    return np.asarray(biweights(residual / (cut * each)) / each**2)
 
 
 def _normal(rings: _Rings, state: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -188,7 +189,7 @@ def _summary(rings: _Rings, state: FloatArray) -> Halo:
     mean_held = max(float(held.mean()), 1.0)
     follows = (used > 0.6 * held) & (held > 0.3 * mean_held)
     fall = float(rings.profile[0] - rings.profile[-1])
-    scatter = 1.4826 * float(np.median(np.abs(rings.residual)))
+    scatter = mad_sigma(rings.residual)
     squeeze = math.hypot(float(state[2]), float(state[3]))
     return Halo(
         float(state[0]),

@@ -9,24 +9,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.values import FloatArray
-
 Mask = NDArray[np.uint8]
 
 
 class Blob(NamedTuple):
     """A connected bright region.
 
-    x, y : centroid, px. diameter : of the circle of the same area. roundness : 4 pi area / perimeter², 1 for a disc.
-    box : x, y, width, height. mask : of the box.
+    x, y : centroid, px. diameter : of the circle of the same area. box : x, y, width, height.
     """
 
     x: float
     y: float
     diameter: float
-    roundness: float
     box: tuple[int, int, int, int]
-    mask: Mask
 
 
 def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
@@ -35,33 +30,13 @@ def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
     part = np.ascontiguousarray(mask[y : y + height, x : x + width])
     if part.size == 0:
         return []
-    count, raw_labels, stats, centroids = cv2.connectedComponentsWithStats(part, connectivity=8)
-    labels = np.asarray(raw_labels, dtype=np.int32)
+    count, _, stats, centroids = cv2.connectedComponentsWithStats(part, connectivity=8)
     order = np.argsort(stats[1:count, cv2.CC_STAT_AREA], kind="stable")[::-1][:most] + 1
-    return [
-        _blob(labels, int(k), np.asarray(stats[k], np.int32), np.asarray(centroids[k], np.float64), (x, y))
-        for k in order
-    ]
-
-
-def _blob(
-    labels: NDArray[np.int32], k: int, stats: NDArray[np.int32], centroid: FloatArray, first: tuple[int, int]
-) -> Blob:
-    x, y, width, height, area = (int(value) for value in stats)
-    own = (labels[y : y + height, x : x + width] == k).astype(np.uint8)
-    # The padding keeps the outline closed where the region touches its box.
-    contours, _ = cv2.findContours(np.pad(own, 1), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(contours, key=len)
-    perimeter = max(float(cv2.arcLength(outline, closed=True)), 1.0)
-    filled = max(float(cv2.contourArea(outline)), float(area))
-    return Blob(
-        float(centroid[0]) + first[0],
-        float(centroid[1]) + first[1],
-        2.0 * math.sqrt(area / math.pi),
-        min(4.0 * math.pi * filled / perimeter**2, 1.0),
-        (x + first[0], y + first[1], width, height),
-        own,
-    )
+    found = []
+    for (left, top, wide, high, area), (cx, cy) in zip(stats[order].tolist(), centroids[order].tolist(), strict=True):
+        diameter = 2.0 * math.sqrt(area / math.pi)
+        found.append(Blob(cx + x, cy + y, diameter, (left + x, top + y, wide, high)))
+    return found
 
 
 def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float, float, float]]:

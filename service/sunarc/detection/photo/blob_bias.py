@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunarc.detection.values import FloatArray
+from sunarc.array_types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.detection.photo.blob import Blob, blobs_of, opened
-from sunarc.detection.values import FloatArray, Image
+from sunarc.detection.values import Image
+from sunarc.robust_statistics import mad_sigma
 
 Plane = NDArray[np.float32]
 
@@ -84,7 +86,7 @@ def smear_column(value_row: FloatArray, sum_row: FloatArray) -> float | None:
     weight = np.convolve(np.ones(value_row.size), box, mode="same")
     above = [row - np.convolve(row, box, mode="same") / weight for row in (value_row, sum_row)]
     product = above[0] * above[1]
-    scale = max(1.4826 * float(np.median(np.abs(product))), 1e-12)
+    scale = max(mad_sigma(product), 1e-12)
     column = int(np.argmax(product))
     return float(column) if product[column] > _SMEAR_STANDS_OUT * scale else None
 

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection.values import FloatArray
+from sunarc.array_types import FloatArray
+from sunarc.robust_statistics import biweights, mad_sigma
 
 Plane = NDArray[np.float32]
 
@@ -92,16 +93,16 @@ def _fitted(points: FloatArray, start: Circle) -> Circle:
         offset = points - (x, y)
         length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
         residual = length - radius
-        weight = np.clip(1.0 - (residual / (_CUT * scale)) ** 2, 0.0, None) ** 2
+        weight = biweights(residual / (_CUT * scale))
         design = np.column_stack([offset / length[:, None], np.ones(len(points))])
         matrix = design.T @ (design * weight[:, None]) + 1e-6 * np.eye(3)
         step = np.linalg.solve(matrix, design.T @ (weight * residual))
         x, y, radius = x + float(step[0]), y + float(step[1]), max(radius + float(step[2]), 1.0)
-        core = np.abs(residual[weight > 0.0])
         # Not below half a pixel: an outline of whole pixels scatters by that much.
-        scale = max(1.4826 * float(np.median(core)) if core.size else scale, _LEAST_SCALE_PX)
+        inlier = weight > 0.0
+        scale = max(mad_sigma(residual[inlier]) if inlier.any() else scale, _LEAST_SCALE_PX)
     followed = np.abs(residual) < max(_CUT * _LEAST_SCALE_PX, 0.1 * radius)
     angle = np.arctan2(points[followed, 1] - y, points[followed, 0] - x)
     sectors = np.unique(np.floor((angle + math.pi) / (2.0 * math.pi) * 72.0).astype(int))
-    scatter = 1.4826 * float(np.median(np.abs(residual[followed]))) if followed.any() else radius
+    scatter = mad_sigma(residual[followed]) if followed.any() else radius
     return Circle(x, y, radius, min(len(sectors), 72) / 72.0, scatter)

@@ -24,14 +24,13 @@ class Estimates(NamedTuple):
     """What the single estimators say.
 
     columns, rows : their x and y, px: disc, Gaussian and flattened kernel, Förstner, and (x only) the smear where it
-    stands out. diameter : of the sun's blob, px. sigma : of the kernels, px. blob : the blob.
+    stands out. diameter : of the sun's blob, px. sigma : of the kernels, px.
     """
 
     columns: tuple[float, ...]
     rows: tuple[float, ...]
     diameter: float
     sigma: float
-    blob: Blob
 
     @property
     def position(self) -> tuple[float, float]:
@@ -135,7 +134,7 @@ def locate(planes: Planes, *, apparent_zenith: float | None, full_image: bool = 
     within = None if full_image else _among(surrounded.shape, blob, first=(strip.start, rows.start))
     x, y = estimators.forstner(surrounded, sigma=sigma, within=within)
     xs, ys = [*xs, x + strip.start], [*ys, y + (rows.start or 0)]
-    return Estimates(tuple(xs if smear is None else [*xs, smear]), tuple(ys), blob.diameter, sigma, blob)
+    return Estimates(tuple(xs if smear is None else [*xs, smear]), tuple(ys), blob.diameter, sigma)
 
 
 def _among(shape: tuple[int, ...], blob: Blob, *, first: tuple[int, int]) -> tuple[slice, slice]:

@@ -12,12 +12,11 @@ from sunarc.archive import CameraArchive
 from sunarc.calibration import MAX_CLOCK_ERROR_S, project_with_covariance
 from sunarc.detection import ClearSun, Expectation, clear_sun
 from sunarc.optics import local_stretch
-from sunarc.sky import sun_angles, sun_directions
+from sunarc.sky import solar_days, sun_angles, sun_directions
 
 _LEAST_UNCERTAINTY_PX = 2.0
 _BRIGHTNESS_OF = timedelta(days=5)
 _BRIGHTNESS_EVERY = timedelta(hours=1)
-_DAY_S = 86_400.0
 
 
 class SunPredictor:
@@ -58,7 +57,7 @@ class SunPredictor:
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
         )
         zenith = sun_angles(unix_s, self._camera.site).apparent_zenith
-        day = np.floor((unix_s + self._camera.site.longitude / 360.0 * _DAY_S) / _DAY_S).astype(np.int64)
+        day = solar_days(unix_s, longitude=self._camera.site.longitude)
         return clear_sun(apparent_zenith=zenith, level_per_us=levels, day=day)
 
     def calibration_id(self) -> str | None:

@@ -1,0 +1,24 @@
+"""Names of the array types, and rows of a table of columns."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+Rows = slice | BoolArray | IntArray
+"""Some rows of a column: a slice, a mask or an index."""
+_Table = TypeVar("_Table")
+
+
+def picked(table: _Table, which: Rows) -> _Table:
+    """Return a frozen dataclass of columns, each (n, ...), with some of its rows."""
+    columns: Any = table
+    rows: _Table = replace(columns, **{field.name: getattr(table, field.name)[which] for field in fields(columns)})
+    return rows
