@@ -168,6 +168,7 @@ def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) 
     off = [np.linalg.norm(usable.pixels[near] - project_fast(c, usable.directions[near]), axis=-1) for c in cameras[:2]]
     scale = robust_sigma(np.minimum(*off), share=0.5, floor=_FLOOR_PX)
     before, after = (tukey_loss(finite(distance), sigma=scale) for distance in off)
+    # cost of every row as the first of the new pose, in one pass
     wrong = np.r_[0.0, np.cumsum(before - after)]
     return int(near.start + np.argmin(wrong))
 
@@ -216,6 +217,7 @@ def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
     seen = np.moveaxis(sliding_window_view(residual, _SIDE, axis=0), -1, 1)
     at = sliding_window_view(time, _SIDE)
     half = _SIDE // 2
+    # the median of slopes between halves (Theil 1950, Sen 1968): outliers do not tilt the line
     slope = np.median((seen[:, half:] - seen[:, :half]) / (at[:, half:] - at[:, :half])[..., None], axis=1)
     shared = 0.5 * (slope[:-_SIDE] + slope[_SIDE:])
     gap = 0.5 * (at[:-_SIDE, -1] + at[_SIDE:, 0])

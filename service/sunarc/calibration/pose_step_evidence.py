@@ -118,6 +118,7 @@ class _Model:
         stacked = np.concatenate([self.residual, self.derivatives.reshape(n, 2 * p)], axis=1)
         white = solve_triangular(factor, stacked, lower=True, check_finite=False)
         left, rows = white[:, :2], white[:, 2:].reshape(n, 2, p)
+        # Woodbury's identity once more: unknowns of unit prior variance are integrated out
         information = np.eye(p) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
         gradient = np.einsum("nai,na->i", rows, left)
         square = float(np.sum(left**2) - gradient @ np.linalg.solve(information, gradient))

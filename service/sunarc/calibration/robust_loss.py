@@ -48,7 +48,9 @@ def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-
     """
     if distance.size == 0:
         return floor
+    # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
     sigma = max(float(np.quantile(distance, share)) / math.sqrt(-2.0 * math.log1p(-share)), floor)
+    # share of a round Gaussian beyond the cut; without the correction every round would shrink the scale
     tail = math.exp(-0.5 * _KEEP**2)
     correction = 1.0 - 0.5 * _KEEP**2 * tail / (1.0 - tail)
     for _ in range(_ROUNDS):

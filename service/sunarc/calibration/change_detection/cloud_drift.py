@@ -61,6 +61,7 @@ def _begin_of_last_run(rows: IntArray) -> int:
 def _with_drift(window: ResidualModel, begin: int, amplitude_px: float, time_s: float) -> FloatArray:
     """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
     times = window.watch.unix_s[begin:]
+    # Matern with nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17)
     apart = math.sqrt(5.0) * np.abs(times[:, None] - times) / time_s
     kernel = amplitude_px**2 * (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
     covariance = window.covariance.copy()

@@ -92,6 +92,7 @@ def _surprise(window: ResidualModel) -> FloatArray:
         gain = cho_solve((cholesky(before, lower=True), True), shared)
         mean = mean - gain.T @ window.seen.residual.ravel()[known]
         spread = spread - gain.T @ shared
+    # whitened: the sum of squares is then chi-square of two if nothing has changed
     root = cholesky(0.5 * (spread + spread.T), lower=True)
     return (
         np.asarray(solve_triangular(root, mean, lower=True)) if math.isfinite(float(mean @ mean)) else np.full(2, 1e6)

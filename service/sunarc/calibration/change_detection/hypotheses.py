@@ -127,6 +127,7 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     at = joined(window.at.select(before), after)
     residual = np.concatenate([window.seen.residual[before], finite(explanation.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
+    # free numbers are integrated out by adding their covariance to that of the sightings after the change
     free = np.concatenate(
         [np.zeros((2 * before.size, explanation.free.shape[1])), _flat(after.rows @ explanation.free)]
     )

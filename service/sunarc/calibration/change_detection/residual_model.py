@@ -86,6 +86,7 @@ def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
 
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
+    # Matern with nu = 3/2 (Rasmussen and Williams 2006, eq. 4.17)
     apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / _WANDER_S
     return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + apart) * np.exp(-apart))
 

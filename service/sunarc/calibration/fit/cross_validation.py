@@ -44,6 +44,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
         place = system.member[counted]
         left_out_residual = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[place]
         found += float(np.sum(left_out_residual**2))
+        # two axes
         noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
         expected += float(np.sum(_variance(fit, without)[place] + noise))
         count += int(counted.sum())

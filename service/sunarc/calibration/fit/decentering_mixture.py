@@ -55,6 +55,7 @@ def mixed_over_decentering(
         return posterior
     free = marginal_fit(system.normal(), system.basis, scales).covariance
     places = [_conditional(problem, system, unknowns, place, scales) for place in _PLACES]
+    # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
     log_mass = np.array([_log_evidence(system, scales), *(place.log_evidence for place in places)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
@@ -65,6 +66,7 @@ def mixed_over_decentering(
 def _positive_part(excess: FloatArray, reference: FloatArray) -> FloatArray:
     """Return a symmetric matrix (p, p) without what it takes from a covariance, in units of that one."""
     scale = np.sqrt(np.diag(reference))
+    # in units of the Gaussian's covariance, positive and negative parts do not depend on the unknowns' units
     root = np.linalg.cholesky(reference / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
     left = np.linalg.solve(root, excess / np.outer(scale, scale))
     values, vectors = np.linalg.eigh(np.linalg.solve(root, left.T))

@@ -67,11 +67,13 @@ def scale_grid(
     lengths = np.array(_LENGTH_FRACTIONS) * min(width, height)
     amplitudes = np.geomspace(max(floor_px, 1e-4), _LARGEST_AMPLITUDE_PX, _AMPLITUDES)
     radial, decentering = np.meshgrid(0.5 * _RADIALS_PX, _DECENTERING_FACTORS, indexing="ij")
+    # the grid's steps differ: each place counts by the interval of the logarithm that it stands for
     of_lens = np.log(np.gradient(np.log(_RADIALS_PX)))[:, None] + np.log(np.gradient(np.log(_DECENTERING_FACTORS)))
     of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_DOUBT) ** 2
     of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_DOUBT) ** 2
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
     of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
+    # the floor stands for no field, too: its prior odds are added to it
     of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))
     return HyperparameterGrid(
         amplitudes=amplitudes,

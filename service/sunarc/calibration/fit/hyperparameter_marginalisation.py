@@ -88,6 +88,7 @@ def marginalised_covariance(
 def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
     weight = scale_weights(normal, grid)
+    # large fields of small probability decide the tilt: they must not be cut off beforehand
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
     either = (weight + tail / tail.sum()).ravel()
     order = np.argsort(either)[::-1]
@@ -142,6 +143,7 @@ def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
     """Return the power of the amplitude with which the tilted mean holds as much of the mixture as it says."""
     if moments.shape[1] == 0:
         return 0.0
+    # the share held rises with the tilt: bisection needs no derivative
     low, high = _TILTS
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -56,6 +56,7 @@ def at_least_least_squares(problem: Problem, seen: Observations, unknowns: Float
     if _level(problem, seen, unknowns, sigma).reaches(wanted):
         return unknowns
     precision = loosened(problem)
+    # the loose robust fit may end in another valley: each start is tried until one reaches the level
     for begin in (unknowns, *plain):
         end = most_probable(problem, seen, begin, precision=precision, sigma=sigma, iterations=30).unknowns
         if _level(problem, seen, end, sigma).reaches(wanted):

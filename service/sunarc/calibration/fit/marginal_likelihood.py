@@ -136,6 +136,7 @@ def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> Marginal
     scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
     covariance = np.linalg.inv(scaled) * scale[:, None] * scale
     covariance = 0.5 * (covariance + covariance.T)
+    # the field is integrated out already: this is the mean of the unknowns' marginal
     step = covariance @ vector
     left = reduced.residual - step @ reduced.rows
     return MarginalFit(
@@ -191,7 +192,9 @@ def _log_evidence(
     shrink = reduced.shrinkage(amplitudes)
     taken = np.stack([reduced.taken(row) for row in shrink])
     vector = normal.jr - np.stack([reduced.explained(row) for row in shrink])
+    # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
     square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
+    # twice: the field's two components have the same kernel and the same sightings
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
     rounding = _ROUNDING * np.diag(normal.jj)
     matrix = (normal.jj - taken)[:, None] + (precision + rounding)[:, :, None] * np.eye(normal.at.size)
@@ -221,6 +224,7 @@ class _Reduced:
     @classmethod
     def of(cls, normal: NormalEquations, basis: WaveBasis, length_px: float) -> _Reduced:
         spread = np.sqrt(basis.variances(length_px=length_px))
+        # in these axes every amplitude costs a division per coefficient, not a factorisation
         power, vectors = np.linalg.eigh(normal.ff * spread[:, None] * spread)
         turn = spread[:, None] * vectors
         return cls(turn=turn, power=np.maximum(power, 0.0), rows=normal.jf @ turn, residual=normal.fr @ turn)

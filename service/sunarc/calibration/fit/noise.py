@@ -35,6 +35,7 @@ def lag_one(residual: FloatArray, weight: FloatArray, follows: BoolArray) -> tup
     if count < _ENOUGH:
         return 0.0, 1.0
     first, second = residual[:-1][pair], residual[1:][pair]
+    # the mean power of both members, so that the estimate lies within -1 and 1
     power = 0.5 * (np.sum(first**2) + np.sum(second**2))
     rho = float(np.sum(first * second) / power) if power > 0.0 else 0.0
     return rho, float(np.sqrt(max(1.0 - rho**2, 1e-6) / count))
@@ -46,6 +47,7 @@ def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run:
     A run's own lag-1 correlation is drawn towards that of all runs by how well it is known.
     """
     overall, error = lag_one(residual, weight, follows)
+    # below two standard errors it is as likely to be 0, and must not inflate every variance
     overall = overall if overall > 2.0 * error else 0.0
     result = np.ones(residual.shape[0])
     for one in np.unique(run):
@@ -53,6 +55,7 @@ def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run:
         first = np.flatnonzero(mine)
         span = slice(first[0], first[-1] + 1)
         rho, own_error = lag_one(residual[span], weight[span], follows[first[0] : first[-1]])
+        # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
         share = 0.05**2 / (0.05**2 + own_error**2)
         rho = min(max(overall + share * (rho - overall), 0.0), _LARGEST)
         rho = rho if rho > 2.0 * own_error or overall > 0.0 else 0.0

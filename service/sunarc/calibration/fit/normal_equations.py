@@ -102,6 +102,7 @@ def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> tu
         if best.gain < _REST:
             break
         step, gain = best.unknowns - system.at, 0.0
+        # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
         for halving in range(_HALVINGS):
             trial = system.moved(problem, system.at + 0.5**halving * step)
             trial_normal = trial.normal()

@@ -86,6 +86,7 @@ def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camer
     matrix, chord = np.eye(3), weight
     for _ in range(rounds):
         left, _, right = np.linalg.svd((weight[:, None] * rays).T @ world)
+        # Kabsch: without the sign a plane of directions is explained as well by a reflection
         matrix = left @ np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right
         chord = np.linalg.norm(rays - world @ matrix.T, axis=-1)
         weight = cauchy_weights(chord, scale=max(float(np.median(chord)), 1e-9))

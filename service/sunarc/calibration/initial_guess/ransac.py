@@ -39,6 +39,7 @@ def ransac_start(problem: Problem, seen: Observations, start: FloatArray, *, pre
     left = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
     distance = np.linalg.norm(left, axis=-1) * np.sqrt(thin.information)
     close = max(min(robust_sigma(d) for d in distance[:40]), 0.02)
+    # Cauchy's loss counts those close by, and hardly how far the others are off
     agreed = np.sum(np.log1p((distance / close) ** 2), axis=1)
     best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]
     return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
@@ -47,6 +48,7 @@ def ransac_start(problem: Problem, seen: Observations, start: FloatArray, *, pre
 def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
     """Return the steps (trials, p) that samples of sightings ask for, one out of each stretch of time."""
     rng = np.random.default_rng(_SEED)
+    # one sighting of each stretch of the arc: random ones would often be neighbours
     edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
     picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in itertools.pairwise(edges)], axis=-1)
     j = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX

@@ -159,11 +159,14 @@ def radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
     theta = np.linspace(0.0, upto, _GRID)
     kernel = np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2) + _ROUGHNESS**2 * np.eye(_GRID)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
+    # the process lives at 181 angles; least squares carries it onto the eight powers of Eq. 9
     to_coefficients = np.linalg.pinv(powers) / focal
     covariance = to_coefficients @ kernel @ to_coefficients.T
     ideal = ideal_radius(camera.projection, theta)
     share = focal * (ideal @ powers) / np.linalg.norm(ideal) / math.sqrt(_GRID)
     shared = covariance @ share
+    # condition the process on its share of a focal length being 0 within the gauge's sigma
     covariance -= np.outer(shared, shared) / (share @ shared + _GAUGE**2)
+    # a kernel this smooth has fewer than eight ways to bend: the rest is kept tiny, not zero
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, _SMALLEST_SHARE * values[-1])))

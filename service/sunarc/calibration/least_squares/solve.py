@@ -64,6 +64,7 @@ def most_probable(
     for _ in range(iterations):
         weight = information(residual, seen, sigma)
         flat = rows[..., moving]
+        # Gauss-Newton: second derivatives of the projection are left out, they vanish with the residuals
         normal = np.einsum("nai,n,naj->ij", flat, weight, flat, optimize=True) + np.diag(precision[moving])
         gradient = np.einsum("nai,n,na->i", flat, weight, residual, optimize=True) - precision[moving] * at[moving]
         following, gain = None, 0.0
@@ -72,12 +73,14 @@ def most_probable(
             trial[moving] += damped_step(normal, gradient, damping)
             trial_residual = problem.residuals(trial, seen)
             gain = cost - _cost(trial_residual, seen, trial, precision, sigma)
+            # equal costs are taken: at the minimum rounding decides, and a refusal would only raise the damping
             if gain >= 0.0:
                 following = trial
                 break
             damping *= 10.0
         if following is None:
             break
+        # a good step trusts the linear model more; the floor keeps it from underflowing
         damping = max(damping * 0.1, 1e-12)
         at, cost = following, cost - gain
         residual, rows = problem.linearised(at, seen)
@@ -88,6 +91,7 @@ def most_probable(
 
 def damped_step(normal: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
     """Return the Levenberg-Marquardt step, scaled by the diagonal; zeros where the equations cannot be solved."""
+    # focal lengths in px stand beside coefficients of 1e-3: scaled, the damping means the same to all
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal * scale[:, None] * scale
     scaled[np.diag_indices_from(scaled)] += damping + 1e-14
@@ -114,4 +118,5 @@ def _cost(
     if sigma is None:
         return 0.5 * float(np.sum(square)) + prior
     loss = float(np.sum(tukey_loss(np.sqrt(square), sigma=sigma))) + prior
+    # a step to where the projection overflows must lose every comparison
     return loss if math.isfinite(loss) else math.inf

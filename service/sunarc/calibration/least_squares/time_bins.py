@@ -35,12 +35,14 @@ class Bins:
         total = self._sums(information)
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
+        # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
         direction = np.stack([self._sums(share * seen.directions[:, i]) for i in range(3)], axis=-1)
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
         pixels = np.stack([self._sums(share * seen.pixels[:, i]) for i in range(2)], axis=-1)
         mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
         refraction = np.stack([self._sums(share * column) for column in seen.refraction_sd.T], axis=-1)
         first = np.searchsorted(self.member, np.arange(self.count))
+        # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
         direction[empty], norm[empty], pixels[empty] = seen.directions[first[empty]], 1.0, seen.pixels[first[empty]]
         gathered = Observations(

@@ -53,6 +53,7 @@ def fit_backward(camera: Camera) -> BackwardModel:
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
+    # x_scale: radial coefficients are of the order of 1e-3, the ratios q3 to q5 of 0.1
     found = least_squares(misfit, _first(camera), method="lm", x_scale=np.r_[np.full(10, 1e-3), np.full(3, 0.1)]).x
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
     radial = found[2:10] / _scale(camera) ** _ORDERS
@@ -79,6 +80,7 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     point = _ideal_point(camera, coefficients, x_hat, y_hat)
     radius = np.hypot(point[..., 0], point[..., 1])
     theta = ideal_angle(camera.projection, radius)
+    # on the axis the direction is arbitrary, and its factor is 0
     safe = np.where(radius > 0.0, radius, 1.0)
     horizontal = np.sin(theta)[..., None] * point / safe[..., None]
     return np.asarray(

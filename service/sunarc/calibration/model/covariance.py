@@ -116,6 +116,7 @@ def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, 
     chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
     rows = np.ascontiguousarray(by_parameters[..., chosen])
     size, field = len(chosen), calibration.field
+    # one large matrix product is several times faster than an einsum over all three factors
     weighted = (rows.reshape(2 * rows.shape[0], size) @ calibration.covariance).reshape(rows.shape)
     seen = np.all(np.isfinite(pixels), axis=-1)
     if field.amplitude_px > 0.0 and np.any(seen):
@@ -125,6 +126,7 @@ def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, 
     else:
         both = np.zeros((1, 2, 2))
     covariance = np.einsum("nap,nbp->nab", weighted, rows) + both
+    # what the camera cannot see has no error either; zeros here would look like certainty
     covariance[~seen] = np.nan
     return pixels, covariance, by_direction(calibration.camera, by_parameters)
 
@@ -194,6 +196,7 @@ def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
     """Return directions spread evenly over the upper hemisphere, (count, 3)."""
     i = np.arange(count) + 0.5
     up = 1.0 - i / count
+    # the golden angle: no two turns align, so the directions have no rows
     azimuth = math.pi * (1.0 + math.sqrt(5.0)) * i
     horizontal = np.sqrt(1.0 - up**2)
     return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), up], axis=-1)
@@ -227,6 +230,7 @@ def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m
     latitude = math.radians(site.latitude)
     pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
     turn = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
+    # an eastward error turns about the pole: up by tan(latitude) of what it turns about north
     eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
     turn += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
     return turn_covariance(camera, turn)

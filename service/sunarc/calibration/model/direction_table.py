@@ -95,6 +95,7 @@ def lookup(calibration: Uncertain) -> Lookup:
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
     turn = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
     covariance, sigma = uncertainties(calibration, _directions(table, radius, turn))
+    # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
     yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, 0.0))
@@ -127,9 +128,11 @@ def _directions(table: InverseTable, radius: FloatArray, turn: FloatArray) -> Fl
 def _spline(sheet: FloatArray) -> FloatArray:
     """Return coefficients for rings -1 … rings and spokes -1 … spokes + 1 (they go round)."""
     sheet = np.where(np.isfinite(sheet), sheet, np.nanmax(sheet, initial=0.0))
+    # through the axis a ray goes on at the opposite azimuth: the spline needs no edge there
     inner = np.roll(sheet[1 : _PADDING + 1], _SPOKES // 2, axis=1)[::-1]  # beyond the axis is the other side
     outer = sheet
     for _ in range(_PADDING):
+        # cubic continuation beyond the last ring: a mirrored edge would bend the spline there
         following = 4.0 * outer[-1] - 6.0 * outer[-2] + 4.0 * outer[-3] - outer[-4]
         outer = np.concatenate([outer, following[None]])
     along = spline_filter1d(np.concatenate([inner, outer]), order=3, axis=0, mode="mirror")

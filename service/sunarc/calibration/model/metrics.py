@@ -56,6 +56,7 @@ def measures(residual: FloatArray) -> tuple[float, float, float, float]:
     if residual.shape[0] == 0:
         return math.nan, math.nan, math.nan, math.nan
     distance = np.hypot(residual[:, 0], residual[:, 1])
+    # Eq. 27c takes the scatter about the mean vector, so a common shift does not count
     about_mean = np.linalg.norm(residual - residual.mean(axis=0), axis=-1)
     return (
         float(np.sqrt(np.mean(distance**2))),

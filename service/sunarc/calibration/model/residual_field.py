@@ -76,6 +76,7 @@ def wave_basis(*, width: int, height: int, shortest_px: float, longest_px: float
 
 def _orders(half_px: tuple[float, float], reach: float) -> IntArray:
     """Return the orders of all waves on a box whose frequency is at most `reach`."""
+    # a half wave on a box of half-width h has the frequency pi / 2h
     number = [math.ceil(2.0 * h * reach / math.pi) for h in half_px]
     nx, ny = np.meshgrid(np.arange(1, number[0] + 1), np.arange(1, number[1] + 1), indexing="ij")
     frequency = np.hypot(0.5 * math.pi * nx / half_px[0], 0.5 * math.pi * ny / half_px[1])

@@ -147,6 +147,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     The usable ones by time; `dropped` says what was left out, and why.
     """
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
+    # times beyond the year 5138 are milliseconds or worse, and the sun's algorithm would fail on them
     finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
     directions = np.full((len(points), 3), np.nan)
     directions[finite] = sun_directions(
@@ -154,6 +155,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     )
     above = finite & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
     order = np.flatnonzero(above)
+    # by time within each epoch: bins, neighbours and runs rely on it
     order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
     moments = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
     single = np.ones(order.size, dtype=bool)

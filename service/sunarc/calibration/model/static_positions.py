@@ -54,6 +54,7 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
         around += np.where(there, count[place], 0)
         total += np.where(there[:, None], sums[place], 0.0)
     mean_cosine = np.linalg.norm(total, axis=-1) / np.maximum(around, 1)
+    # the mean of unit vectors is short where they differ: cheap enough for every cell
     suspect = np.flatnonzero((around >= _FEWEST) & (mean_cosine < math.cos(math.radians(_STILL_DEG))))
     static = np.zeros(pixels.shape[0], dtype=bool)
     for one in suspect:

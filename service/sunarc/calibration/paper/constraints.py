@@ -32,6 +32,7 @@ def penalties(camera: Camera, options: PaperOptions, *, largest_angle: float) ->
     ideal = ideal_radius(camera.projection, theta)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
     orthogonality = np.trapezoid(ideal[:, None] * powers, theta, axis=0) @ np.array(camera.radial)
+    # c3 is one-sided: a radius that rises costs nothing, however fast
     falling = np.minimum(radius_slope(camera, theta), 0.0)
     return np.concatenate(
         [

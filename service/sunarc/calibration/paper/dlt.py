@@ -27,6 +27,7 @@ def direct_linear_pose(camera: Camera, seen: Observations) -> Camera:
     rays = unproject(as_far_as_it_rises(camera), seen.pixels)
     good = np.all(np.isfinite(rays), axis=-1)
     rays, world = rays[good], seen.directions[good]
+    # Hartley's normalisation: without it the 12 columns differ by orders of magnitude
     center, spread = world.mean(axis=0), float(np.mean(np.linalg.norm(world - world.mean(axis=0), axis=-1)))
     scale = math.sqrt(3.0) / spread
     normalised = np.concatenate([scale * (world - center), np.ones((world.shape[0], 1))], axis=1)
@@ -51,6 +52,7 @@ def _posed(camera: Camera, matrix: FloatArray, world: FloatArray, rays: FloatArr
     toward = np.sum((world @ matrix[:, :3].T + matrix[:, 3]) * rays)
     matrix = matrix * (1.0 if toward >= 0.0 else -1.0)
     left, singular, right = np.linalg.svd(matrix[:, :3])
+    # P is known up to its sign: a rotation has the determinant +1
     sign = np.sign(np.linalg.det(left @ right))
     rotation = sign * left @ right
     shift = sign * matrix[:, 3] / float(np.mean(singular))

@@ -129,6 +129,7 @@ def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sig
     seen = replace(seen, variance=seen.variance * worse**2)
     inlier = _inliers(rough, moved(base, rough, rough.mean), seen) if worse else held.inlier
     together = gathered(moved(base, rough, rough.mean), seen, inlier, inflation=inflation(start))
+    # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
     fits = [_known(error_model.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
     final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + np.log(scales))
     sigma = float(np.median(sigma_px) * worse)

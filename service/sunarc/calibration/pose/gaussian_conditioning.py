@@ -120,6 +120,7 @@ def _leave_one_out(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -
     n = inlier.size
     variance = np.where(inlier, seen.variance, _LEFT_OUT_PX2)
     inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
+    # the inverse's diagonal blocks give every leave-one-out residual at the price of one inversion
     own = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
     loo_residual = np.einsum("nij,nj->ni", own, (inverse @ seen.residual.ravel()).reshape(n, 2))
     spread = own + (seen.variance - variance)[:, None, None] * np.eye(2)
@@ -155,6 +156,7 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, seen: Sightings) -
     total = joint_covariance(error_model, at) + np.diag(np.repeat(seen.variance, 2))
     factor = (cholesky(total, lower=True), True)
     shared = with_parameters(error_model, at)
+    # the Kalman gain, all sightings at once
     gain = cho_solve(factor, shared.T).T
     left = seen.residual.ravel() - at.rows.reshape(seen.residual.size, -1) @ error_model.mean
     covariance = error_model.covariance - gain @ shared.T

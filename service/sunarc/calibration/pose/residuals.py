@@ -59,6 +59,7 @@ def inflation(start: Calibration) -> float:
 def gathered(camera: Camera, seen: PredictedSightings, inlier: BoolArray, *, inflation: float) -> PredictedSightings:
     """Return the inliers, neighbours averaged so that there are not too many."""
     true = seen.select(np.flatnonzero(inlier))
+    # rounded up, so that no more than MOST groups remain
     each = -(-true.variance.size // MOST)
     member = np.arange(true.variance.size) // max(each, 1)
     bins = Bins(member=member, count=int(member[-1]) + 1 if member.size else 0)

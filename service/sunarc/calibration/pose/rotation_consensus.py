@@ -45,6 +45,7 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     matrices = Rotation.from_rotvec(turns).as_matrix()
     apart = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
     off = apart / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
+    # a soft count: 1 for a sighting close by, 1/2 at the limit, nothing far off
     agreed = np.sum(1.0 / (1.0 + off**4), axis=1)
     size = np.log(np.maximum(np.linalg.norm(turns, axis=-1), 1e-4))
     return np.asarray(turns[int(np.argmax(agreed - _SMALL_TURN * size / np.log(10.0)))])

@@ -187,6 +187,7 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
     arc : (n, 2) px; residual: (n, 2) observed minus arc; weight: (n,) 0 for sightings off the arc.
     """
     order = min(_ORDER, max(1, pixels.shape[0] // 3))
+    # in polar summer the hour angle passes 180 degrees while the sun is up
     unwrapped = np.unwrap(angle)
     middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
     waves = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)

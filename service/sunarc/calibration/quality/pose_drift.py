@@ -39,6 +39,7 @@ def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float,
     if turns.shape[0] < _FEWEST:
         return 0.0, 0.0, 0.0
     sigma = MAD_TO_SIGMA * np.median(np.abs(turns - np.median(turns, axis=0)), axis=0)
+    # days differ in how well they tell the pose: the usual one counts, as in the spread
     own = np.median(np.asarray(sigmas_deg, dtype=np.float64).reshape(-1, 3) ** 2, axis=0)
     east, north, up = np.sqrt(np.maximum(sigma**2 - own, 0.0)).tolist()
     return east, north, up

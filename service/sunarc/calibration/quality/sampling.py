@@ -37,6 +37,7 @@ class Sampling:
         every slot of the span was observed there is nothing to infer, and the bound is the share itself.
         """
         share = min(n_on_arc / max(self.n_observed, 1), 1.0)
+        # the finite population's correction: slots that were seen need no inference
         not_observed = 1.0 - self.n_observed / max(self.n_span, self.n_observed, 1)
         if not_observed <= 0.0:
             return share
