@@ -114,7 +114,7 @@ class FilteredSightings:
     day : (n,) local mean solar day, counted from 1970.
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
-    dropped, n_dropped : how many were left out, a finding for each cause; all of them.
+    dropped : how many were left out, a finding for each cause.
     static : positions that do not move with the sun, left out.
     """
 
@@ -128,7 +128,6 @@ class FilteredSightings:
     refraction_sd: FloatArray
     dropped: tuple[Finding, ...]
     static: tuple[StaticPosition, ...] = ()
-    n_dropped: int = 0
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -179,7 +178,6 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], day, site),
         dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
-        n_dropped=len(points) - kept.size,
     )
 
 

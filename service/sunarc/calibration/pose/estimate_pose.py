@@ -127,7 +127,7 @@ def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sig
     rough, held = _settled(error_model.turned_freely(-turn, sigma_rad=usual), base, thin, close)
     worse = _excess_noise(held)
     seen = replace(seen, variance=seen.variance * worse**2)
-    inlier = _inliers(rough, moved(base, rough, rough.mean), seen) if worse else held.inlier
+    inlier = _inliers(rough, moved(base, rough, rough.mean), seen)
     together = gathered(moved(base, rough, rough.mean), seen, inlier, inflation=inflation(start))
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
     fits = [_known(error_model.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
