@@ -35,19 +35,19 @@ def test_an_empty_board_is_ready_and_knows_nothing(board: StatusRegistry) -> Non
 
 
 def test_health_is_the_worst_reason(board: StatusRegistry) -> None:
-    board.set_reason(DRIFT)
+    board.set_condition(DRIFT.code, DRIFT)
     assert board.snapshot().health == "degraded"
-    board.set_reason(LOST)
+    board.set_condition(LOST.code, LOST)
     assert board.snapshot().health == "not_ready"
-    board.clear_reason(LOST.code)
-    board.clear_reason(LOST.code)
+    board.set_condition(LOST.code, None)
+    board.set_condition(LOST.code, None)
     assert board.snapshot().reasons == (DRIFT,)
 
 
 def test_a_reason_replaces_the_one_of_its_code(board: StatusRegistry) -> None:
-    board.set_reason(DRIFT)
+    board.set_condition(DRIFT.code, DRIFT)
     worse = Reason(code=DRIFT.code, severity="not_ready", text="it moved again", remedy="tighten the screws")
-    board.set_reason(worse)
+    board.set_condition(worse.code, worse)
     assert board.snapshot().reasons == (worse,)
 
 
@@ -70,7 +70,7 @@ def test_notes_keep_what_was_noted_before(board: StatusRegistry) -> None:
 
 def test_a_snapshot_does_not_change_afterwards(board: StatusRegistry) -> None:
     before = board.snapshot()
-    board.set_reason(LOST)
+    board.set_condition(LOST.code, LOST)
     board.note(disk=DISK)
     assert before.health == "ready"
     assert before.disk is None

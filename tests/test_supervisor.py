@@ -465,7 +465,8 @@ def test_being_stuck_is_logged_once(
     with caplog.at_level(logging.ERROR):
         assert not supervisor.check()
         assert not supervisor.check()
-    assert [record.getMessage() for record in caplog.records] == ["worker detect: no heartbeat for 61 s"]
+    (record,) = caplog.records
+    assert "worker_stuck_detect" in record.getMessage()
     release.set()
     assert supervisor.stop() == ()
 

@@ -80,23 +80,23 @@ SolarDate = Annotated[
     BeforeValidator(_a_date),
     Field(description="Local mean solar date.", examples=["2013-05-13"], json_schema_extra={"pattern": _DATE_PATTERN}),
 ]
-Findings = Annotated[
-    tuple[Finding, ...],
-    WithJsonSchema(
-        {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "required": ["code", "data"],
-                "properties": {
-                    "code": {"type": "string"},
-                    "data": {"type": "object", "additionalProperties": {"type": ["number", "string", "null"]}},
-                },
+_FINDINGS_SCHEMA = WithJsonSchema(
+    {
+        "type": "array",
+        "items": {
+            "type": "object",
+            "required": ["code", "data"],
+            "properties": {
+                "code": {"type": "string"},
+                "data": {"type": "object", "additionalProperties": {"type": ["number", "string", "null"]}},
             },
-        }
-    ),
-    described(
-        "The same, as codes with data (docs/codes.md).", [{"code": "day_arc_too_short", "data": {"arc_deg": 9.5}}]
-    ),
-]
+        },
+    }
+)
+_FINDINGS_DESCRIBED = described(
+    "The same, as codes with data (docs/codes.md).", [{"code": "day_arc_too_short", "data": {"arc_deg": 9.5}}]
+)
+Findings = Annotated[tuple[Finding, ...], _FINDINGS_SCHEMA, _FINDINGS_DESCRIBED]
+# of a class whose fields refer to findings more than once: pydantic would add a component without descriptions
+FindingsJson = Annotated[list[dict[str, Any]], _FINDINGS_SCHEMA, _FINDINGS_DESCRIBED]
 EXAMPLE_TIME = "2013-05-13T18:30:00Z"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from prometheus_client.parser import text_string_to_metric_families
@@ -9,33 +10,40 @@ from sunarc.runtime.status import Reason
 if TYPE_CHECKING:
     from tests.api.conftest import Made
 
-DRIFT = Reason(code="drift", severity="degraded", text="the camera moved", remedy="wait for a clear day")
+DRIFT = Reason(
+    code="drift",
+    severity="degraded",
+    text="the camera moved",
+    remedy="wait for a clear day",
+    data={"moved_deg": 0.5, "sigma_deg": math.nan},
+)
 LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")
 
 
 def test_alive_is_alive_whatever_is_the_matter(made: Made) -> None:
-    made.board.set_reason(LOST)
+    made.board.set_condition(LOST.code, LOST)
     answer = made.client.get("/healthz")
     assert (answer.status_code, answer.json()) == (200, {"status": "alive"})
 
 
 def test_ready_is_ready(made: Made) -> None:
-    assert made.client.get("/readyz").json() == {"status": "ready", "reasons": []}
+    assert made.client.get("/readyz").json() == {"status": "ready", "reasons": [], "findings": []}
 
 
 def test_degraded_still_serves_and_says_why(made: Made) -> None:
-    made.board.set_reason(DRIFT)
+    made.board.set_condition(DRIFT.code, DRIFT)
     answer = made.client.get("/readyz")
     assert answer.status_code == 200
     assert answer.json()["status"] == "degraded"
     assert answer.json()["reasons"] == [
         {"code": "drift", "severity": "degraded", "text": "the camera moved", "remedy": "wait for a clear day"}
     ]
+    assert answer.json()["findings"] == [{"code": "drift", "data": {"moved_deg": 0.5, "sigma_deg": None}}]
 
 
 def test_not_ready_is_a_problem_with_every_remedy(made: Made) -> None:
-    made.board.set_reason(DRIFT)
-    made.board.set_reason(LOST)
+    made.board.set_condition(DRIFT.code, DRIFT)
+    made.board.set_condition(LOST.code, LOST)
     answer = made.client.get("/readyz")
     assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
     assert answer.json()["detail"] == "the camera is gone; check its cable"
@@ -78,7 +86,7 @@ def numbers(made: Made) -> dict[tuple[str, tuple[str, ...]], float]:
 
 
 def test_prometheus_reads_the_same_state(made: Made) -> None:
-    made.board.set_reason(DRIFT)
+    made.board.set_condition(DRIFT.code, DRIFT)
     told = numbers(made)
     assert told["sunarc_health", ("degraded",)] == 1.0
     assert told["sunarc_health", ("ready",)] == 0.0

@@ -64,7 +64,7 @@ def test_it_tells_address_health_last_sighting_and_conditions(
     line.ready()
     assert heard(manager) == ["READY=1\nSTATUS=serving at http://127.0.0.1:8080/; ready; no sighting yet"]
     board.note(last_sighting_at=START)
-    board.set_reason(reason("camera_lost"))
+    board.set_condition("camera_lost", reason("camera_lost"))
     clock.advance(10.0)
     line.update()
     (told,) = heard(manager)
@@ -80,7 +80,7 @@ def test_it_is_sent_when_it_has_changed_and_at_most_every_ten_seconds(
     assert heard(manager) == []  # not ready yet
     line.ready()
     heard(manager)
-    board.set_reason(reason("camera_lost"))
+    board.set_condition("camera_lost", reason("camera_lost"))
     clock.advance(9.9)
     line.update()
     assert heard(manager) == []
@@ -95,7 +95,7 @@ def test_it_is_sent_when_it_has_changed_and_at_most_every_ten_seconds(
 
 def test_more_than_four_conditions_are_counted(line: StatusLine, board: StatusRegistry) -> None:
     for code in "abcdef":
-        board.set_reason(reason(code))
+        board.set_condition(code, reason(code))
     assert line.text().endswith("conditions: a, b, c, d and 2 more")
 
 

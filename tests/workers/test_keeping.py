@@ -20,7 +20,8 @@ from .conftest import NOON
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sunarc.runtime.status import StatusRegistry
+    from sunarc.findings import Data
+from sunarc.runtime.status import StatusRegistry
 
 
 class Refusing(Archive):
@@ -53,8 +54,8 @@ def sighting(number: int) -> SunPoint:
     )
 
 
-def reasons(board: StatusRegistry) -> dict[str, str]:
-    return {reason.code: reason.text for reason in board.snapshot().reasons}
+def reasons(board: StatusRegistry) -> dict[str, Data]:
+    return {reason.code: reason.data for reason in board.snapshot().reasons}
 
 
 def test_a_sighting_is_stored_at_once_in_its_pose_epoch(archive: Refusing, board: StatusRegistry) -> None:
@@ -73,7 +74,7 @@ def test_what_the_disk_refuses_waits_is_told_and_is_stored_in_its_order(
     for number in range(45):
         keeper.keep(sighting(number))
     assert keeper.stored == 0
-    assert "45 sightings wait" in reasons(board)["sightings_not_stored"]
+    assert reasons(board)["sightings_not_stored"]["waiting"] == 45
     assert archive.sun_points("roof") == ()
     archive.full = False
     keeper.keep(sighting(45))
@@ -88,7 +89,8 @@ def test_when_memory_runs_out_the_oldest_are_lost_and_counted(archive: Refusing,
     archive.full = True
     for number in range(5):
         keeper.keep(sighting(number))
-    assert "3 sightings wait in memory, and 2 were lost" in reasons(board)["sightings_not_stored"]
+    told = reasons(board)["sightings_not_stored"]
+    assert (told["waiting"], told["lost"]) == (3, 2)
     archive.full = False
     keeper.store()
     assert [point.x_px for point in archive.sun_points("roof")] == [2.0, 3.0, 4.0]

@@ -23,6 +23,7 @@ from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitWorker
 from sunarc.workers.calibrating.solver_process import Problem, SolveFailedError, SolverDiedError, solve_in_child
+from sunarc.workers.messages import text_of
 
 NOW = datetime(2013, 5, 14, 6, 30, tzinfo=UTC)
 SIZE = (1748, 1748)
@@ -127,7 +128,7 @@ def test_a_pinned_calibration_stays_and_the_better_one_waits_as_a_candidate(
     archive.pin(first.calibration, at=NOW, reason="a campaign")
     second = carry_out("b", replace(good, sky_rms_deg=0.9 * good.sky_rms_deg))
     assert second.state == "accepted"
-    assert "the current one is pinned" in second.message
+    assert text_of(Finding("active_is_pinned")) in second.message
     current = archive.current_calibration("roof")
     assert current is not None
     assert current.id == first.calibration

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 
+from sunarc.app.messages import MESSAGES
 from sunarc.archive import LENS_CHANGED, Archive, CameraRecord, Event, require_same_site
 from sunarc.cameras import CameraInfo, SkyCamera, open_aravis, open_replay
 from sunarc.errors import ConfigurationError, InputError
+from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.settings import Settings
 from sunarc.sky import Site
@@ -87,15 +89,14 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     if current is not None:
         archive.retire(current.id, at=max(at, current.valid_from))
     _open_epoch(archive, record.name, at)
-    text = (
-        f"camera {record.model} with serial number {record.serial} has replaced serial number {stored.serial}; "
-        f"{'no calibration was' if current is None else f'calibration {current.id} was'} retired, "
-        "a new one is made from the new camera's own sightings"
-    )
-    details = {"serial": record.serial, "serial_before": stored.serial, "calibration": current and current.id}
-    archive.add_event(
-        Event(time=at, kind="camera_replaced", severity="alarm", text=text, camera=record.name, details=details)
-    )
+    details = {
+        "model": record.model,
+        "serial": record.serial,
+        "serial_before": stored.serial,
+        "calibration": "none" if current is None else current.id,
+    }
+    replaced = Finding("camera_replaced", details)
+    archive.add_event(Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name))
     return record
 
 

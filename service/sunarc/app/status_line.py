@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from sunarc.app.messages import MESSAGES
+from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
 from sunarc.runtime.systemd import Notifier
 
 _LEAST_INTERVAL_S = 10.0  # a line is for people; systemd logs none of it, but each is a message on its bus
 _MOST_CODES = 4
 
-NO_FRAME_YET = Reason(
-    code="no_frame_yet",
-    severity="degraded",
-    text="no frame has come from the camera since the service started",
-    remedy="wait for the first exposure; if this stays, see the camera's own condition or the log",
-)
-"""Set at the start: a service that is restarted again and again before its first frame is never called ready."""
+NO_FRAME_YET = "no_frame_yet"
+"""Code of the condition that is set at the start."""
 
 
 class FirstFrame:
@@ -30,12 +27,12 @@ class FirstFrame:
     def __init__(self, board: StatusRegistry) -> None:
         self._board = board
         self._before = board.snapshot().last_frame_at
-        board.set_reason(NO_FRAME_YET)
+        board.set_condition(NO_FRAME_YET, Reason.of(Finding(NO_FRAME_YET), MESSAGES), log=False)  # at every start
 
     def check(self) -> None:
         """Clear it once the last frame is another one than that before the start."""
         if self._board.snapshot().last_frame_at != self._before:
-            self._board.clear_reason(NO_FRAME_YET.code)
+            self._board.set_condition(NO_FRAME_YET, None, log=False)
 
 
 class StatusLine:

@@ -14,8 +14,8 @@ from pydantic import Field, computed_field
 
 from sunarc.archive.messages import text_of
 from sunarc.errors import InputError
-from sunarc.findings import Finding
-from sunarc.json_fields import EXAMPLE_TIME, Findings, Returned, SolarDate, Time, described
+from sunarc.findings import Finding, Messages
+from sunarc.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
 
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
@@ -259,6 +259,29 @@ class Event(Returned):
         Mapping[str, Any], described("Its numbers; their names carry their units.", {"rmse_px": 0.04})
     ] = field(default_factory=dict)
     id: Annotated[int | None, described("Its number in the archive.", 17)] = None
+
+    @staticmethod
+    def of(
+        finding: Finding,
+        messages: Messages,
+        *,
+        time: datetime,
+        severity: EventSeverity,
+        camera: str | None = None,
+        **details: Any,  # noqa: ANN401 - JSON
+    ) -> Event:
+        """Return the event that a finding is, by its messages; `details` are what the finding does not say."""
+        text, data = messages.text_of(finding), {**finding.data, **details}
+        return Event(time=time, kind=finding.code, severity=severity, text=text, camera=camera, details=data)
+
+    @computed_field(  # type: ignore[prop-decorator]
+        description="The event as a code with data (docs/codes.md).", examples=[[{"code": "day", "data": {"n": 379}}]]
+    )
+    @property
+    def findings(self) -> FindingsJson:
+        """What happened, as a code and data."""
+        plain = {key: value for key, value in self.details.items() if isinstance(value, str | int | float)}
+        return [Finding(self.kind, plain).as_json()]
 
 
 def _finite(value: float | None) -> bool:

@@ -6,6 +6,7 @@ from sunarc.findings import Message, Messages
 
 _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
 _REFUSED = "The fit is refused."
+_AGREE = "{alternatives}; {agreeing} of {of} sightings since agree"
 _MORE_DAYS = "collect sightings on further clear days"
 
 MESSAGES = Messages(
@@ -142,6 +143,42 @@ MESSAGES = Messages(
         "the active calibration {calibration} cannot be read by this version: {error}",
         _ACTIVE_STAYS,
         "install the version that wrote it, or activate another one",
+    ),
+    # changes between one sighting and the next
+    changed_bump=Message(
+        f"camera turned by {{size:.3f}} ± {{sigma:.3f}}°{_AGREE}",
+        "A pose epoch begins; the pose is estimated anew.",
+        "none if the camera stays as it is; otherwise check its mount",
+    ),
+    changed_clock=Message(
+        f"the clock that dates the frames jumped by {{size:+.2f}} ± {{sigma:.2f}} s{_AGREE}",
+        "The calibration is kept; sightings are left out until the clock is right.",
+        "let a time service set the host's clock",
+    ),
+    changed_lens=Message(
+        f"lens changed, or refocused and shifted against the sensor{_AGREE}",
+        "No calibration is served until the next clear day.",
+        "none if a lens was changed or focused: it is calibrated anew from the next clear days",
+    ),
+    changed_refocus=Message(
+        f"focus changed: image scale {{size:+.2f}} ± {{sigma:.2f}} %{_AGREE}",
+        "No calibration is served until the next clear day.",
+        "fix the focus ring; the camera is calibrated anew from the next clear days",
+    ),
+    changed_shift=Message(
+        f"sensor shifted behind the lens by {{size:.2f}} ± {{sigma:.2f}} px{_AGREE}",
+        "No calibration is served until the next clear day.",
+        "check what holds lens and sensor together; the camera is calibrated anew from the next clear days",
+    ),
+    changed_mirrored=Message(
+        f"image mirrored against the calibration{_AGREE}",
+        "Sightings are left out until the image is as before.",
+        "set the camera's image back as it was (reverse X, reverse Y)",
+    ),
+    changed_site=Message(
+        f"sun at the position of a site with the opposite latitude or longitude{_AGREE}",
+        "Sightings are left out until the site is right.",
+        "correct the sign of site.latitude or site.longitude in the settings",
     ),
     # days
     day_too_few_sightings=Message(

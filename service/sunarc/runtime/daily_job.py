@@ -11,8 +11,10 @@ from apscheduler.executors.pool import ThreadPoolExecutor
 from apscheduler.schedulers.background import BackgroundScheduler
 from apscheduler.triggers.base import BaseTrigger
 
+from sunarc.findings import Data, Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat
+from sunarc.runtime.messages import MESSAGES
 from sunarc.runtime.status import Reason, StatusRegistry
 
 _log = logging.getLogger(__name__)
@@ -126,9 +128,10 @@ class Schedule:
             self._job()
         except Exception as error:  # noqa: BLE001 - one failed call must not end the schedule
             _log.exception("the scheduled job failed")
-            self._board.set_reason(_failed_reason(error, self._every_s))
+            data: Data = {"error": f"{type(error).__name__}: {error}", "every_s": self._every_s}
+            self._board.set_condition(_FAILED, Reason.of(Finding(_FAILED, data), MESSAGES), log=False)  # with its stack
         else:
-            self._board.clear_reason(_FAILED)
+            self._board.set_condition(_FAILED, None)
         finally:
             self.heartbeat.beat()
             self._idle.set()
@@ -138,12 +141,3 @@ def _scheduler() -> BackgroundScheduler:
     # it logs every call, and warns of every one it leaves out because the last one still runs: both are as intended
     logging.getLogger("apscheduler").setLevel(logging.ERROR)
     return BackgroundScheduler(timezone=UTC, executors={"default": ThreadPoolExecutor(max_workers=1)})
-
-
-def _failed_reason(error: Exception, every_s: float) -> Reason:
-    return Reason(
-        code=_FAILED,
-        severity="degraded",
-        text=f"checking for completed days failed: {type(error).__name__}: {error}",
-        remedy=f"it is tried again in {every_s:g} s; the log has the stack",
-    )

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sunarc.runtime.status import Reason, StatusRegistry, WorkerStatus
-
-_log = logging.getLogger(__name__)
+from sunarc.runtime.messages import of_worker
+from sunarc.runtime.status import StatusRegistry, WorkerStatus
 
 
 class Heartbeat:
@@ -70,7 +68,7 @@ class Monitor:
 
 
 class Staleness:
-    """Whether a heartbeat is too old; logged once, and a condition on the board while it is.
+    """Whether a heartbeat is too old, and a condition on the board while it is.
 
     Parameters
     ----------
@@ -83,28 +81,10 @@ class Staleness:
         self._name = name
         self._stale_after_s = stale_after_s
         self._board = board
-        self._stuck = False
 
     def update(self, age_s: float) -> bool:
         """Take the heartbeat's age, and return whether it is too old."""
         stuck = age_s > self._stale_after_s
-        if stuck and not self._stuck:
-            _log.error("worker %s: no heartbeat for %.0f s", self._name, age_s)
-            self._board.set_reason(_stuck_reason(self._name, self._stale_after_s))
-        elif self._stuck and not stuck:
-            self._board.clear_reason(_stuck_code(self._name))
-        self._stuck = stuck
+        reason = of_worker("worker_stuck", self._name, severity="not_ready", limit_s=self._stale_after_s)
+        self._board.set_condition(reason.code, reason if stuck else None)
         return stuck
-
-
-def _stuck_code(name: str) -> str:
-    return f"worker_stuck_{name}"
-
-
-def _stuck_reason(name: str, stale_after_s: float) -> Reason:
-    return Reason(
-        code=_stuck_code(name),
-        severity="not_ready",
-        text=f"worker {name}: no heartbeat for more than {stale_after_s:g} s",
-        remedy="systemd restarts the service by its watchdog; without systemd, restart it",
-    )

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal, TypedDict, Unpack
 
+from pydantic import Field as PydanticField
+
+from sunarc.findings import Data, Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
+
+_log = logging.getLogger(__name__)
 
 Health = Literal["ready", "degraded", "not_ready"]
 Severity = Literal["degraded", "not_ready"]
@@ -38,6 +44,18 @@ class Reason(Returned):
     severity: Annotated[Severity, described("`degraded` still answers, with less; `not_ready` cannot answer.")]
     text: Annotated[str, described("The reason, in a sentence.", "the camera does not answer")]
     remedy: Annotated[str, described("What to do about it.", "check power, cable and address")]
+    data: Annotated[Data, PydanticField(exclude=True)] = field(default_factory=dict)
+
+    @staticmethod
+    def of(finding: Finding, messages: Messages, *, severity: Severity = "degraded", code: str | None = None) -> Reason:
+        """Return the reason that a finding is, by its messages; `code` where it is one of several of its kind."""
+        return Reason(
+            code=code or finding.code,
+            severity=severity,
+            text=messages.text_of(finding),
+            remedy=messages.remedy_of(finding),
+            data=finding.data,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,6 +161,11 @@ class StatusSnapshot:
     last_sighting_at: datetime | None = None
 
     @property
+    def findings(self) -> list[dict[str, Any]]:
+        """The reasons as the JSON of codes and data."""
+        return [Finding(reason.code, reason.data).as_json() for reason in self.reasons]
+
+    @property
     def health(self) -> Health:
         """The worst of the reasons' severities."""
         severities = {reason.severity for reason in self.reasons}
@@ -173,15 +196,31 @@ class StatusRegistry:
         with self._lock:
             self._workers[status.name] = (status, self._monotonic())
 
-    def set_reason(self, reason: Reason) -> None:
-        """Write a reason, in place of the one of the same code."""
-        with self._lock:
-            self._reasons[reason.code] = reason
+    def set_condition(self, code: str, reason: Reason | None, *, log: bool = True) -> None:
+        """Set the condition of a code, or clear it (None). That it begins or ends is logged, once.
 
-    def clear_reason(self, code: str) -> None:
-        """Take a reason off the board; nothing happens when it is not there."""
+        Parameters
+        ----------
+        code : of the condition.
+        reason : why it is set; one that is set already gets the new text.
+        log : whether to log; not where an event says the same, which the archive logs.
+        """
         with self._lock:
-            self._reasons.pop(code, None)
+            before = self._reasons.pop(code, None)
+            if reason is not None:
+                self._reasons[code] = reason
+        if not log or (before is None) == (reason is None):
+            return
+        if reason is None:
+            _log.info("condition %s has ended", code)
+        else:
+            level = logging.ERROR if reason.severity == "not_ready" else logging.WARNING
+            _log.log(level, "condition %s: %s; %s", code, reason.text, reason.remedy)
+
+    def set_one_condition(self, codes: Iterable[str], reason: Reason | None, *, log: bool = True) -> None:
+        """Set one condition of several that exclude each other, or none of them (None)."""
+        for code in codes:
+            self.set_condition(code, reason if reason is not None and reason.code == code else None, log=log)
 
     def note(self, **changes: Unpack[Notes]) -> None:
         """Write down facts, by the names of `StatusSnapshot`: `board.note(last_frame_at=frame.time)`."""

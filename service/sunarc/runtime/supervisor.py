@@ -15,7 +15,8 @@ from sunarc.bounds import Positive, require_bounds
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat, Monitor, Monitored, Staleness
-from sunarc.runtime.status import Reason, Severity, StatusRegistry, WorkerState, WorkerStatus
+from sunarc.runtime.messages import of_worker
+from sunarc.runtime.status import Severity, StatusRegistry, WorkerState, WorkerStatus
 
 _log = logging.getLogger(__name__)
 
@@ -223,14 +224,15 @@ class _Life:
         """Wait until the next life; return False when there is none, the worker being essential and having failed."""
         deaths = self._count_death()
         if not self._blocked and (self._died_too_often or deaths > self._worker.options.max_restarts):
-            self._fail(deaths)
+            self._fail()
             if self.failed:
                 return False
             self._clock.wait(self._stop, _RETRY_FAILED_S)
             return True
         self._enter("restarting")
         if not self._blocked and deaths > 1:
-            self._board.set_reason(_restarting_reason(self._worker, deaths, self._last_error))
+            within_s = self._worker.options.within_s
+            self._show("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
         self._clock.wait(self._stop, _back_off_s(deaths))
         return True
 
@@ -241,10 +243,10 @@ class _Life:
         try:
             self._worker.make_worker().run(self._stop, self._beat.beat)
         except OutsideError as error:
-            _log.error("worker %s is blocked: %s", self.name, error)
             self._blocked = True
-            self._board.set_reason(_blocked_reason(self.name, error))
-            return str(error)
+            self._last_error = str(error)
+            self._show("worker_hindered")
+            return self._last_error
         except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
             _log.exception("%s died", self.name)
             self._clear_blocked()
@@ -258,14 +260,13 @@ class _Life:
         if self._blocked:
             self._blocked = False
             self._deaths.clear()
-            self._board.clear_reason(_blocked_code(self.name))
+            self._clear("worker_hindered")
 
     def _recover(self) -> None:
         """Take back what was said of a worker that died, once it has run for longer than the longest back-off."""
         self._clear_blocked()
         self._died_too_often = False
-        self._board.clear_reason(_restarting_code(self.name))
-        self._board.clear_reason(_failed_code(self.name))
+        self._clear("worker_restarting", "worker_failed")
 
     def _count_death(self) -> int:
         now_s = self._clock.monotonic()
@@ -274,14 +275,21 @@ class _Life:
             self._deaths.popleft()
         return len(self._deaths)
 
-    def _fail(self, deaths: int) -> None:
-        first, self._died_too_often = not self._died_too_often, True
+    def _fail(self) -> None:
+        self._died_too_often = True
         self.failed = self._worker.essential
         self._enter("failed")
-        if first:
-            _log.critical("worker %s died %d times in %g s", self.name, deaths, self._worker.options.within_s)
-        self._board.clear_reason(_restarting_code(self.name))
-        self._board.set_reason(_failed_reason(self._worker, self._last_error))
+        self._clear("worker_restarting")
+        retried = "the service is restarted" if self.failed else f"it is retried every {_RETRY_FAILED_S:g} s"
+        self._show("worker_failed", severity=self._worker.severity, retried=retried)
+
+    def _show(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
+        reason = of_worker(code, self.name, severity=severity, error=self._last_error or "", **data)
+        self._board.set_condition(reason.code, reason)
+
+    def _clear(self, *codes: str) -> None:
+        for code in codes:
+            self._board.set_condition(f"{code}_{self.name}", None)
 
     def _enter(self, state: WorkerState) -> None:
         with self._lock:
@@ -303,43 +311,3 @@ class _Life:
 def _back_off_s(deaths: int) -> float:
     """Twice as long after every death of the window."""
     return float(min(_FIRST_BACK_OFF_S * 2.0 ** (deaths - 1), _LONGEST_BACK_OFF_S))
-
-
-def _blocked_code(name: str) -> str:
-    return f"worker_hindered_{name}"
-
-
-def _blocked_reason(name: str, error: OutsideError) -> Reason:
-    return Reason(
-        code=_blocked_code(name),
-        severity="degraded",
-        text=f"worker {name} is blocked: {error}",
-        remedy="fix the cause; it is retried automatically",
-    )
-
-
-def _restarting_code(name: str) -> str:
-    return f"worker_restarting_{name}"
-
-
-def _restarting_reason(worker: Supervised, deaths: int, last_error: str | None) -> Reason:
-    return Reason(
-        code=_restarting_code(worker.name),
-        severity=worker.severity,
-        text=f"worker {worker.name} died {deaths} times in {worker.options.within_s:g} s; last error: {last_error}",
-        remedy="it is restarted automatically; the log has the stack",
-    )
-
-
-def _failed_code(name: str) -> str:
-    return f"worker_failed_{name}"
-
-
-def _failed_reason(worker: Supervised, last_error: str | None) -> Reason:
-    retried = "the service is restarted" if worker.essential else f"it is retried every {_RETRY_FAILED_S:g} s"
-    return Reason(
-        code=_failed_code(worker.name),
-        severity=worker.severity,
-        text=f"worker {worker.name} disabled after repeated failures; last error: {last_error}",
-        remedy=f"fix the cause, the log has the stack; {retried}",
-    )

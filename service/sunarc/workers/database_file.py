@@ -9,8 +9,10 @@ from datetime import datetime
 
 from sunarc.archive import Archive, Event, Recovery
 from sunarc.errors import OutsideError
+from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 2.0
@@ -43,7 +45,6 @@ class DatabaseWorker:
         self._now = now
         self._board = board
         self._untold = recovered
-        self._missing = False
         if recovered is not None:
             _show(board, recovered)
 
@@ -59,12 +60,9 @@ class DatabaseWorker:
         try:
             done = self._archive.recover(now=self._clock.now())
         except OutsideError as error:
-            self._show_missing(error)
+            self._board.set_condition(_MISSING, condition(_MISSING, error=str(error)))
             return
-        if self._missing:
-            self._missing = False
-            self._board.clear_reason(_MISSING)
-            _log.info("the database is in place again")
+        self._board.set_condition(_MISSING, None)
         if done is not None:
             self._untold = done
             _show(self._board, done)
@@ -74,29 +72,19 @@ class DatabaseWorker:
         """Write the event of a recovery, as soon as it can be written."""
         if self._untold is None:
             return
-        kind = f"database_{self._untold.kind}"
-        event = Event(time=self._now(), kind=kind, severity="alarm", text=self._untold.text)
+        event = Event.of(_finding(self._untold), MESSAGES, time=self._now(), severity="alarm")
         try:
             self._archive.add_event(event)
         except OutsideError as error:
-            _log.error("could not store the event %s: %s", kind, error)
+            _log.error("could not store the event %s: %s", event.kind, error)
         else:
             self._untold = None
 
-    def _show_missing(self, error: OutsideError) -> None:
-        remedy = "see to the disk and the state folder; retried automatically, do not restart before"
-        self._board.set_reason(Reason(code=_MISSING, severity="degraded", text=str(error), remedy=remedy))
-        if not self._missing:
-            self._missing = True
-            _log.error("%s; %s", error, remedy)
+
+def _finding(done: Recovery) -> Finding:
+    return Finding(f"database_{done.kind}", {"text": done.text})
 
 
 def _show(board: StatusRegistry, done: Recovery) -> None:
-    remedies = {
-        "written_back": "find out what removed it; a restart ends this notice",
-        "restored": "find out what removed it, see `sunarc calibrations list`; a restart ends this notice",
-        "new": "to go on with a copy: stop the service, then sunarc db restore SOURCE --state DIR; "
-        "a restart ends this notice",
-    }
-    code = f"database_{done.kind}"
-    board.set_reason(Reason(code=code, severity="degraded", text=done.text, remedy=remedies[done.kind]))
+    reason = Reason.of(_finding(done), MESSAGES)
+    board.set_condition(reason.code, reason, log=False)

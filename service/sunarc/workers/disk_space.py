@@ -11,12 +11,14 @@ from sunarc.archive import DiskOptions, DiskUsage, ImageStore, Reserve
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import DiskStatus, Reason, StatusRegistry
+from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _POLL_S = 1.0  # the heartbeat's
 _CHECK_EVERY_S = 5.0
 """Seconds from check to check: a full cycle's images in between are far below what is kept free."""
 _UNREADABLE = "images_unreadable"
+_FULL = ("disk_low", "disk_full", "disk_no_inodes")
 
 
 class DiskWorker:
@@ -48,8 +50,6 @@ class DiskWorker:
         self._clock = clock
         self._age_from = age_from
         self._board = board
-        self._shown: str | None = None
-        self._unreadable = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
@@ -67,25 +67,15 @@ class DiskWorker:
         try:
             self._look()
         except (OutsideError, OSError) as error:
-            self._show_unreadable(error)
+            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
         else:
-            self._board.clear_reason(_UNREADABLE)
-            if self._unreadable:
-                self._unreadable = False
-                _log.info("the image folder %s can be read again", self._store.folder)
+            self._board.set_condition(_UNREADABLE, None)
 
     def _clear_up(self) -> None:
         try:
             self._store.clear_up()
         except OutsideError as error:
-            self._show_unreadable(error)
-
-    def _show_unreadable(self, error: Exception) -> None:
-        remedy = "give the folder back to the service's user and mount its disk; rechecked automatically"
-        self._board.set_reason(Reason(code=_UNREADABLE, severity="degraded", text=str(error), remedy=remedy))
-        if not self._unreadable:
-            self._unreadable = True
-            _log.error("%s; %s", error, remedy)
+            self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
 
     def _look(self) -> None:
         now = self._age_from()
@@ -107,45 +97,14 @@ class DiskWorker:
                 oldest_image_at=usage.oldest_image_at,
             )
         )
+        self._board.set_one_condition(_FULL, self._reason(usage, roomy=roomy))
+
+    def _reason(self, usage: DiskUsage, *, roomy: bool) -> Reason | None:
         if usage.out_of_files:
-            reason = self._no_files(usage)
+            code = "disk_no_inodes"
         elif roomy:
-            reason = None
-        elif self._reserve.held():
-            reason = self._low(usage, code="disk_low", text="has less room than is kept for the database")
+            return None
         else:
-            reason = self._low(usage, code="disk_full", text="is full; the database lives on its reserve")
-        for code in {"disk_low", "disk_full", "disk_no_inodes"} - ({reason.code} if reason else set()):
-            self._board.clear_reason(code)
-        if reason is not None:
-            self._board.set_reason(reason)
-        self._tell(reason)
-
-    def _no_files(self, usage: DiskUsage) -> Reason:
-        return Reason(
-            code="disk_no_inodes",
-            severity="degraded",
-            text=f"the file system of {self._store.folder} has no inodes left, with {usage.free_bytes / 1e6:.0f} MB "
-            "free; no file can be made",
-            remedy="remove small files from it (df -i shows the file system); rechecked automatically",
-        )
-
-    def _low(self, usage: DiskUsage, *, code: str, text: str) -> Reason:
-        return Reason(
-            code=code,
-            severity="degraded",
-            text=f"the disk of {self._store.folder} {text}: {usage.free_bytes / 1e6:.0f} MB are free, "
-            f"and images take {usage.images_bytes / 1e6:.0f} MB; no composite is kept",
-            remedy="free space on this disk, or lower disk.keep_free_mb; it is looked at again by itself",
-        )
-
-    def _tell(self, reason: Reason | None) -> None:
-        """Log a change, once."""
-        code = None if reason is None else reason.code
-        if code == self._shown:
-            return
-        self._shown = code
-        if reason is None:
-            _log.info("the disk of %s has room again", self._store.folder)
-        else:
-            _log.error("%s; %s", reason.text, reason.remedy)
+            code = "disk_low" if self._reserve.held() else "disk_full"
+        free_mb, images_mb = usage.free_bytes / 1e6, usage.images_bytes / 1e6
+        return condition(code, folder=str(self._store.folder), free_mb=free_mb, images_mb=images_mb)

@@ -35,7 +35,7 @@ def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
         snapshot = served.status()
         if snapshot.health == "not_ready":
             return _not_ready(snapshot, request.url.path)
-        return Readiness(status=snapshot.health, reasons=snapshot.reasons)
+        return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
 
     @routes.get("/v1/status")
     def status() -> Status:
@@ -70,6 +70,7 @@ def _status(served: ApiContext) -> Status:
     return Status(
         health=snapshot.health,
         reasons=snapshot.reasons,
+        findings=snapshot.findings,
         version=snapshot.version,
         camera_name=served.camera,
         started_at=snapshot.started_at,

@@ -15,7 +15,7 @@ from pydantic.config import JsonDict
 from sunarc.api.schemas.parameters import AnsweringId, Answers, Asked, Next, Number, Pair, Pixel, Size, Unit, Vector
 from sunarc.api.schemas.record import CalibrationSummary, DayWithAir
 from sunarc.archive import SunPoint
-from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
+from sunarc.json_fields import EXAMPLE_TIME, FindingsJson, SolarDate, Time, described
 from sunarc.runtime.status import CameraStatus, CaptureStatus, ClockStatus, DiskStatus, Health, Reason, WorkerStatus
 
 
@@ -168,6 +168,7 @@ class Readiness(BaseModel):
 
     status: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded; empty when it is ready.")]
+    findings: FindingsJson
 
 
 class Status(BaseModel):
@@ -175,6 +176,7 @@ class Status(BaseModel):
 
     health: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded or not ready; empty when it is ready.")]
+    findings: FindingsJson
     version: Annotated[str, described("The software's version.", "0.2.0")]
     camera_name: Annotated[str, described("Name of this service's camera.", "imager")]
     started_at: Time

@@ -1,4 +1,4 @@
-"""A change in words, with its size and what to do about it."""
+"""A change as a finding, with its size."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
+from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
 from sunarc.calibration.robust_loss import finite
+from sunarc.findings import Data, Finding
 from sunarc.optics import Param
 
 FloatArray = NDArray[np.float64]
@@ -24,27 +26,6 @@ _PERHAPS: dict[ChangeKind, str] = {
     "lens": "another lens",
     "refocus": "a refocused lens",
     "shift": "a sensor that shifted behind the lens",
-}
-
-REMEDIES: dict[ChangeKind, str] = {
-    "bump": "nothing, if the camera stays as it is: it is posed anew by itself; otherwise look at its mount",
-    "clock": "let a time service set the host's clock; the calibration is kept, sightings meanwhile are left out",
-    "lens": "nothing, if a lens was changed or focused: it is calibrated anew from the next clear days",
-    "refocus": "fix the focus ring; the camera is calibrated anew from the next clear days",
-    "shift": "look at what holds lens and sensor together; the camera is calibrated anew from the next clear days",
-    "mirrored": "set the camera's image back as it was (reverse X, reverse Y); sightings meanwhile are left out",
-    "site": "correct the sign of site.latitude or site.longitude in the settings; sightings meanwhile are left out",
-}
-
-
-_WHAT: dict[ChangeKind, str] = {
-    "bump": "the camera turned by {size:.3f} ± {sigma:.3f} degrees",
-    "clock": "the clock that dates the frames jumped by {size:+.2f} ± {sigma:.2f} s",
-    "refocus": "the focus is another one: the image grew by {size:+.2f} ± {sigma:.2f} %",
-    "shift": "the sensor shifted behind the lens by {size:.2f} ± {sigma:.2f} px",
-    "lens": "the lens is not what it was: another one, or refocused and shifted against the sensor",
-    "mirrored": "the image is mirrored against what it was",
-    "site": "the sun is where it would be at a site with the opposite latitude or longitude",
 }
 
 
@@ -71,8 +52,9 @@ def describe_change(
     early, late = min([first, *alike]), max([sure, *alike])
     size, sigma = _size(window, explanation, held)
     agreeing = int(held.inlier[first:].sum())
-    what = _WHAT[explanation.kind].format(size=size, sigma=sigma)
     of = len(window.watch) - first
+    data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
+    finding = Finding(f"changed_{explanation.kind}", data)
     return Change(
         kind=explanation.kind,
         at_unix_s=float(times[sure]),
@@ -85,13 +67,13 @@ def describe_change(
         agreeing=agreeing,
         of=of,
         perhaps=", ".join(perhaps),
-        text=f"{what}{_or(perhaps)}; {agreeing} of {of} sightings since agree",
-        remedy=REMEDIES[explanation.kind],
+        text=MESSAGES.text_of(finding),
+        remedy=MESSAGES.remedy_of(finding),
     )
 
 
-def _or(perhaps: tuple[ChangeKind, ...]) -> str:
-    return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: it looks alike so far)" if perhaps else ""
+def _alternatives(perhaps: tuple[ChangeKind, ...]) -> str:
+    return f" (or {', or '.join(_PERHAPS[kind] for kind in perhaps)}: cannot be distinguished yet)" if perhaps else ""
 
 
 def _size(window: ResidualModel, explanation: Hypothesis, held: MixtureFit) -> tuple[float, float]:

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
 from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
+from sunarc.calibration.messages import text_of
 from sunarc.errors import InputError
+from sunarc.findings import Data, Finding
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
+from sunarc.workers.messages import MESSAGES
 
 SEARCHED = "epochs_searched"
 """Kind of the event that remembers up to which sighting the record was searched, and which epochs it divided."""
@@ -111,11 +114,16 @@ class EpochSearch:
                 continue
             divided += [part.id for part in parts]
             self._camera.archive.add_event(_found(step, at, camera=self._camera.name))
-        text = f"the record was searched for steps of the pose: {len(steps)} found"
-        details = {"last_id": self._last_id, "divided": sorted(set(divided))}
-        now = self._now()
+        found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
         self._camera.archive.add_event(
-            Event(time=now, kind=SEARCHED, severity="info", text=text, camera=self._camera.name, details=details)
+            Event.of(
+                found,
+                MESSAGES,
+                time=self._now(),
+                severity="info",
+                camera=self._camera.name,
+                divided=sorted(set(divided)),
+            )
         )
 
     def unanswered(self, epoch: str) -> bool:
@@ -150,12 +158,10 @@ def _search(event: Event) -> _Search:
 
 
 def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
-    before = _moment(step.before_unix_s)
-    text = (
-        f"the camera was moved between {before.isoformat(timespec='seconds')} and "
-        f"{at.isoformat(timespec='seconds')}, by {step.turn_deg:.3f} degrees: found in the record"
-    )
-    details = {"before": before.isoformat(), "turn_deg": step.turn_deg, "searched": True}
+    before = _moment(step.before_unix_s).isoformat(timespec="seconds")
+    data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
+    text = text_of(Finding("pose_changed", data))
+    details = {**data, "searched": True}
     return Event(time=at, kind="bump", severity="warning", text=text, camera=camera, details=details)
 
 

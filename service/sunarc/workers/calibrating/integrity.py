@@ -7,7 +7,11 @@ from datetime import datetime
 
 from sunarc.archive import CalibrationRecord, CameraArchive, Event
 from sunarc.errors import InputError, NotFoundError
+from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.workers.messages import MESSAGES, condition
+
+_CODES = ("no_calibration", "calibration_unreadable", "calibration_damaged")
 
 
 class CalibrationIntegrityCheck:
@@ -42,69 +46,38 @@ class CalibrationIntegrityCheck:
         """Look, show what is wrong on the board, and write an event the first time."""
         current = self._camera.current_calibration()
         self._current = None if current is None else current.id
+        self._board.set_one_condition(_CODES, self._reason(current))
+        if current is not None:
+            self._check_sightings(current)
+
+    def _reason(self, current: CalibrationRecord | None) -> Reason | None:
         damaged = self._camera.damaged_calibration()
-        if damaged is not None:
-            reason = _damaged(damaged, current)
-            self._show(reason)
-            self._tell("calibration_damaged", damaged, reason.text)
-        else:
-            self._show(None if current is not None else _none())
+        reason = None
         if current is None:
-            return
-        try:
-            self._camera.archive.model(current.id)
-        except InputError as error:
-            self._show(_unreadable(current))
-            self._tell("calibration_unreadable", current.id, f"calibration {current.id} cannot be read: {error}")
-            return
+            reason = condition("no_calibration")
+        if damaged is not None:
+            served = "no calibration" if current is None else current.id
+            reason = self._report("calibration_damaged", calibration=damaged, served=served)
+        if current is not None:
+            try:
+                self._camera.archive.model(current.id)
+            except InputError as error:
+                reason = self._report("calibration_unreadable", calibration=current.id, error=str(error))
+        return reason
+
+    def _check_sightings(self, current: CalibrationRecord) -> None:
         try:
             self._camera.archive.sightings_of(current.id)
         except NotFoundError:
             return  # imported, or made before evidence was kept
         except InputError as error:
-            self._tell("evidence_changed", current.id, f"the record was changed: {error}")
+            self._report("evidence_changed", calibration=current.id, error=str(error))
 
-    def _show(self, reason: Reason | None) -> None:
-        for code in ("no_calibration", "calibration_unreadable", "calibration_damaged"):
-            if reason is None or reason.code != code:
-                self._board.clear_reason(code)
-        if reason is not None:
-            self._board.set_reason(reason)
-
-    def _tell(self, kind: str, calibration: str, text: str) -> None:
-        if (kind, calibration) in self._reported:
-            return
-        self._reported.add((kind, calibration))
-        details = {"calibration": calibration}
-        event = Event(
-            time=self._now(), kind=kind, severity="alarm", text=text, camera=self._camera.name, details=details
-        )
-        self._camera.archive.add_event(event)
-
-
-def _none() -> Reason:
-    return Reason(
-        code="no_calibration",
-        severity="degraded",
-        text="no calibration is current",
-        remedy="wait for a clear day, or import sightings with `sunarc points import`",
-    )
-
-
-def _damaged(damaged: str, served: CalibrationRecord | None) -> Reason:
-    instead = "none can take its place" if served is None else f"the earlier {served.id} is served in its place"
-    return Reason(
-        code="calibration_damaged",
-        severity="degraded",
-        text=f"the stored document of calibration {damaged} does not match its checksum; {instead}",
-        remedy="request a refit (POST /v1/refits), or restore a copy with `sunarc db restore --latest`; check the disk",
-    )
-
-
-def _unreadable(record: CalibrationRecord) -> Reason:
-    return Reason(
-        code="calibration_unreadable",
-        severity="degraded",
-        text=f"the current calibration {record.id} was written by another version and cannot be used",
-        remedy="install that version, or serve an older one with `sunarc calibrations activate ID`",
-    )
+    def _report(self, code: str, *, calibration: str, **data: str) -> Reason:
+        """Write an event the first time, and return the condition."""
+        finding = Finding(code, {"calibration": calibration, **data})
+        if (code, calibration) not in self._reported:
+            self._reported.add((code, calibration))
+            event = Event.of(finding, MESSAGES, time=self._now(), severity="alarm", camera=self._camera.name)
+            self._camera.archive.add_event(event)
+        return Reason.of(finding, MESSAGES)

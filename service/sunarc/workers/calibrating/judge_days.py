@@ -11,8 +11,10 @@ import numpy as np
 
 from sunarc.archive import CameraArchive, Day, Event, Refit, SunPointColumns
 from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, measure_day
+from sunarc.findings import Finding
 from sunarc.sky import day_bounds_unix_s, solar_date, sun_angles
 from sunarc.workers.fit_input import points_of
+from sunarc.workers.messages import MESSAGES
 
 _WORTH_A_REFIT = frozenset({"clear", "partly"})
 
@@ -123,12 +125,12 @@ class DayJudge:
 
     def _remember(self, day: Day) -> None:
         self._camera.archive.save_day(day)
-        text = f"{day.date} was {day.verdict}: {'; '.join(day.reasons)}"
-        details = {key: value for key, value in asdict(day).items() if isinstance(value, int | float | tuple)}
+        offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
+        numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
+        why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
+        found, known = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
         self._camera.archive.add_event(
-            Event(
-                time=day.decided_at, kind="day", severity="info", text=text, camera=self._camera.name, details=details
-            )
+            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, **known)
         )
 
 

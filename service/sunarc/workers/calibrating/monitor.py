@@ -26,6 +26,7 @@ from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator, is_provisional
+from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
@@ -231,27 +232,29 @@ class WatchWorker:
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
         if self._agreeing >= _RECOVERED_AFTER:
             self._fault = None
-            self._board.clear_reason(_code(fault))
+            self._board.set_condition(_code(fault), None)
             return
         moment = _moment(seen.unix_s)
         until = moment + timedelta(microseconds=1)
         self._camera.exclude(since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _tell(self, change: Change, at: datetime) -> None:
-        details = {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
-        event = Event(
-            time=at, kind=change.kind, severity="alarm", text=change.text, camera=self._camera.name, details=details
+        camera = self._camera.name
+        self._camera.archive.add_event(
+            Event(
+                time=at, kind=change.kind, severity="alarm", text=change.text, camera=camera, details=_data_of(change)
+            )
         )
-        self._camera.archive.add_event(event)
         self._show(change, at)
 
     def _show(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
-        self._board.set_reason(Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy))
+        reason = Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy, data=_data_of(change))
+        self._board.set_condition(reason.code, reason, log=False)
 
     def _clear_move(self) -> None:
         for kind in ("bump", *LENS_KINDS):
-            self._board.clear_reason(f"changed_{kind}")
+            self._board.set_condition(f"changed_{kind}", None)
 
     def _show_pose(self) -> None:
         """Tell how the pose stands; a full fit of the epoch ends the matter."""
@@ -260,19 +263,17 @@ class WatchWorker:
             return
         self._clear_move()
         if not is_provisional(current):
-            self._board.clear_reason("provisional_pose")
+            self._board.set_condition("provisional_pose", None)
             return
-        count, sigma = current.evidence.n_used, current.sky_rms_deg
-        said = f"the camera was posed anew from {count} sightings, to {sigma:.3f} degrees"
-        remedy = "wait: it grows surer with every sighting, and is fitted with all others after the day"
-        self._board.set_reason(Reason(code="provisional_pose", severity="degraded", text=said, remedy=remedy))
+        reason = condition("provisional_pose", n=current.evidence.n_used, sigma_deg=current.sky_rms_deg)
+        self._board.set_condition("provisional_pose", reason)
 
     def _current(self) -> Calibration | None:
         """Return what is served, and show how its pose stands where that is another calibration than before."""
         record, model = self._camera.current_calibration(), self._camera.current_model()
         before, self._shown = self._shown, None if record is None else record.id
         if record is None:
-            self._board.clear_reason("provisional_pose")
+            self._board.set_condition("provisional_pose", None)
         elif model is not None and before != record.id:
             self._show_pose()
         return model
@@ -288,10 +289,7 @@ class WatchWorker:
         """Say which pose epochs begin later than now: a clock that was ahead opened them, and they block new ones."""
         later = [epoch for epoch in self._camera.epochs() if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
-        if later:
-            self._board.set_reason(_of_the_future(later[0]))
-        else:
-            self._board.clear_reason(_FUTURE_EPOCH)
+        self._board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
 
     def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
         return Sighting(
@@ -319,13 +317,11 @@ def _moment(unix_s: float) -> datetime:
 
 
 def _of_the_future(epoch: PoseEpoch) -> Reason:
-    return Reason(
-        code=_FUTURE_EPOCH,
-        severity="degraded",
-        text=f"pose epoch {epoch.id} begins at {epoch.started_at.isoformat(timespec='seconds')}, later than now; "
-        "a clock that was ahead dated it",
-        remedy=f"if the clock is right now: sunarc epochs close {epoch.id}",
-    )
+    return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))
+
+
+def _data_of(change: Change) -> dict[str, float | int | str]:
+    return {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
 
 
 def _code(change: Change) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 from annotated_types import Ge, Gt, Le
 
 import sunarc
-from sunarc.archive import CalibrationRecord, CameraArchive, Event, PoseEpoch, Refit, RefitState
+from sunarc.archive import CalibrationRecord, CameraArchive, Event, EventSeverity, PoseEpoch, Refit, RefitState
 from sunarc.bounds import require_bounds
 from sunarc.calibration import (
     Calibration,
@@ -44,6 +44,7 @@ from sunarc.workers.calibrating.solver_process import (
     search_in_child,
     solve_in_child,
 )
+from sunarc.workers.messages import MESSAGES, text_of
 
 _log = logging.getLogger(__name__)
 
@@ -219,8 +220,8 @@ class RefitWorker:
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
         served = record.accepted and self._camera.archive.activate(record.id).state == "current"
-        held = ("kept as a candidate: the current one is pinned",) if record.accepted and not served else ()
-        self._finish(refit, state, "; ".join((*record.reasons, *held)), calibration=record.id)
+        pinned = (text_of(Finding("active_is_pinned")),) if record.accepted and not served else ()
+        self._finish(refit, state, "; ".join((*record.reasons, *pinned)), calibration=record.id)
         self._integrity.look()
 
     def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
@@ -278,15 +279,10 @@ class RefitWorker:
         self._camera.archive.finish_refit(
             refit.id, state=state, finished_at=now, calibration=calibration, message=message
         )
+        found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
+        severity: EventSeverity = "info" if state == "accepted" else "warning"
         self._camera.archive.add_event(
-            Event(
-                time=now,
-                kind=f"refit_{state}",
-                severity="info" if state == "accepted" else "warning",
-                text=message,
-                camera=self._camera.name,
-                details={"refit": refit.id, "calibration": calibration},
-            )
+            Event.of(found, MESSAGES, time=now, severity=severity, camera=self._camera.name, calibration=calibration)
         )
 
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from sunarc.cameras import Frame
 from sunarc.imaging import is_dark
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.messages import condition
 
 CODE = "black_frames"
 LIT_ZENITH_DEG = 80.0
@@ -31,18 +32,9 @@ class DarkFrames:
         longest = max(frames, key=lambda frame: frame.exposure_us)
         if not is_dark(longest.image, full_scale=longest.full_scale):
             self._dark = 0
-            self._board.clear_reason(CODE)
+            self._board.set_condition(CODE, None)
         elif apparent_zenith < LIT_ZENITH_DEG:
             self._dark += 1
             if self._dark >= _SLOTS:
-                self._board.set_reason(_reason(self._dark, longest.exposure_us))
-
-
-def _reason(slots: int, exposure_us: float) -> Reason:
-    return Reason(
-        code=CODE,
-        severity="not_ready",
-        text=f"the last {slots} slots by day are black at {exposure_us:g} us: no sun can be found in them",
-        remedy="take the lens cap off, open the dome or shutter, and check iris and filter; "
-        "with a dense filter set longer capture.hdr_exposures_us",
-    )
+                data = {"slots": self._dark, "exposure_us": longest.exposure_us}
+                self._board.set_condition(CODE, condition(CODE, severity="not_ready", **data))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.messages import condition
 
 CODE = "slots_missed"
 _SLOTS = 40
@@ -41,20 +42,10 @@ class MissedSlots:
         self._served.append(True)
         missed = self._served.count(False)
         if len(self._served) >= _FEWEST_SLOTS and missed >= _SET_SHARE * len(self._served):
-            self._board.set_reason(_reason(missed, len(self._served)))
+            self._board.set_condition(CODE, condition(CODE, missed=missed, slots=len(self._served)))
         elif missed <= _CLEAR_SHARE * len(self._served):
-            self._board.clear_reason(CODE)
+            self._board.set_condition(CODE, None)
 
     def outage(self) -> None:
         """Take note that the camera is lost: the slots until it is back are not the host's."""
         self._after_outage = True
-
-
-def _reason(missed: int, slots: int) -> Reason:
-    return Reason(
-        code=CODE,
-        severity="degraded",
-        text=f"{missed} of the last {slots} slots with the sun up passed without a cycle; "
-        "days are judged by the others",
-        remedy="free processor time on the host (see its load), or set a longer capture.cadence_s",
-    )

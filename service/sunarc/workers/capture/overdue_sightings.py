@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sunarc.runtime.clock import Clock
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture.dark_frames import LIT_ZENITH_DEG
+from sunarc.workers.messages import condition
 from sunarc.workers.timing.frame_time import FrameTime
 
 CODE = "no_sightings"
@@ -53,18 +54,8 @@ class OverdueSightings:
         sun_is_up = self._frame_time.known and self._apparent_zenith() < LIT_ZENITH_DEG
         if n_stored != self._n_stored or not sun_is_up:
             self._n_stored, self._since_s = n_stored, now_s
-            self._board.clear_reason(CODE)
+            self._board.set_condition(CODE, None)
             return
         slots = int((now_s - self._since_s) * self._frame_time.speed / self._cadence_s)
         if slots >= _SLOTS:
-            self._board.set_reason(_reason(slots))
-
-
-def _reason(slots: int) -> Reason:
-    return Reason(
-        code=CODE,
-        severity="degraded",
-        text=f"no sighting was stored in the last {slots} slots with the sun up",
-        remedy="see the other reasons and the journal for why exposures fail or are rejected; check the camera (sunarc "
-        "check --camera), the disk and the host's processor load",
-    )
+            self._board.set_condition(CODE, condition(CODE, slots=slots))

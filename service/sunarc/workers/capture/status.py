@@ -8,9 +8,10 @@ from dataclasses import replace
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
-from sunarc.runtime.status import CameraStatus, CaptureStatus, Reason, StatusRegistry
+from sunarc.runtime.status import CameraStatus, CaptureStatus, StatusRegistry
 from sunarc.workers.capture.dark_frames import DarkFrames
 from sunarc.workers.capture.missed_slots import MissedSlots
+from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row
@@ -106,40 +107,18 @@ class CaptureReport:
         self._tell_failing()
 
     def _tell_failing(self) -> None:
-        if self._incomplete == 0:
-            self._board.clear_reason(_FAILING)
-            return
-        last = "the last cycle was" if self._incomplete == 1 else f"the last {self._incomplete} cycles were"
-        self._board.set_reason(
-            Reason(
-                code=_FAILING,
-                severity="degraded",
-                text=f"{last} not whole, and left no composite: {self._failure}",
-                remedy="check the network between host and camera, and the journal for what was seen; "
-                "sunarc check --camera tries each exposure",
-            )
-        )
+        reason = condition(_FAILING, cycles=self._incomplete, error=self._failure)
+        self._board.set_condition(_FAILING, reason if self._incomplete else None)
 
     def _tell_overrun(self, hdr_s: float) -> None:
-        if self._overrun == 0:
-            self._board.clear_reason(_OVERRUN)
-        elif self._overrun >= _LASTING:
-            self._board.set_reason(
-                Reason(
-                    code=_OVERRUN,
-                    severity="degraded",
-                    text=f"for {self._overrun} cycles the normal exposures, {hdr_s:.3g} s in the last one, left no "
-                    "time for the sun's: no calibration comes of this",
-                    remedy="a longer capture.cadence_s, fewer or shorter capture.hdr_exposures_us, a larger "
-                    "camera.packet_size, or a smaller camera.region",
-                )
-            )
+        reason = condition(_OVERRUN, cycles=self._overrun, hdr_s=hdr_s)
+        self._board.set_condition(_OVERRUN, reason if self._overrun >= _LASTING else None)
 
     def opened(self, info: CameraInfo) -> None:
         """Say that the camera answers."""
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
-        self._board.clear_reason("camera_lost")
-        self._board.clear_reason("camera_refused")
+        self._board.set_condition("camera_lost", None)
+        self._board.set_condition("camera_refused", None)
         self._camera = CameraStatus(
             name=self._name,
             connected=True,
@@ -158,7 +137,6 @@ class CaptureReport:
 
     def lost(self, error: CameraError) -> None:
         """Say that the camera is gone."""
-        _log.warning("camera lost: %s", error)
         self._missed_slots.outage()
         if (
             self._camera.connected
@@ -168,22 +146,15 @@ class CaptureReport:
         self.show()
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
-        self._board.set_reason(
-            Reason(
-                code="camera_lost",
-                severity="degraded",
-                text=str(error),
-                remedy="check the camera's power, cable and address; it is tried again by itself",
-            )
-        )
+        self._board.set_condition("camera_lost", condition("camera_lost", error=str(error)))
 
     def refused(self, error: ConfigurationError | InputError) -> None:
         """Say that the camera and the settings do not fit; nothing is stored until they do."""
-        _log.error("camera refused: %s", error)
         text, remedy = str(error), "run: sunarc check --camera"
         if isinstance(error, InputError):
             text, remedy = f"{error.field}: {error.problem}", error.remedy
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
-        self._board.clear_reason("camera_lost")
-        self._board.set_reason(Reason(code="camera_refused", severity="not_ready", text=text, remedy=remedy))
+        self._board.set_condition("camera_lost", None)
+        reason = condition("camera_refused", severity="not_ready", error=text, remedy=remedy)
+        self._board.set_condition("camera_refused", reason)

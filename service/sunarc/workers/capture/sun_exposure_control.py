@@ -18,7 +18,8 @@ from sunarc.imaging import (
     first_sun_exposures,
     next_sun_exposures,
 )
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.messages import condition
 
 _SATURATED = 0.98
 _BURNT_PX = 30
@@ -98,22 +99,12 @@ class SunExposures:
         if self._board is None:
             return
         if state.cycles_spoiled >= SPOILED_AFTER:
-            self._board.set_reason(_too_bright(bounds.minimum_us))
+            self._board.set_condition(_CODE, condition(_CODE, exposure_us=bounds.minimum_us))
         elif state.cycles_spoiled == 0:
-            self._board.clear_reason(_CODE)
+            self._board.set_condition(_CODE, None)
 
 
 def _is_burnt(frame: Frame) -> bool:
     """Return whether so much is saturated that only the sun can have done it."""
     saturated = int(np.count_nonzero(frame.image >= _SATURATED * frame.full_scale))
     return saturated * frame.binning**2 > _BURNT_PX
-
-
-def _too_bright(shortest_us: float) -> Reason:
-    return Reason(
-        code=_CODE,
-        severity="degraded",
-        text=f"the sun burns out even the camera's shortest exposure ({shortest_us:g} us); its disc is not found",
-        remedy="put a neutral filter (optical density 2 to 3) before the lens, or lower the gain; "
-        "where saturated pixels spill into others, set sensor.blooming",
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,12 +15,13 @@ from sunarc.archive import ImageStore
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.messages import condition
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
-_log = logging.getLogger(__name__)
 _POLL_S = 0.5
+_CODE = "images_not_written"
 
 
 class ComposeWorker:
@@ -50,7 +50,6 @@ class ComposeWorker:
         self._options = options
         self._describe = describe
         self._board = board
-        self._refused = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -83,28 +82,9 @@ class ComposeWorker:
             self._store.write(captured_at, png, kind="hdr.png")
             self._store.write(captured_at, jpeg, kind="hdr.jpg")
         except OutsideError as error:
-            self._show_refused(error)
+            self._board.set_condition(_CODE, condition(_CODE, error=str(error)))
         else:
-            self._show_written()
-
-    def _show_refused(self, error: OutsideError) -> None:
-        if not self._refused:
-            _log.error("composites are not kept: %s", error)
-        self._refused = True
-        self._board.set_reason(
-            Reason(
-                code="images_not_written",
-                severity="degraded",
-                text=str(error),
-                remedy="free space on the disk of the state folder, or make it writable",
-            )
-        )
-
-    def _show_written(self) -> None:
-        if self._refused:
-            _log.info("composites are kept again")
-        self._refused = False
-        self._board.clear_reason("images_not_written")
+            self._board.set_condition(_CODE, None)
 
 
 def encode(image: NDArray[np.uint8] | NDArray[np.uint16], suffix: str) -> bytes:

@@ -15,8 +15,10 @@ from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, Event, SunPoint
 from sunarc.cameras import Counts, Frame
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
+from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import angular_distance, sun_directions
+from sunarc.workers.messages import MESSAGES
 
 _log = logging.getLogger(__name__)
 _IMAGES_KEPT = 256
@@ -119,18 +121,16 @@ class FrozenFrames:
         self._in_a_row += 1
         if self._in_a_row < _LASTING:
             return
-        reason = _frozen(self._in_a_row, earlier)
-        self._board.set_reason(reason)
+        finding = Finding(_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
+        self._board.set_condition(_CODE, Reason.of(finding, MESSAGES), log=False)
         if self._in_a_row == _LASTING:
-            self._tell(Event(time=moment, kind=_CODE, severity="alarm", text=reason.text, camera=self._camera.name))
+            self._store(Event.of(finding, MESSAGES, time=moment, severity="alarm", camera=self._camera.name))
 
     def _clear(self) -> None:
-        if self._in_a_row >= _LASTING:
-            _log.info("the camera delivers new images again, after %d repeated ones", self._in_a_row)
         self._in_a_row = 0
-        self._board.clear_reason(_CODE)
+        self._board.set_condition(_CODE, None)
 
-    def _tell(self, event: Event) -> None:
+    def _store(self, event: Event) -> None:
         try:
             self._camera.archive.add_event(event)
         except OutsideError as error:
@@ -145,13 +145,3 @@ def _is_sun(seen: Detection | SunPoint) -> bool:
 def _tells(image: Counts) -> bool:
     """Return whether an image differs from a constant in more than a few pixels."""
     return int(np.count_nonzero(image != image.flat[0])) > _FEWEST_PIXELS
-
-
-def _frozen(count: int, earlier: datetime) -> Reason:
-    return Reason(
-        code=_CODE,
-        severity="degraded",
-        text=f"the camera repeats its images: {count} sun exposures in a row are copies of earlier ones (the last: of "
-        f"{earlier.isoformat(timespec='seconds')}); no sighting is accepted",
-        remedy="restart the camera (power), and update its firmware if it happens again",
-    )

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from sunarc.archive import Archive, SunPoint
 from sunarc.errors import OutsideError
-from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _CAPACITY = 20_000  # a week of two a cycle, and 10 MB
@@ -33,7 +34,6 @@ class SightingWriteBuffer:
         self._capacity = capacity
         self._lost = 0
         self._stored = 0
-        self._refused = False
 
     @property
     def waiting(self) -> int:
@@ -63,9 +63,11 @@ class SightingWriteBuffer:
                     self._waiting.popleft()
                 self._stored += len(some)
         except OutsideError as error:
-            self._show_refused(error)
+            reason = condition(_CODE, waiting=len(self._waiting), lost=self._lost, error=str(error))
+            self._board.set_condition(_CODE, reason)
         else:
-            self._show_stored()
+            self._lost = 0
+            self._board.set_condition(_CODE, None)
 
     def give_up(self) -> None:
         """Say what is lost with the end of the process."""
@@ -75,23 +77,3 @@ class SightingWriteBuffer:
     def _placed(self, point: SunPoint) -> SunPoint:
         epoch = self._archive.epoch_at(point.camera, point.time, reason="first frame")
         return replace(point, pose_epoch=epoch.id)
-
-    def _show_refused(self, error: OutsideError) -> None:
-        if not self._refused:
-            _log.error("sightings wait in memory: %s", error)
-        self._refused = True
-        lost = f", and {self._lost} were lost" if self._lost else ""
-        self._board.set_reason(
-            Reason(
-                code=_CODE,
-                severity="degraded",
-                text=f"{len(self._waiting)} sightings wait in memory{lost}: {error}",
-                remedy="free space on the disk of the state folder, or make it writable; do not restart before",
-            )
-        )
-
-    def _show_stored(self) -> None:
-        if self._refused:
-            _log.info("the sightings that waited are stored; %d were lost", self._lost)
-            self._board.clear_reason(_CODE)
-            self._refused, self._lost = False, 0

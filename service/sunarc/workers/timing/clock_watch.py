@@ -16,10 +16,12 @@ from sunarc.archive import Archive, Event
 from sunarc.bounds import require_bounds
 from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.errors import OutsideError
+from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
+from sunarc.workers.messages import MESSAGES
 from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
-from sunarc.workers.timing.clock_reasons import camera_offset, settling, step_text, stepped, unsynchronised
+from sunarc.workers.timing.clock_reasons import camera_offset, stepped
 from sunarc.workers.timing.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
 from sunarc.workers.timing.frame_time import FrameTime
 
@@ -248,27 +250,23 @@ class ClockWatch:
                     self._archive.doubt_times(self._camera, since=since, until=until, error_s=abs(step.step_s))
                 self._archive.add_event(self._event(step, wait_s))
             except OutsideError as error:
-                _log.warning("a step of the clock is not written down yet: %s", error)
+                _log.warning("could not store clock step, will retry: %s", error)
                 return
             self._unwritten.popleft()
 
     def _event(self, step: ClockStep, wait_s: float) -> Event:
         state = self._clock.state()
-        return Event(
+        return Event.of(
+            stepped("clock_step", self._whose, step),
+            MESSAGES,
             time=step.at,
-            kind="clock_step",
             severity="warning",
-            text=f"the {step_text(self._whose, step)}",
             camera=self._camera,
-            details={
-                "step_s": step.step_s,
-                "clock": self._whose,
-                "noticed_within_s": step.within_s,
-                "synchronised_after": state.synchronised,
-                "error_bound_s": self._bound_s(),
-                "gradual": step.gradual,
-                "distrusted_s": wait_s,
-            },
+            noticed_within_s=step.within_s,
+            synchronised_after=state.synchronised,
+            error_bound_s=self._bound_s(),
+            gradual=step.gradual,
+            distrusted_s=wait_s,
         )
 
     @property
@@ -287,7 +285,7 @@ class ClockWatch:
             )
         )
         recent = last is not None and self._clock.monotonic() - last.found_s < SHOW_STEP_S
-        self._put("clock_stepped", stepped(self._whose, last) if last is not None and recent else None)
+        self._put("clock_stepped", stepped("clock_stepped", self._whose, last) if last and recent else None)
         self._show_trust()
 
     def _show_trust(self) -> None:
@@ -298,31 +296,23 @@ class ClockWatch:
         without = bool(self._camera_off_s) or (
             self._camera_error_s is None and self._kernel_bound_s() >= UNKNOWN_ERROR_S
         )
-        self._put("clock_settling", settling(wait_s) if wait_s > 0.0 else None)
-        self._put("camera_clock_offset", camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None)
-        self._put("clock_unsynchronised", unsynchronised(self._whose) if without else None)
-        if is_off and not self._is_offset_written:
-            reason = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S)
-            self._write_offset(reason, offset_s)
+        offset = camera_offset(offset_s, limit_s=_CAMERA_OFFSET_S) if is_off else None
+        self._put("clock_settling", Finding("clock_settling", {"wait_s": wait_s}) if wait_s > 0.0 else None, log=True)
+        self._put("camera_clock_offset", offset)
+        unsynchronised = Finding("clock_unsynchronised", {"clock": self._whose})
+        self._put("clock_unsynchronised", unsynchronised if without else None, log=True)
+        if offset is not None and not self._is_offset_written:
+            self._write_offset(offset)
         self._is_offset_written = is_off
 
-    def _write_offset(self, reason: Reason, offset_s: float) -> None:
+    def _write_offset(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
-        event = Event(
-            time=self._frame_time.now(),
-            kind=reason.code,
-            severity="alarm",
-            text=f"{reason.text}; {reason.remedy}",
-            camera=self._camera,
-            details={"offset_s": offset_s},
-        )
+        event = Event.of(offset, MESSAGES, time=self._frame_time.now(), severity="alarm", camera=self._camera)
         try:
             self._archive.add_event(event)
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
-    def _put(self, code: str, reason: Reason | None) -> None:
-        if reason is None:
-            self._board.clear_reason(code)
-        else:
-            self._board.set_reason(reason)
+    def _put(self, code: str, finding: Finding | None, *, log: bool = False) -> None:
+        """Set or clear a condition; without `log` where an event says the same."""
+        self._board.set_condition(code, None if finding is None else Reason.of(finding, MESSAGES), log=log)

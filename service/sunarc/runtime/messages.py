@@ -1,0 +1,39 @@
+"""The messages of conditions that the supervisor and the schedule set."""
+
+from __future__ import annotations
+
+from sunarc.findings import Finding, Message, Messages
+from sunarc.runtime.status import Reason, Severity
+
+MESSAGES = Messages(
+    worker_stuck=Message(
+        "worker {name}: no heartbeat for more than {limit_s:g} s",
+        "A worker or loop (`web`: the HTTP server, `schedule`) does not answer; systemd's watchdog is not fed.",
+        "systemd restarts the service by its watchdog; without systemd, restart it",
+    ),
+    worker_hindered=Message(
+        "worker {name} is blocked: {error}",
+        "Something outside keeps a worker from its work.",
+        "fix the cause; it is retried automatically",
+    ),
+    worker_restarting=Message(
+        "worker {name} died {deaths} times in {within_s:g} s; last error: {error}",
+        "Not ready for `capture` and `detect`, else degraded.",
+        "it is restarted automatically; the log has the stack",
+    ),
+    worker_failed=Message(
+        "worker {name} disabled after repeated failures; last error: {error}",
+        "It died more than `supervisor.max_restarts` times; not ready for `capture` and `detect`, else degraded.",
+        "fix the cause, the log has the stack; {retried}",
+    ),
+    schedule_failed=Message(
+        "checking for completed days failed: {error}",
+        "Days are evaluated late.",
+        "it is retried every {every_s:g} s; the log has the stack",
+    ),
+)
+
+
+def of_worker(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
+    """Return a condition of one worker; its code ends with the worker's name."""
+    return Reason.of(Finding(code, {"name": name, **data}), MESSAGES, severity=severity, code=f"{code}_{name}")

@@ -1,0 +1,202 @@
+"""The messages of the workers' conditions and events."""
+
+from __future__ import annotations
+
+from sunarc.findings import Finding, Message, Messages
+from sunarc.runtime.status import Reason, Severity
+
+_BY_OTHERS = "Days are evaluated by the other slots."
+_NO_NOTICE = "a restart ends this notice"
+
+MESSAGES = Messages(
+    # calibration
+    no_calibration=Message(
+        "no active calibration",
+        "Directions cannot be given.",
+        "wait for a clear day, or import sightings with `sunarc points import`",
+    ),
+    calibration_damaged=Message(
+        "the stored document of calibration {calibration} does not match its checksum; {served} is served",
+        "The newest undamaged calibration before it is served.",
+        "request a refit (POST /v1/refits), or restore a copy with `sunarc db restore --latest`; check the disk",
+    ),
+    calibration_unreadable=Message(
+        "the active calibration {calibration} was written by another version and cannot be used: {error}",
+        "Directions cannot be given.",
+        "install that version, or activate an older one with `sunarc calibrations activate ID`",
+    ),
+    evidence_changed=Message(
+        "the sightings of calibration {calibration} were changed since it was made: {error}",
+        "The calibration is served, but cannot be reproduced.",
+        "restore a copy with `sunarc db restore`, or request a refit",
+    ),
+    provisional_pose=Message(
+        "pose estimated from {n} sightings since the camera moved, to {sigma_deg:.3f}°",
+        "The stated uncertainty says how far the pose is known.",
+        "wait: every sighting improves it, and the fit after the day replaces it",
+    ),
+    epoch_in_future=Message(
+        "pose epoch {pose_epoch} begins at {started_at}, later than now; a clock that was ahead dated it",
+        "It is not used, but no other can begin.",
+        "if the clock is right now: sunarc epochs close {pose_epoch}",
+    ),
+    day=Message("{date} was {verdict}: {reasons}", "A solar day has ended and was evaluated."),
+    refit_accepted=Message("{message}", "A refit made a calibration that may be served."),
+    refit_marginal=Message(
+        "{message}",
+        "A refit made a calibration that is kept as a candidate.",
+        "`sunarc calibrations activate ID` serves it",
+    ),
+    refit_refused=Message(
+        "{message}", "A refit made a calibration that is not served.", "see the findings of the calibration"
+    ),
+    refit_failed=Message("{message}", "A refit made no calibration.", "see the text"),
+    active_is_pinned=Message(
+        "kept as a candidate: the active calibration is pinned",
+        "An operator pinned the active one.",
+        "`sunarc calibrations unpin ID` lets refits replace it",
+    ),
+    epochs_searched=Message(
+        "the record was searched for pose changes: {steps} found", "Pose epochs of sightings before the start."
+    ),
+    # camera and exposures
+    camera_lost=Message(
+        "{error}",
+        "The camera does not answer; it is opened again automatically, at most 30 s apart.",
+        "check the camera's power, cable and address; it is retried automatically",
+    ),
+    camera_refused=Message(
+        "{error}",
+        "Camera and settings do not fit (image size, pixel format, exposures); nothing is stored. Not ready.",
+        "{remedy}",
+    ),
+    exposures_failing=Message(
+        "last {cycles} cycles incomplete, no composite written: {error}",
+        "An exposure failed in every attempt, frames were suspect, or the camera was lost in between.",
+        "check the network between host and camera, and the log; sunarc check --camera tries each exposure",
+    ),
+    cycle_too_long=Message(
+        "for {cycles} cycles the normal exposures ({hdr_s:.3g} s in the last one) left no time for sun exposures; no "
+        "sightings, so no calibration",
+        "Ten cycles or more without a sun exposure.",
+        "set a longer capture.cadence_s, fewer or shorter capture.hdr_exposures_us, a larger camera.packet_size, or a "
+        "smaller camera.region",
+    ),
+    slots_missed=Message(
+        "{missed} of the last {slots} slots with the sun up had no cycle",
+        _BY_OTHERS,
+        "free processor time on the host (see its load), or set a longer capture.cadence_s",
+    ),
+    no_sightings=Message(
+        "no sighting was stored in the last {slots} slots with the sun up",
+        "Not even a rejected one, with the sun 10° or more above the horizon.",
+        "see the other conditions and the log for why exposures fail or are rejected; check the camera (sunarc check "
+        "--camera), the disk and the host's processor load",
+    ),
+    black_frames=Message(
+        "the last {slots} slots by day are black at {exposure_us:g} µs; the sun cannot be detected",
+        "Neither sightings nor composites. Not ready.",
+        "take the lens cap off, open the dome or shutter, check iris and filter; with a dense filter set longer "
+        "capture.hdr_exposures_us",
+    ),
+    sun_too_bright=Message(
+        "sun saturates at the shortest exposure ({exposure_us:g} µs); its disc is not detected",
+        "20 cycles without a usable sun exposure.",
+        "put a neutral filter (optical density 2 to 3) before the lens, or lower the gain; where saturated pixels "
+        "spill into others, set sensor.blooming",
+    ),
+    camera_frozen=Message(
+        "the camera repeats its images: {n} sun exposures in a row are copies of earlier ones (the last: of {time})",
+        "No sighting is accepted.",
+        "restart the camera (power), and update its firmware if it happens again",
+    ),
+    # disk and database
+    images_not_written=Message(
+        "composite not written: {error}",
+        "Composites are missing.",
+        "free space on the disk of the state folder, or make it writable",
+    ),
+    images_unreadable=Message(
+        "{error}",
+        "The image folder cannot be read.",
+        "give the folder back to the service's user and mount its disk; rechecked automatically",
+    ),
+    disk_low=Message(
+        "disk of {folder}: {free_mb:.0f} MB free, less than disk.keep_free_mb; images take {images_mb:.0f} MB",
+        "No composite is kept.",
+        "free space on this disk, or lower disk.keep_free_mb; rechecked automatically",
+    ),
+    disk_full=Message(
+        "disk of {folder} full ({free_mb:.0f} MB free, images take {images_mb:.0f} MB); using the reserved space for "
+        "the database",
+        "No composite is kept.",
+        "free space on this disk, soon; rechecked automatically",
+    ),
+    disk_no_inodes=Message(
+        "the file system of {folder} has no inodes left ({free_mb:.0f} MB free); no file can be made",
+        "No composite is kept.",
+        "remove small files (df -i shows the file system); rechecked automatically",
+    ),
+    sightings_not_stored=Message(
+        "{waiting} sightings not written, held in memory ({lost} lost): {error}",
+        "They are stored later.",
+        "free space on the disk of the state folder, or make it writable; do not restart until written, or they are "
+        "lost",
+    ),
+    database_missing=Message(
+        "{error}",
+        "The database was deleted, replaced or emptied, or cannot be reached; sightings wait in memory.",
+        "check the disk and the state folder; retried automatically, do not restart before",
+    ),
+    database_written_back=Message(
+        "{text}",
+        "A database deleted or replaced under the service was written back from the open connection.",
+        f"find out what removed it; {_NO_NOTICE}",
+    ),
+    database_restored=Message(
+        "{text}",
+        "A missing or empty database was restored from the newest copy; what came after that copy is lost.",
+        f"find out what removed it, see `sunarc calibrations list`; {_NO_NOTICE}",
+    ),
+    database_new=Message(
+        "{text}",
+        "A database was missing or empty and there was no copy.",
+        f"to go on with a copy: stop the service, then sunarc db restore SOURCE --state DIR; {_NO_NOTICE}",
+    ),
+    # clock
+    clock_step=Message(
+        "{clock} clock stepped by {step_s:+.3f} s {how}",
+        "The clock that dates the frames was set.",
+        "check what sets the clock; sightings around the step carry its size as their error",
+    ),
+    clock_stepped=Message(
+        "{clock} clock stepped by {step_s:+.3f} s {how} at {at}",
+        "The clock that dates the frames was set within the last hour.",
+        "check what sets the clock; sightings around the step carry its size as their error",
+    ),
+    clock_settling=Message(
+        "host clock stepped by a minute or more, or gradually; not used for calibration for another {wait_s:.0f} s",
+        "Sightings made meanwhile are left out of fits, and no day is evaluated.",
+        "check the host's time (timedatectl); if it is wrong, correct it: a return to the former time shortens the "
+        "wait to 10 min",
+    ),
+    clock_unsynchronised=Message(
+        "{clock} clock not synchronised (1 s of error = 0.004° of sun position); daily evaluation and calibration are "
+        "suspended",
+        "Sightings made meanwhile are left out of fits.",
+        "host clock: start a time service (systemd-timesyncd or chrony) and let it reach its servers; camera clock: "
+        'check the PTP master, or set camera.timestamps = "host", then restart the service',
+    ),
+    camera_clock_offset=Message(
+        "camera timestamps differ from the host clock by {offset_s:+.3f} s (limit {limit_s:g} s){cause}",
+        "Sightings carry this difference as their clock error.",
+        "{remedy}",
+    ),
+)
+
+text_of = MESSAGES.text_of
+
+
+def condition(code: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
+    """Return a condition for the status board."""
+    return Reason.of(Finding(code, data), MESSAGES, severity=severity)
