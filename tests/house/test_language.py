@@ -14,7 +14,7 @@ import pytest
 WORDS = re.compile(r"told|vouch\w*|footing|believed|hindered|soundness|mend(?:s|ed|ing)?|foretold", re.IGNORECASE)
 PHRASES = re.compile(r"\bgiven up\b", re.IGNORECASE)
 KEPT = {
-    "worker_hindered_": "the code of a condition, which dashboards and alert rules outside know",
+    "worker_hindered": "the code of a condition, which dashboards and alert rules outside know",
 }
 DOCUMENTS = (
     "README.md",
@@ -34,8 +34,9 @@ def words_of(identifier: str) -> list[str]:
 def found_in(text: str) -> Iterator[str]:
     """Yield what a source's identifiers and texts have of the words."""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.NAME and any(WORDS.fullmatch(word) for word in words_of(token.string)):
-            yield f"{token.start[0]}: {token.string}"
+        if token.type == tokenize.NAME:
+            if token.string not in KEPT and any(WORDS.fullmatch(word) for word in words_of(token.string)):
+                yield f"{token.start[0]}: {token.string}"
         elif token.type == tokenize.STRING:
             content = token.string
             for kept in KEPT:
@@ -75,6 +76,8 @@ def test_every_module_and_every_public_name_has_a_docstring(sources: dict[str, s
         ("x = 'recommended'\n", 0),
         ("retold_ = 'untold'\n", 0),
         ("x = 'worker_hindered_' + name\n", 0),
+        ("x = dict(worker_hindered=1)\n", 0),
+        ("worker_was_hindered = 1\n", 1),
         ("def f():\n    '''It is given up.'''\n", 1),
     ],
 )
