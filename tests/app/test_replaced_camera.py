@@ -56,6 +56,7 @@ def test_another_serial_retires_the_calibration_begins_an_epoch_and_is_an_event(
     (event,) = imager.alarms()
     assert event.kind == "camera_replaced"
     assert (event.details["serial"], event.details["serial_before"]) == ("2", "1")
+    assert event.details["calibration"] == "full"
     assert stored_serial(imager.archive) == "2"
     imager.run(10.0)
     assert imager.served() is None  # no pose is found with the other camera's lens

@@ -96,7 +96,8 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
         "calibration": "none" if current is None else current.id,
     }
     replaced = Finding("camera_replaced", details)
-    archive.add_event(Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name))
+    retired = None if current is None else current.id
+    archive.add_event(Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, calibration=retired))
     return record
 
 

@@ -280,7 +280,8 @@ class Event(Returned):
     @property
     def findings(self) -> FindingsJson:
         """What happened, as a code and data."""
-        plain = {key: value for key, value in self.details.items() if isinstance(value, str | int | float)}
+        # numbers and names only: a boolean is none, though Python counts it among the integers
+        plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
         return [Finding(self.kind, plain).as_json()]
 
 
