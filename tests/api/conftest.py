@@ -51,13 +51,17 @@ def calibration(camera: Camera = LENS) -> Calibration:
     return chosen_calibration(camera, names=names, covariance=covariance, orders=orders)
 
 
+REFUSED = Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1})
+"""Why the refused calibration was refused."""
+
+
 def document(
     name: str, *, accepted: bool = True, valid_from: datetime = NOON - timedelta(days=1), camera: Camera = LENS
 ) -> dict[str, Any]:
     """Return a calibration document."""
     solved = calibration(camera)
     if not accepted:
-        solved = refused(solved, Finding("cross_validation_rmse", {"rmse_px": 0.4, "expected_px": 0.1}))
+        solved = refused(solved, REFUSED)
     return to_document(
         solved,
         id=name,

@@ -17,10 +17,11 @@ import pytest
 import uvicorn
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
-from tests.api.conftest import LENS, NOON
+from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import SunPoint
+from sunarc.calibration.messages import text_of
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 
@@ -156,7 +157,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         shown(desktop.page)
         assert desktop.page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert desktop.page.get_attribute("#health", "data-health") == "ready"
-        assert "held-out days disagree by 0.4 px" in desktop.page.inner_text("#calibrations")
+        assert text_of(REFUSED) in desktop.page.inner_text("#calibrations")
         updates_live(desktop.page, pictured)
         can_be_used_by_keyboard(desktop.page)
         is_accessible(desktop.page)
