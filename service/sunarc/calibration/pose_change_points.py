@@ -22,7 +22,7 @@ from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Calibration, Move
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
-from sunarc.calibration.pose_step_evidence import log_bayes_factor
+from sunarc.calibration.pose_step_evidence import LONGEST_EPISODE_S, log_bayes_factor
 from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast, rotation_matrix
@@ -79,7 +79,7 @@ def calibrate_moved(
 
     The calibration is of the last pose; its evidence tells the moves, and its verdict names them. Sightings that are
     of several pose epochs already are fitted as they are, as are those of a fit by the paper's method or of the pose
-    alone. A move within 20 sightings of an end or of another move is not found.
+    alone. A move within 20 sightings or 75 minutes of an end or of another move is not found: cloud lasts as long.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Ca
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
         apart = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
-        if np.bincount(apart.epoch[usable.index]).min() < _FEWEST:
+        if _too_short(apart.epoch[usable.index], usable):
             return None
         fitted = fit(apart, begin)
         if fitted.evidence.n_used == 0:
@@ -154,6 +154,12 @@ def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Ca
             break
         row = better
     return Moved(fitted, apart)
+
+
+def _too_short(epoch: IntArray, usable: FilteredSightings) -> bool:
+    """Return whether an epoch has too few sightings, or lasts no longer than cloud may draw them aside."""
+    lasts = [np.ptp(usable.unix_s[epoch == one]) for one in np.unique(epoch)]
+    return bool(np.bincount(epoch).min() < _FEWEST or min(lasts) < LONGEST_EPISODE_S)
 
 
 def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) -> int:

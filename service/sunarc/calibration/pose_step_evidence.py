@@ -32,9 +32,9 @@ _MOST_ROWS = 280
 _DAYS_BESIDE = 3
 """Days on either side of the step that are looked at."""
 _DAY_S = 86_400.0
-_LONGEST_EPISODE_S = 4500.0
+LONGEST_EPISODE_S = 4500.0
 """Longest episode of cloud that competes with a step: what lasts longer and is constant is a move."""
-_EPISODES_S = (900.0, 2400.0, _LONGEST_EPISODE_S)
+_EPISODES_S = (900.0, 2400.0, LONGEST_EPISODE_S)
 _MOST_EPISODES = 3
 _EPISODE_TIMES_S = (300.0, 1200.0)
 """Correlation times of what cloud does to a detection."""
@@ -285,7 +285,7 @@ def _refined(model: _Model, amplitudes: Amplitudes, episodes: tuple[Episode, ...
             last._replace(begin_s=last.begin_s + begin * shift, end_s=last.end_s + end * shift)
             for begin, end in itertools.product((-1, 0, 1), repeat=2)
         ]
-        episodes = best(one for one in moved if one.end_s - one.begin_s <= _LONGEST_EPISODE_S)
+        episodes = best(one for one in moved if one.end_s - one.begin_s <= LONGEST_EPISODE_S)
         last = episodes[-1]
         episodes = best(
             last._replace(amplitude_px=factor * last.amplitude_px, time_s=time)
