@@ -17,6 +17,7 @@ from sunarc import __version__, app, offline
 from sunarc.archive import parse_time
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
+from sunarc.cli.codes import all_codes, codes_as_markdown
 from sunarc.cli.database import db_cli, note_running_service, points_cli
 from sunarc.cli.export import export_calibration
 from sunarc.cli.options import Altitude, AsJson, CalibrationFile, Config, Latitude, Longitude
@@ -233,6 +234,18 @@ def unproject(calibration: CalibrationFile) -> None:
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """
     offline.unproject_csv(calibration, sys.stdin, sys.stdout)
+
+
+@cli.command()
+def codes(*, as_json: AsJson = False) -> None:
+    """Print every code of findings with its meaning and action, as the page docs/codes.md.
+
+    Example: sunarc codes --json
+    """
+    if as_json:
+        print_json([one._asdict() for one in all_codes()])
+    else:
+        print(codes_as_markdown(all_codes()), end="")
 
 
 @cli.command()

@@ -1,0 +1,59 @@
+"""The codes of findings with their meaning and action, as the page docs/codes.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from sunarc.app.messages import MESSAGES as OF_APP
+from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.findings import Messages
+from sunarc.runtime.messages import MESSAGES as OF_RUNTIME
+from sunarc.workers.messages import MESSAGES as OF_WORKERS
+
+_TABLES: dict[str, Messages] = {
+    "calibration": OF_CALIBRATION,
+    "archive": OF_ARCHIVE,
+    "runtime": OF_RUNTIME,
+    "workers": OF_WORKERS,
+    "app": OF_APP,
+}
+_HEAD = """# Codes of findings
+
+Verdicts of calibrations and days, conditions in `/readyz` and `/v1/status`, and events carry
+`findings: [{"code", "data"}]`. Codes and data are stable; the sentences are not. This page is the output of
+`sunarc codes`.
+"""
+
+
+class Code(NamedTuple):
+    """A code, the room that makes it, its sentence, what it means, and what to do."""
+
+    code: str
+    room: str
+    text: str
+    meaning: str
+    action: str
+
+
+def all_codes() -> list[Code]:
+    """Return the codes of all rooms, each room's in alphabetical order."""
+    return [Code(code, room, *table[code]) for room, table in _TABLES.items() for code in sorted(table)]
+
+
+def codes_as_markdown(codes: Iterable[Code]) -> str:
+    """Return the page docs/codes.md."""
+    rows, room = [_HEAD], ""
+    for one in codes:
+        if one.room != room:
+            room = one.room
+            rows.append(f"\n## `{room}/`\n\n| code | message | meaning | action |\n|---|---|---|---|\n")
+        rows.append(f"| `{one.code}` | {_plain(one.text)} | {_plain(one.meaning)} | {_plain(one.action)} |\n")
+    return "".join(rows)
+
+
+def _plain(template: str) -> str:
+    """Return a template with the names of its data only, and bars that do not end a cell of the table."""
+    return re.sub(r"\{(\w+)[^}]*\}", r"{\1}", template).replace("|", "\\|")
