@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+"""An image as the sensor counted it, (height, width)."""
 
 Rows = slice | BoolArray | IntArray
 """Some rows of a column: a slice, a mask or an index."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.detection import DiscOptions, Expectation, Image, Sensor, bayer_of
+from sunarc.array_types import Image
+from sunarc.detection import DiscOptions, Expectation, Sensor, bayer_of
 from sunarc.detection.frames import require_raw
 from sunarc.errors import InputError
 

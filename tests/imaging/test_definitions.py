@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.detection import Bayer, Image, Sensor
+from sunarc.array_types import Image
+from sunarc.detection import Bayer, Sensor
 from sunarc.errors import InputError
 from sunarc.imaging import Exposed, Level, factor_all_over, is_dark, level_of, light_ratio_contradiction, merge_hdr
 from sunarc.imaging import preview as preview_of

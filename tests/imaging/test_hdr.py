@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.detection import Image, Sensor
+from sunarc.array_types import Image
+from sunarc.detection import Sensor
 from sunarc.errors import InputError
 from sunarc.imaging import merge_hdr, preview
 

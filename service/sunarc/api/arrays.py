@@ -20,10 +20,11 @@ from starlette.types import Receive, Scope, Send
 from sunarc.api.middleware.holdings import Holding
 from sunarc.api.npy_header import NpyHeaderError, read_npy_header
 from sunarc.api.problems import Fault, RefusedError
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 
 NPY = "application/x-npy"
-Rows = NDArray[np.float64] | NDArray[np.float32]
+Rows = FloatArray | NDArray[np.float32]
 
 _CHUNK = 65_536
 _AHEAD = 2

@@ -13,7 +13,6 @@ import numpy as np
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
@@ -24,9 +23,9 @@ from sunarc.api.context import ApiContext
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive import CalibrationRecord
+from sunarc.array_types import FloatArray
 from sunarc.calibration import Lookup
 
-FloatArray = NDArray[np.float64]
 Asked = TypeVar("Asked", bound=BaseModel)
 
 _JSON = "application/json"

@@ -7,17 +7,14 @@ import zlib
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Connection, Select, func, insert, select
 
 from sunarc.archive.columns import read_columns
 from sunarc.archive.store import Store
 from sunarc.archive.tables import calibration, sun_point, used_sightings
 from sunarc.archive.values import SunPointColumns
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.errors import InputError, NotFoundError
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 
 class UsedSightings(Store):

@@ -6,16 +6,14 @@ from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select, type_coerce
 
 from sunarc.archive import tables
 from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPointColumns
+from sunarc.array_types import FloatArray
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
-
-FloatArray = NDArray[np.float64]
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
 _EXTRAPOLATED_AT_MOST = 100.0

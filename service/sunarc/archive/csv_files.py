@@ -10,12 +10,10 @@ from datetime import UTC, datetime
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
-
-FloatArray = NDArray[np.float64]
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from datetime import date, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Connection, delete, select
 from sqlalchemy.dialects.sqlite import insert
 
@@ -15,10 +14,9 @@ from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import camera as cameras
 from sunarc.archive.tables import day_air
 from sunarc.archive.values import DayAir, SunPoint
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
 from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site, solar_date
-
-FloatArray = NDArray[np.float64]
 
 _SECONDS_PER_DEGREE = 240.0
 _SECONDS_PER_DAY = 86_400.0

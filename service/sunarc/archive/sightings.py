@@ -10,13 +10,14 @@ from sqlalchemy import ColumnElement, Connection, Engine, func, or_, select, tex
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
-from sunarc.archive.columns import FloatArray, read_columns, read_levels, read_times
+from sunarc.archive.columns import read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.sighting_revisions import FROZEN
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.sky import day_bounds_unix_s, solar_date
 

@@ -9,10 +9,10 @@ from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, computed_field
 
 from sunarc.archive.messages import text_of
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
@@ -104,17 +104,17 @@ class SunPointColumns:
     temperature, pressure : (n,) of the air, °C and Pa: the sighting's own, else its day's; NaN where not measured.
     """
 
-    unix_s: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    sigma_px: NDArray[np.float64]
-    clock_error_s: NDArray[np.float64]
-    epoch: NDArray[np.int64]
+    unix_s: FloatArray
+    pixels: FloatArray
+    sigma_px: FloatArray
+    clock_error_s: FloatArray
+    epoch: IntArray
     epoch_ids: tuple[str, ...]
-    ids: NDArray[np.int64]
-    temperature: NDArray[np.float64]
-    pressure: NDArray[np.float64]
+    ids: IntArray
+    temperature: FloatArray
+    pressure: FloatArray
 
-    def select(self, which: NDArray[np.int64] | NDArray[np.bool_]) -> SunPointColumns:
+    def select(self, which: IntArray | BoolArray) -> SunPointColumns:
         """Return the sightings that an index or a mask picks, with the epochs that occur among them."""
         present, epoch = np.unique(self.epoch[which], return_inverse=True)
         return SunPointColumns(

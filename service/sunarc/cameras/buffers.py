@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.cameras.frame import CameraInfo, Counts
+from sunarc.array_types import Image
+from sunarc.cameras.frame import CameraInfo
 from sunarc.cameras.packed import packed_bytes, packing_of, unpack
 from sunarc.errors import CameraError, CameraTimeoutError
 
@@ -22,7 +23,7 @@ def require_exposure(noted_us: float, exposure_us: float) -> None:
         raise CameraError(f"a frame notes an exposure of {noted_us:g} µs, not {exposure_us:g} µs")
 
 
-def image_of(data: bytes, info: CameraInfo) -> Counts:
+def image_of(data: bytes, info: CameraInfo) -> Image:
     """Return the counts of a frame's bytes, which may have been cut short."""
     count, packing = info.width * info.height, packing_of(info.pixel_format)
     depth = 1 if info.full_scale == 255 else 2
@@ -35,7 +36,7 @@ def image_of(data: bytes, info: CameraInfo) -> Counts:
     return flat.reshape(info.height, info.width)
 
 
-def _read_only(image: Counts) -> Counts:
+def _read_only(image: Image) -> Image:
     image.flags.writeable = False
     return image
 

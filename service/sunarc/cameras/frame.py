@@ -5,15 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sunarc.array_types import Image
 from sunarc.errors import InputError
-
-Counts: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
-"""An image as the sensor counted it."""
 
 _SINGLE_CHANNEL = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(?:(8|14|16)|(10|12)(?:p|Packed)?)")
 
@@ -35,7 +30,7 @@ class Frame:
     binning : pixels of the sensor that each of these is the mean of, in either direction.
     """
 
-    image: Counts
+    image: Image
     time: datetime
     exposure_us: float
     gain_db: float

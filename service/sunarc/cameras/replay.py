@@ -13,7 +13,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Counts, Frame, full_scale_of
+from sunarc.array_types import Image
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of
 from sunarc.cameras.options import ReplayOptions
 from sunarc.errors import CameraLostError, InputError
 
@@ -103,9 +104,9 @@ class ReplayCamera:
                 self._skip(path, reason or "not readable")
                 continue
             shape = image.shape
-            yield self._frame(cast("Counts", image), time=time, exposure_us=exposure_us, number=number)
+            yield self._frame(cast("Image", image), time=time, exposure_us=exposure_us, number=number)
 
-    def _frame(self, image: Counts, *, time: datetime, exposure_us: float, number: int) -> Frame:
+    def _frame(self, image: Image, *, time: datetime, exposure_us: float, number: int) -> Frame:
         pixel_format = self._options.pixel_format or ("Mono8" if image.dtype == np.uint8 else "Mono16")
         image.flags.writeable = False
         return Frame(

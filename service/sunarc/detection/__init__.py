@@ -7,7 +7,7 @@ from sunarc.detection.options import DiscOptions
 from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
-from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Image, Method, Sensor, Verdict, bayer_of
+from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
     "BAYERS",
@@ -17,7 +17,6 @@ __all__ = [
     "DiscOptions",
     "Estimates",
     "Expectation",
-    "Image",
     "Lens",
     "Method",
     "Planes",

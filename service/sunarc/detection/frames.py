@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.detection.values import Image, Sensor
+from sunarc.array_types import Image
+from sunarc.detection.values import Sensor
 from sunarc.errors import InputError
 
 

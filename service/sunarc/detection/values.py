@@ -6,13 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sunarc.errors import InputError
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8] | NDArray[np.uint16]
 Method = Literal["disc", "paper"]
 Verdict = Literal[
     "clear",

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray, IntArray
-
-Counts = NDArray[np.uint8] | NDArray[np.uint16]
+from sunarc.array_types import FloatArray, Image, IntArray
 
 TOLERANCE = 1.6
 """Factor by which the light may differ from the stated exposures' ratio. Exposures stand a factor of 4 apart, and a
@@ -33,7 +30,7 @@ _SIGMAS = 4.0
 class Exposed:
     """A frame as far as its brightness is judged: its counts, its stated exposure, its largest count."""
 
-    image: Counts
+    image: Image
     exposure_us: float
     full_scale: int
 
@@ -76,8 +73,8 @@ def light_ratio_contradiction(first: Exposed, second: Exposed) -> str | None:
 class _Pair:
     """A shorter and a longer exposure: counts, where the longer is darkest, its histogram, the ratio (at most 1)."""
 
-    short: Counts
-    long: Counts
+    short: Image
+    long: Image
     dark: IntArray
     histogram: IntArray
     full_scale: int
@@ -150,12 +147,12 @@ def _thinned(indices: IntArray) -> IntArray:
     return indices[:: 1 + indices.size // _MOST_PX]
 
 
-def _contrast(image: Counts, bright: IntArray, dark: IntArray) -> _Level:
+def _contrast(image: Image, bright: IntArray, dark: IntArray) -> _Level:
     above, below = _trimmed(image[bright]), _trimmed(image[dark])
     return _Level(mean=above.mean - below.mean, error=float(np.hypot(above.error, below.error)))
 
 
-def _trimmed(values: Counts) -> _Level:
+def _trimmed(values: Image) -> _Level:
     """Return the mean without the extremes."""
     ordered: FloatArray = np.sort(values).astype(np.float64)
     cut = int(_TRIM * ordered.size)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Counts = NDArray[np.uint8] | NDArray[np.uint16]
+from sunarc.array_types import Image
 
 _BLOCK_PX = 16
 """Side of the blocks whose means are compared: a read noise of 1 % of full scale becomes 0.06 %."""
@@ -18,7 +17,7 @@ _PEDESTAL = 0.2
 """Median of the means, of full scale, above which a flat frame is not dark: camera's black levels are at most 0.1."""
 
 
-def is_dark(image: Counts, *, full_scale: int) -> bool:
+def is_dark(image: Image, *, full_scale: int) -> bool:
     """Return whether a frame shows neither a sky nor a light in it; blind in images of less than 4 blocks."""
     down, across = image.shape[0] // _BLOCK_PX, image.shape[1] // _BLOCK_PX
     if down * across < 4:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
-from sunarc.detection import Image, Sensor
+from sunarc.array_types import FloatArray, Image
+from sunarc.detection import Sensor
 from sunarc.errors import InputError
 from sunarc.jit import njit
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, Image
 from sunarc.imaging.brightness import Exposed
 
 MOST_ALL_OVER = 2.0
@@ -84,7 +83,7 @@ def _factor(before: FloatArray, now: FloatArray, *, full_scale: int) -> float | 
     return max(float(most), 0.0) if most < 1.0 else 1.0
 
 
-def _block_means(image: NDArray[np.uint8] | NDArray[np.uint16]) -> FloatArray:
+def _block_means(image: Image) -> FloatArray:
     """Return the mean of each block, of some of its pixels."""
     rows, columns = (min(_BLOCKS, side) for side in image.shape)
     height, width = image.shape[0] // rows, image.shape[1] // columns

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.detection import Bayer, Image
+from sunarc.array_types import Image
+from sunarc.detection import Bayer
 
 _KNEE = 300.0  # how strongly the logarithm lifts the dark
 

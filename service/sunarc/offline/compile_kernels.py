@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.detection import Expectation, Image, Sensor, detect_sun
+from sunarc.array_types import FloatArray, Image
+from sunarc.detection import Expectation, Sensor, detect_sun
 from sunarc.imaging import merge_hdr
 
 _SIZE = 160
@@ -32,8 +32,8 @@ def compile_kernels() -> None:
         merge_hdr([frame, frame], [10.0, 40.0], sensor=sensor)
 
 
-def _drawn_sun(full_scale: int) -> NDArray[np.float64]:
+def _drawn_sun(full_scale: int) -> FloatArray:
     y, x = np.mgrid[:_SIZE, :_SIZE]
     edge = np.clip(_SUN_RADIUS_PX + 0.5 - np.hypot(x - _CENTRE_PX, y - _CENTRE_PX), 0.0, 1.0)
-    drawn: NDArray[np.float64] = (0.01 + 0.6 * edge) * full_scale
+    drawn: FloatArray = (0.01 + 0.6 * edge) * full_scale
     return drawn

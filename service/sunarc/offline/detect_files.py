@@ -9,12 +9,12 @@ from typing import Any, Literal, get_args
 import cv2
 import numpy as np
 
+from sunarc.array_types import Image
 from sunarc.detection import (
     Bayer,
     Detection,
     DiscOptions,
     Expectation,
-    Image,
     Sensor,
     detect_sun,
     detect_sun_in_photo,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
+from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import Table, Variable, netcdf_bytes
 
@@ -108,7 +109,7 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 def _write_netcdf(path: Path, points: Sequence[SunPoint]) -> int:
-    def column(name: str) -> NDArray[np.float64]:
+    def column(name: str) -> FloatArray:
         values = (getattr(point, name) for point in points)
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from sunarc.detection import Image
+from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
 
 
@@ -43,7 +42,7 @@ def read_image(path: Path) -> Image:
     raise InputError(field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file")
 
 
-def require_inside(pixels: NDArray[np.float64], image_size: tuple[int, int], *, name: str) -> None:
+def require_inside(pixels: FloatArray, image_size: tuple[int, int], *, name: str) -> None:
     """Raise InputError when a sighting, (n, 2) px, lies outside the image."""
     outside = np.flatnonzero(np.any((pixels < -0.5) | (pixels > np.array(image_size) - 0.5), axis=-1))
     if outside.size:

@@ -18,8 +18,9 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
+from sunarc.array_types import Image
 from sunarc.bounds import require_bounds
-from sunarc.cameras import Counts, full_scale_of, pack, packing_of
+from sunarc.cameras import full_scale_of, pack, packing_of
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import Clock, SystemClock
@@ -159,7 +160,7 @@ class _Imager:
         self._stop = stop
         self._clock = clock
         self._previous_exposure_us = 0.0
-        self._last_images: dict[Request, Counts] = {}
+        self._last_images: dict[Request, Image] = {}
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
         self._timeline = Timeline(
@@ -196,14 +197,14 @@ class _Imager:
         self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
         return _as_bytes(image, name), (start_us + round(drift_us) + offset_us) * 1000
 
-    def _keep(self, request: Request, image: Counts) -> None:
+    def _keep(self, request: Request, image: Image) -> None:
         """Keep an image to be repeated; of the oldest requests none is kept."""
         self._last_images.pop(request, None)
         self._last_images[request] = image
         while len(self._last_images) > _IMAGES_KEPT:
             del self._last_images[next(iter(self._last_images))]
 
-    def _repeated(self, request: Request) -> Counts | None:
+    def _repeated(self, request: Request) -> Image | None:
         """Return the image that was last sent for the same request; None where there is none."""
         return self._last_images.get(request)
 
@@ -232,14 +233,14 @@ class _Imager:
         self._previous_exposure_us = stated_us
         return light_us
 
-    def _binned(self, render: Callable[..., Counts], region: tuple[int, int, int, int]) -> Counts:
+    def _binned(self, render: Callable[..., Image], region: tuple[int, int, int, int]) -> Image:
         """Return a region's counts, each the mean of the pixels that the registers join."""
         across, down = self._camera.read(genicam.BINNING_X), self._camera.read(genicam.BINNING_Y)
         x, y, width, height = region
         image = render(region=(x * across, y * down, width * across, height * down))
         if across == down == 1:
             return image
-        joined: Counts = image.reshape(height, down, width, across).mean(axis=(1, 3)).astype(image.dtype)
+        joined: Image = image.reshape(height, down, width, across).mean(axis=(1, 3)).astype(image.dtype)
         return joined
 
     def _hold_back(self, rest_of_exposure_s: float) -> None:
@@ -289,7 +290,7 @@ class _Imager:
             self._camera.write(address, value)
 
 
-def _as_bytes(image: Counts, pixel_format: str) -> NDArray[np.uint8]:
+def _as_bytes(image: Image, pixel_format: str) -> NDArray[np.uint8]:
     packing = packing_of(pixel_format)
     if packing is None:
         return np.ascontiguousarray(image).view(np.uint8).ravel()

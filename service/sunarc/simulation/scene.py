@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray, FloatArray
-from sunarc.cameras import Counts
+from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection import Bayer
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation.charge import behind_mosaic, run_over
@@ -70,7 +69,7 @@ class Scene:
         region: Region | None = None,
         noise: bool = True,
         bayer: Bayer | None = None,
-    ) -> Counts:
+    ) -> Image:
         """Return the counts of one exposure.
 
         Parameters

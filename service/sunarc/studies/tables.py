@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sunarc.calibration import (
     Calibration,
@@ -26,7 +25,6 @@ from sunarc.studies.noise import clear_noise, cloud_noise
 from sunarc.studies.published import CASES, Case
 from sunarc.studies.trials import found_circle, true_error
 
-FloatArray = NDArray[np.float64]
 TableRow = dict[str, str | int | float]
 
 COLUMNS = (

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from sunarc.calibration import Method
 from sunarc.studies.drawing import BLUE, INK, TITLE_PT, VERMILLION, key, letter, new_sheet
 from sunarc.studies.published import FOCAL_LENGTH_P90, PRINCIPAL_POINT_P90, TRUE_RMSE
 from sunarc.studies.uncertainty import Uncertainty, true_values
-
-FloatArray = NDArray[np.float64]
 
 RMSE_SHEET_PX = (1400, 620)
 PARAMETER_SHEET_PX = (1800, 950)

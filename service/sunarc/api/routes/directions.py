@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
-from numpy.typing import NDArray
 
 from sunarc.api.arrays import Rows, require_few
 from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, row_responses
@@ -16,10 +15,9 @@ from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.schemas.parameters import At
+from sunarc.array_types import FloatArray
 from sunarc.calibration import BACK_PROJECTED, PROJECTED
 from sunarc.sky import direction_from_angles
-
-FloatArray = NDArray[np.float64]
 
 
 def direction_routes(served: ApiContext, places: Places) -> APIRouter:

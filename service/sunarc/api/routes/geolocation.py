@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
-from numpy.typing import NDArray
 
 from sunarc.api.arrays import Rows, require_few
 from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, row_responses
@@ -17,10 +16,9 @@ from sunarc.api.problems import answers
 from sunarc.api.routes.directions import known_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
 from sunarc.api.schemas.parameters import At
+from sunarc.array_types import FloatArray
 from sunarc.geolocation import Located, clouds, shadows
 from sunarc.sky import sun_angles, sun_directions
-
-FloatArray = NDArray[np.float64]
 
 _OF_ONE = (
     "east_m",

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from sunarc.api.context import ApiContext
@@ -18,11 +17,10 @@ from sunarc.api.routes.calibrations import tagged
 from sunarc.api.routes.sun import track_of
 from sunarc.api.schemas.overlay import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.schemas.parameters import At, IfNoneMatch
+from sunarc.array_types import FloatArray
 from sunarc.calibration import Calibration, unproject_with_sigma
 from sunarc.optics import Camera, project
 from sunarc.sky import direction_from_angles, solar_date
-
-FloatArray = NDArray[np.float64]
 
 _CIRCLES_DEG = (30.0, 60.0, 90.0)
 _NAMES = {0: "N", 90: "E", 180: "S", 270: "W"}

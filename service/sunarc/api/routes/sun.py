@@ -10,7 +10,6 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
-from numpy.typing import NDArray
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
@@ -22,8 +21,6 @@ from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_cova
 from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
-
-FloatArray = NDArray[np.float64]
 
 _HORIZON_DEG = 90.0
 

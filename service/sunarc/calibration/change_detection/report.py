@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
@@ -16,8 +15,6 @@ from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings,
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Data, Finding
 from sunarc.optics import Param
-
-FloatArray = NDArray[np.float64]
 
 _SECOND_RAD = 7.292e-5
 _FOCAL, _CENTER = Param.FOCAL_LENGTH_X_PX, (Param.PRINCIPAL_POINT_X_PX, Param.PRINCIPAL_POINT_Y_PX)

@@ -11,14 +11,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
 from sunarc.robust_statistics import cauchy_weights
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_TILT = math.radians(75.0)
 _LOOKED_AT = 160

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sunarc.calibration.model.covariance import sky_sigma_deg, turn_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics.camera import POSE
 from sunarc.robust_statistics import MAD_TO_SIGMA
-
-FloatArray = NDArray[np.float64]
 
 _FEWEST = 5
 """Days that tell a spread."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, Image
 from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
 from sunarc.detection.disc.fit import DiscFit, fit_disc
 from sunarc.detection.disc.model import Prior
@@ -17,7 +17,7 @@ from sunarc.detection.disc.template import sun_sources
 from sunarc.detection.disc.window import Window, cut, saturated_level
 from sunarc.detection.frames import require_raw
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Detection, Expectation, Image, Sensor, Verdict
+from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0

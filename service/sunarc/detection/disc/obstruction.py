@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, Image
 from sunarc.detection.options import DiscOptions
-from sunarc.detection.values import Expectation, Image, Sensor
+from sunarc.detection.values import Expectation, Sensor
 
 _TILE = 64
 _TILE_ROWS = 8  # every so many rows are looked at

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.detection.values import Image
+from sunarc.array_types import FloatArray, Image
 from sunarc.jit import njit
 from sunarc.robust_statistics import median_of
 
@@ -30,7 +29,7 @@ class Spot(NamedTuple):
 
     @property
     def contrast(self) -> float:
-        """Counts above the surroundings."""
+        """Image above the surroundings."""
         return self.level - self.background
 
     @property

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
-from sunarc.detection.values import Image
+from sunarc.array_types import FloatArray, Image
 from sunarc.robust_statistics import mad_sigma
 
 _STEP, _FINE_STEP = 32, 8  # rows looked at first, and where smear shows; even: a Bayer mosaic's rows stay apart

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import BoolArray, FloatArray
+from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.disc.smear import column_smear
-from sunarc.detection.values import Bayer, Image, Sensor
+from sunarc.detection.values import Bayer, Sensor
 
 _CLIPPED_MEAN = 2.0
 """The brightest mean over n by n pixels, times n² over full scale, from which on a pixel of it may be clipped. The

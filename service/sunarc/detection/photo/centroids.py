@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, Image
 from sunarc.detection.photo.blob import Blob, blobs_of, opened
-from sunarc.detection.values import Image
 from sunarc.robust_statistics import mad_sigma
 
 Plane = NDArray[np.float32]

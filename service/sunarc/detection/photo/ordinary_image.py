@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.array_types import Image
 from sunarc.detection.photo.aureole import Halo, halo_about
 from sunarc.detection.photo.blob import thickest
 from sunarc.detection.photo.blob_bias import Lens, bias_at
 from sunarc.detection.photo.circles import Circle, Plane, level_circle
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
-from sunarc.detection.values import Detection, Expectation, Image, Verdict
+from sunarc.detection.values import Detection, Expectation, Verdict
 
 _LEVELS = (0.995, 0.98, 0.96, 0.93, 0.90, 0.86)
 _SEEDS = 40

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import Image
 from sunarc.detection.photo import centroids as estimators
 from sunarc.detection.photo.blob import Blob
-from sunarc.detection.values import Image
 from sunarc.errors import InputError
 
 Plane = NDArray[np.float32]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
+from sunarc.array_types import BoolArray
 from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
 from sunarc.calibration.messages import text_of
 from sunarc.errors import InputError
@@ -82,7 +82,7 @@ class EpochSearch:
             lens=self._lens(),
         )
 
-    def _near_new(self, columns: SunPointColumns) -> NDArray[np.bool_]:
+    def _near_new(self, columns: SunPointColumns) -> BoolArray:
         """Return which sightings are new to the search, or lie within days of such."""
         searched = max((search.last_id for search in self._searches()), default=0)
         fresh = columns.ids > searched

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 import sunarc
 from sunarc.archive import ImageStore
+from sunarc.array_types import Image
 from sunarc.cameras import Frame
 from sunarc.errors import OutsideError
 from sunarc.imaging import HdrImage, jpeg_with, merge_hdr, png_with, preview
@@ -87,7 +86,7 @@ class ComposeWorker:
             self._board.set_condition(_CODE, None)
 
 
-def encode(image: NDArray[np.uint8] | NDArray[np.uint16], suffix: str) -> bytes:
+def encode(image: Image, suffix: str) -> bytes:
     """Return an image as the bytes of a file of this kind; PNG at its fastest compression."""
     done, encoded = cv2.imencode(suffix, image, [cv2.IMWRITE_PNG_COMPRESSION, 1] if suffix == ".png" else [])
     if not done:

@@ -12,7 +12,8 @@ from datetime import datetime
 import numpy as np
 
 from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, Event, SunPoint
-from sunarc.cameras import Counts, Frame
+from sunarc.array_types import Image
+from sunarc.cameras import Frame
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
@@ -142,6 +143,6 @@ def _is_sun(seen: Detection | SunPoint) -> bool:
     return seen.accepted or seen.verdict in {FROZEN, ELSEWHERE}
 
 
-def _tells(image: Counts) -> bool:
+def _tells(image: Image) -> bool:
     """Return whether an image differs from a constant in more than a few pixels."""
     return int(np.count_nonzero(image != image.flat[0])) > _FEWEST_PIXELS
