@@ -16,7 +16,7 @@ from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
 from sunarc.sky import Site, sun_angles, sun_directions
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
 SITE = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)

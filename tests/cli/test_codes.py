@@ -14,7 +14,7 @@ import pytest
 from sunarc.cli.codes import all_codes, codes_as_markdown
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 ROOT = Path(__file__).parents[2]
 SERVICE = ROOT / "service" / "sunarc"

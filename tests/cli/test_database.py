@@ -12,7 +12,7 @@ import xarray as xr
 from sunarc.archive import CameraRecord, DayAir, lock_state, open_archive
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 POINTS = (

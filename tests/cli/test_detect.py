@@ -12,7 +12,7 @@ import pytest
 from sunarc.simulation import SGP, Scene, SceneOptions, true_camera
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 

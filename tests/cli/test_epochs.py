@@ -12,7 +12,7 @@ import pytest
 from sunarc.archive import CameraRecord, open_archive, upgrade
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 FIRST = datetime(2013, 5, 13, 12, tzinfo=UTC)
 WRONG = datetime(2100, 5, 13, 12, tzinfo=UTC)

@@ -10,7 +10,7 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 
 if TYPE_CHECKING:
-    from tests.cli.conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 
 @pytest.fixture

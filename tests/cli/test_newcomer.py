@@ -25,7 +25,7 @@ from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import RefitOptions, RefitWorker
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 CONFIG = (
     'name = "roof"\nstate = "{state}"\n[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n'

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 
 def findings(sunarc: Sunarc, config: Path) -> tuple[int, dict[str, tuple[str, str]]]:

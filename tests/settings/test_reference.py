@@ -10,7 +10,7 @@ from sunarc.settings import all_settings, as_markdown
 from sunarc.settings.reference import attributes_of
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 ROOT = Path(__file__).parents[2]
 

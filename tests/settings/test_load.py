@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from sunarc.bounds import Bound
 
 SITE = "[site]\nlatitude = 36.6\nlongitude = -97.5\n"
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).with_name("settings_0.2.0.toml")
 ALLOWED = {setting.name: setting.allowed for setting in all_settings()}
 NAMES = list(ALLOWED)
