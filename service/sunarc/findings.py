@@ -49,8 +49,6 @@ class Messages(dict[str, Message]):
 
     def text_of(self, finding: Finding) -> str:
         """Return the sentence of a finding; of an unknown code (another version's) the code and its data."""
-        if finding.code == UNCODED:
-            return str(finding.data.get("text", ""))
         return self._filled(finding, 0) or f"{finding.code} {dict(finding.data)}"
 
     def remedy_of(self, finding: Finding) -> str:

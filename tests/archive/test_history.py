@@ -31,7 +31,9 @@ def test_rolling_back_serves_a_copy_and_rewrites_no_past_answer(three: Archive) 
     assert copy.document["id"] == "a-r1"
     assert copy.findings[0] == Finding("activated_by_operator", {"reason": "c was worse"})
     told = three.events("roof")[0]
-    assert (told.kind, told.details) == ("calibration_reinstated", {"calibration": "a-r1", "copied": "a"})
+    assert (told.kind, told.details["calibration"], told.details["copied"]) == ("calibration_reinstated", "a-r1", "a")
+    data = {"calibration": "a-r1", "reason": "c was worse", "copied": "a"}
+    assert told.findings == [{"code": "calibration_reinstated", "data": data}]
 
 
 def test_a_second_roll_back_has_a_name_of_its_own(three: Archive) -> None:

@@ -133,6 +133,7 @@ def test_a_turn_in_an_imported_record_gets_an_epoch_and_a_calibration_on_either_
     assert first.ended_at == second.started_at
     (event,) = archive.events("roof", kind="bump")
     assert event.time == second.started_at
+    assert [finding["code"] for finding in event.findings] == ["pose_changed"]
     assert float(event.details["turn_deg"]) == pytest.approx(0.4, abs=0.02)
     for moment, truth in ((times[20], TRUTH), (times[row - 20], TRUTH), (times[row + 20], turned(TRUTH, 0.4))):
         error, sigma = error_and_sigma_px(archive, float(moment), truth)

@@ -32,7 +32,9 @@ from sunarc.calibration.change_detection import (
     detect_change,
     update_window,
 )
+from sunarc.calibration.messages import MESSAGES
 from sunarc.errors import OutsideError
+from sunarc.findings import from_json
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
@@ -221,7 +223,12 @@ def test_a_move_for_which_no_pose_is_found_is_one_event_and_one_epoch(
     monkeypatch.setattr(imager.watch._reposer, "improve", lambda: False)
     imager.see_many(TRUTH, range(-10, 0))
     imager.see_many(moved, range(30), verdict="elsewhere")
-    assert [event.kind for event in imager.events()] == ["bump"]
+    (event,) = imager.events()
+    assert event.kind == event.details["kind"] == "bump"
+    assert {"unit", "size_sigma", "text", "remedy"} <= set(event.details)
+    (finding,) = event.findings
+    assert finding["code"] == "changed_bump"
+    assert MESSAGES.text_of(from_json(finding)) == event.text  # the data are those of the sentence
     assert len(imager.archive.epochs("roof")) == 2
     assert "changed_bump" in imager.codes()
     assert imager.archive.sun_point_columns("roof", pose_epoch="roof-2").unix_s.size == 30

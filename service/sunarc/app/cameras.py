@@ -97,7 +97,9 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     }
     replaced = Finding("camera_replaced", details)
     retired = None if current is None else current.id
-    archive.add_event(Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, calibration=retired))
+    archive.add_event(
+        Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
+    )
     return record
 
 

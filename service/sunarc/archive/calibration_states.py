@@ -6,13 +6,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Literal
 
 from sqlalchemy import Connection, func, insert, select
 
 from sunarc.archive.calibration_inputs import copy_used
 from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.documents import row_of
+from sunarc.archive.messages import MESSAGES
 from sunarc.archive.tables import calibration, event
 from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, written, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
@@ -46,8 +48,9 @@ class History(Calibrations):
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
                 set_columns(connection, record.id, **decided, findings=findings)
                 chosen = replace(record, **decided, findings=findings)
-            details = {"calibration": chosen.id, "copied": chosen.parent if record.state in SERVED else None}
-            _tell(connection, chosen, "reinstated", at=at, text=f"{chosen.id} is current by hand: {reason}", **details)
+            copied = chosen.parent if record.state in SERVED else None
+            found = Finding("calibration_reinstated", {"calibration": chosen.id, "reason": reason})
+            insert_event(connection, found, at=at, camera=chosen.camera, details={"copied": copied})
         return with_interval(chosen)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
@@ -58,14 +61,17 @@ class History(Calibrations):
         """Let refits replace the current calibration again."""
         return self._hold(calibration_id, "unpinned", at=at, reason=reason)
 
-    def _hold(self, calibration_id: str, what: str, *, at: datetime, reason: str) -> CalibrationRecord:
+    def _hold(
+        self, calibration_id: str, what: Literal["pinned", "unpinned"], *, at: datetime, reason: str
+    ) -> CalibrationRecord:
         with self._writing() as connection:
             record = self._required(connection, calibration_id)
             if record.state != "current":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name the current one")
             chosen = replace(record, pinned=what == "pinned")
             set_columns(connection, record.id, pinned=chosen.pinned)
-            _tell(connection, chosen, what, at=at, text=f"{record.id} was {what}: {reason}", calibration=record.id)
+            found = Finding(f"calibration_{what}", {"calibration": record.id, "reason": reason})
+            insert_event(connection, found, at=at, camera=record.camera)
         return with_interval(chosen)
 
 
@@ -101,18 +107,15 @@ def _name_of_copy(connection: Connection, calibration_id: str) -> str:
     return f"{original}-r{(connection.scalar(copies) or 0) + 1}"
 
 
-def _tell(
+def insert_event(
     connection: Connection,
-    record: CalibrationRecord,
-    what: str,
+    found: Finding,
     *,
     at: datetime,
-    text: str,
-    **details: str | None,
+    camera: str,
+    details: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    decision = Event(
-        time=at, kind=f"calibration_{what}", severity="info", text=text, camera=record.camera, details=details
-    )
-    row = asdict(decision)
+    """Store the event of a decision in the transaction that carries it out."""
+    row = asdict(Event.of(found, MESSAGES, time=at, severity="info", camera=camera, details=details))
     row.pop("id")
     connection.execute(insert(event).values(row))

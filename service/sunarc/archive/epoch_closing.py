@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from datetime import datetime
 from itertools import pairwise
 
-from sqlalchemy import Connection, insert, select, update
+from sqlalchemy import Connection, select, update
 
-from sunarc.archive.calibration_states import History, add_copy
+from sunarc.archive.calibration_states import History, add_copy, insert_event
 from sunarc.archive.sighting_revisions import ELSEWHERE, MOVED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import values_of
-from sunarc.archive.tables import calibration, event, pose_epoch, sun_point
+from sunarc.archive.tables import calibration, pose_epoch, sun_point
 from sunarc.archive.validity import end_others, set_columns
-from sunarc.archive.values import Event, PoseEpoch
+from sunarc.archive.values import PoseEpoch
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding
 
@@ -50,13 +49,9 @@ class EpochClosing(History):
             wrong, before = _with_the_one_before(connection, epoch_id)
             _join(connection, wrong, before)
             current = self._serve_again(connection, wrong, at=at, reason=reason)
-            text = f"pose epoch {wrong.id} (from {wrong.started_at.isoformat()}) was closed as wrong: {reason}"
-            details = {"pose_epoch": wrong.id, "continues": before.id, "calibration": current}
-            row = asdict(
-                Event(time=at, kind=EPOCH_CLOSED, severity="info", text=text, camera=wrong.camera, details=details)
-            )
-            row.pop("id")
-            connection.execute(insert(event).values(row))
+            data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
+            details = {"continues": before.id, "calibration": current}
+            insert_event(connection, Finding(EPOCH_CLOSED, data), at=at, camera=wrong.camera, details=details)
         return current
 
     def _serve_again(self, connection: Connection, wrong: PoseEpoch, *, at: datetime, reason: str) -> str | None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, get_args
+
 from sunarc.calibration import messages
+from sunarc.calibration.change_detection import ChangeKind
 from sunarc.findings import Message, Messages
 
 MESSAGES = Messages(
@@ -15,8 +19,25 @@ MESSAGES = Messages(
         "This calibration is not served.",
         "restore a copy with `sunarc db restore --latest`, or request a refit; check the disk",
     ),
+    # events
+    calibration_reinstated=Message(
+        "{calibration} is current by hand: {reason}", "An operator activated this calibration (POST …/activate)."
+    ),
+    calibration_pinned=Message("{calibration} was pinned: {reason}", "Refits make candidates until it is unpinned."),
+    calibration_unpinned=Message("{calibration} was unpinned: {reason}", "Refits may replace it again."),
+    epoch_closed=Message(
+        "pose epoch {pose_epoch} (from {started_at}) was closed as wrong: {reason}",
+        "The epoch before it continues, and the calibration served before is current again.",
+    ),
 )
 
 _ALL = Messages(messages.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
+
+
+def code_of_event(kind: str, details: Mapping[str, Any]) -> str:
+    """Return the code of a stored event, of which the archive has the kind: several codes may share one."""
+    if kind not in get_args(ChangeKind):
+        return kind
+    return "pose_changed" if details.get("searched") else f"changed_{kind}"

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, computed_field
 
-from sunarc.archive.messages import text_of
+from sunarc.archive.messages import code_of_event, text_of
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
@@ -268,11 +269,19 @@ class Event(Returned):
         time: datetime,
         severity: EventSeverity,
         camera: str | None = None,
-        **details: Any,  # noqa: ANN401 - JSON
+        kind: str | None = None,
+        details: Mapping[str, Any] = MappingProxyType({}),
     ) -> Event:
-        """Return the event that a finding is, by its messages; `details` are what the finding does not say."""
+        """Return the event of a finding.
+
+        Parameters
+        ----------
+        finding, messages : what happened, and the table with its sentence.
+        kind : where it is not the code.
+        details : what the finding's data do not say.
+        """
         text, data = messages.text_of(finding), {**finding.data, **details}
-        return Event(time=time, kind=finding.code, severity=severity, text=text, camera=camera, details=data)
+        return Event(time=time, kind=kind or finding.code, severity=severity, text=text, camera=camera, details=data)
 
     @computed_field(  # type: ignore[prop-decorator]
         description="The event as a code with data (docs/codes.md).", examples=[[{"code": "day", "data": {"n": 379}}]]
@@ -282,7 +291,7 @@ class Event(Returned):
         """What happened, as a code and data."""
         # numbers and names only: a boolean is none, though Python counts it among the integers
         plain = {key: value for key, value in self.details.items() if type(value) in {str, int, float}}
-        return [Finding(self.kind, plain).as_json()]
+        return [Finding(code_of_event(self.kind, self.details), plain).as_json()]
 
 
 def _finite(value: float | None) -> bool:

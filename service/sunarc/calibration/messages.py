@@ -10,6 +10,7 @@ _AGREE = "{alternatives}; {agreeing} of {of} sightings since agree"
 _MORE_DAYS = "collect sightings on further clear days"
 
 MESSAGES = Messages(
+    uncoded=Message("{text}", "A sentence stored by version 0.2 or before, which had no codes."),
     # what makes a fit pointless
     too_few_sightings=Message(
         "{n} usable sightings; at least {least} are needed",

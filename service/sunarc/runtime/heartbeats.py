@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sunarc.runtime.messages import of_worker
+from sunarc.runtime.messages import of_worker, worker_code
 from sunarc.runtime.status import StatusRegistry, WorkerStatus
+
+_STUCK = "worker_stuck"
 
 
 class Heartbeat:
@@ -85,6 +87,6 @@ class Staleness:
     def update(self, age_s: float) -> bool:
         """Take the heartbeat's age, and return whether it is too old."""
         stuck = age_s > self._stale_after_s
-        reason = of_worker("worker_stuck", self._name, severity="not_ready", limit_s=self._stale_after_s)
-        self._board.set_condition(reason.code, reason if stuck else None)
+        reason = of_worker(_STUCK, self._name, severity="not_ready", limit_s=self._stale_after_s) if stuck else None
+        self._board.set_condition(worker_code(_STUCK, self._name), reason)
         return stuck

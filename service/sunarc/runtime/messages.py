@@ -34,6 +34,12 @@ MESSAGES = Messages(
 )
 
 
+def worker_code(code: str, name: str) -> str:
+    """Return the code of a condition of one worker: that of the table and the worker's name."""
+    return f"{code}_{name}"
+
+
 def of_worker(code: str, name: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:
-    """Return a condition of one worker; its code ends with the worker's name."""
-    return Reason.of(Finding(code, {"name": name, **data}), MESSAGES, severity=severity, code=f"{code}_{name}")
+    """Return a condition of one worker; `code` is that of the table."""
+    finding = Finding(code, {"name": name, **data})
+    return Reason.of(finding, MESSAGES, severity=severity, code=worker_code(code, name))

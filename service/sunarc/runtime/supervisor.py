@@ -15,7 +15,7 @@ from sunarc.bounds import Positive, require_bounds
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.heartbeats import Heartbeat, Monitor, Monitored, Staleness
-from sunarc.runtime.messages import of_worker
+from sunarc.runtime.messages import of_worker, worker_code
 from sunarc.runtime.status import Severity, StatusRegistry, WorkerState, WorkerStatus
 
 _log = logging.getLogger(__name__)
@@ -289,7 +289,7 @@ class _Life:
 
     def _clear(self, *codes: str) -> None:
         for code in codes:
-            self._board.set_condition(f"{code}_{self.name}", None)
+            self._board.set_condition(worker_code(code, self.name), None)
 
     def _enter(self, state: WorkerState) -> None:
         with self._lock:

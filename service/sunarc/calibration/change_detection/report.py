@@ -9,7 +9,6 @@ import numpy as np
 
 from sunarc.calibration.change_detection.residual_model import ResidualModel
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
-from sunarc.calibration.messages import MESSAGES
 from sunarc.calibration.pose.error_model import CameraErrorModel, predicted
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, conditioned
 from sunarc.calibration.robust_loss import finite
@@ -51,7 +50,6 @@ def describe_change(
     agreeing = int(held.inlier[first:].sum())
     of = len(window.watch) - first
     data: Data = {"size": size, "sigma": sigma, "agreeing": agreeing, "of": of, "alternatives": _alternatives(perhaps)}
-    finding = Finding(f"changed_{explanation.kind}", data)
     return Change(
         kind=explanation.kind,
         at_unix_s=float(times[sure]),
@@ -64,8 +62,7 @@ def describe_change(
         agreeing=agreeing,
         of=of,
         perhaps=", ".join(perhaps),
-        text=MESSAGES.text_of(finding),
-        remedy=MESSAGES.remedy_of(finding),
+        finding=Finding(f"changed_{explanation.kind}", data),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -11,6 +11,8 @@ from annotated_types import Ge, Le
 
 from sunarc.array_types import BoolArray, FloatArray, picked
 from sunarc.bounds import require_bounds
+from sunarc.calibration.messages import MESSAGES
+from sunarc.findings import Finding
 from sunarc.optics import Camera
 
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
@@ -110,7 +112,7 @@ class Change:
     gain : by how many powers of e it explains the sightings better than no change.
     agreeing, of : sightings since that agree on it.
     perhaps : kinds that explain it about as well so far, where it is called a bump.
-    text, remedy : for people.
+    finding : the change as a code and data.
     """
 
     kind: ChangeKind
@@ -124,8 +126,22 @@ class Change:
     agreeing: int
     of: int
     perhaps: str
-    text: str
-    remedy: str
+    finding: Finding
+
+    @property
+    def text(self) -> str:
+        """The change in a sentence."""
+        return MESSAGES.text_of(self.finding)
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        return MESSAGES.remedy_of(self.finding)
+
+    def as_details(self) -> dict[str, float | int | str]:
+        """Return what is stored of it: its numbers and names, the sentence and the remedy."""
+        own = {key: value for key, value in asdict(self).items() if isinstance(value, int | float | str)}
+        return own | dict(self.finding.data) | {"text": self.text, "remedy": self.remedy}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

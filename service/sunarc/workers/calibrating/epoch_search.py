@@ -11,7 +11,7 @@ import numpy as np
 from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
 from sunarc.array_types import BoolArray
 from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
-from sunarc.calibration.messages import text_of
+from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError
 from sunarc.findings import Data, Finding
 from sunarc.workers.calibrating.provisional_pose import is_provisional
@@ -122,7 +122,7 @@ class EpochSearch:
                 time=self._now(),
                 severity="info",
                 camera=self._camera.name,
-                divided=sorted(set(divided)),
+                details={"divided": sorted(set(divided))},
             )
         )
 
@@ -160,9 +160,8 @@ def _search(event: Event) -> _Search:
 def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
     before = _moment(step.before_unix_s).isoformat(timespec="seconds")
     data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
-    text = text_of(Finding("pose_changed", data))
-    details = {**data, "searched": True}
-    return Event(time=at, kind="bump", severity="warning", text=text, camera=camera, details=details)
+    found = Finding("pose_changed", data)
+    return Event.of(found, CHANGES, time=at, severity="warning", camera=camera, kind="bump", details={"searched": True})
 
 
 def _moment(unix_s: float) -> datetime:

@@ -130,7 +130,7 @@ class DayJudge:
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
         found, known = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
         self._camera.archive.add_event(
-            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, **known)
+            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, details=known)
         )
 
 

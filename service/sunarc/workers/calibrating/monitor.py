@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -21,6 +21,7 @@ from sunarc.calibration.change_detection import (
     WatchOptions,
     update_window,
 )
+from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
@@ -232,25 +233,30 @@ class WatchWorker:
         self._agreeing = self._agreeing + 1 if self._watch.trusted[-1] else 0
         if self._agreeing >= _RECOVERED_AFTER:
             self._fault = None
-            self._board.set_condition(_code(fault), None)
+            self._board.set_condition(fault.finding.code, None)
             return
         moment = _moment(seen.unix_s)
         until = moment + timedelta(microseconds=1)
         self._camera.exclude(since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _tell(self, change: Change, at: datetime) -> None:
-        camera = self._camera.name
         self._camera.archive.add_event(
-            Event(
-                time=at, kind=change.kind, severity="alarm", text=change.text, camera=camera, details=_data_of(change)
+            Event.of(
+                change.finding,
+                CHANGES,
+                time=at,
+                severity="alarm",
+                camera=self._camera.name,
+                kind=change.kind,
+                details=change.as_details(),
             )
         )
         self._show(change, at)
 
     def _show(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
-        reason = Reason(code=_code(change), severity="degraded", text=text, remedy=change.remedy, data=_data_of(change))
-        self._board.set_condition(reason.code, reason, log=False)
+        reason = Reason.of(change.finding, CHANGES)
+        self._board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
 
     def _clear_move(self) -> None:
         for kind in ("bump", *LENS_KINDS):
@@ -318,11 +324,3 @@ def _moment(unix_s: float) -> datetime:
 
 def _of_the_future(epoch: PoseEpoch) -> Reason:
     return condition(_FUTURE_EPOCH, pose_epoch=epoch.id, started_at=epoch.started_at.isoformat(timespec="seconds"))
-
-
-def _data_of(change: Change) -> dict[str, float | int | str]:
-    return {key: value for key, value in asdict(change).items() if isinstance(value, int | float | str)}
-
-
-def _code(change: Change) -> str:
-    return f"changed_{change.kind}"

@@ -282,7 +282,14 @@ class RefitWorker:
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
         severity: EventSeverity = "info" if state == "accepted" else "warning"
         self._camera.archive.add_event(
-            Event.of(found, MESSAGES, time=now, severity=severity, camera=self._camera.name, calibration=calibration)
+            Event.of(
+                found,
+                MESSAGES,
+                time=now,
+                severity=severity,
+                camera=self._camera.name,
+                details={"calibration": calibration},
+            )
         )
 
 

@@ -262,11 +262,13 @@ class ClockWatch:
             time=step.at,
             severity="warning",
             camera=self._camera,
-            noticed_within_s=step.within_s,
-            synchronised_after=state.synchronised,
-            error_bound_s=self._bound_s(),
-            gradual=step.gradual,
-            distrusted_s=wait_s,
+            details={
+                "noticed_within_s": step.within_s,
+                "synchronised_after": state.synchronised,
+                "error_bound_s": self._bound_s(),
+                "gradual": step.gradual,
+                "distrusted_s": wait_s,
+            },
         )
 
     @property
