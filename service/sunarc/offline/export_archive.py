@@ -45,9 +45,9 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
     InputError : the folder exists and is not empty.
     OutsideError : it cannot be written.
     """
-    if folder.exists() and any(folder.iterdir()):
-        raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
     try:
+        if folder.exists() and any(folder.iterdir()):
+            raise InputError(field="folder", problem=f"{folder} is not empty", remedy="name a new folder")
         with open_archive(database_of(state)) as archive:
             (folder / "calibrations").mkdir(parents=True, exist_ok=True)
             return _write(archive, folder)

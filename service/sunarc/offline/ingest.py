@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -119,7 +120,7 @@ def _taken(path: Path, pattern: str | None, offset: timedelta) -> tuple[datetime
     if pattern is not None:
         try:
             return _zoned(datetime.strptime(path.stem, pattern), offset), exposure_us  # noqa: DTZ007 - zoned here
-        except ValueError:
+        except (ValueError, OverflowError):
             raise InputError(
                 field=path.name, problem=f"its name does not match {pattern!r}", remedy="correct --time-pattern"
             ) from None
@@ -152,21 +153,30 @@ def _from_name(name: str, offset: timedelta) -> datetime | None:
     *numbers, fraction = match.groups()
     try:
         moment = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
-    except ValueError:
+        moment += timedelta(seconds=float(fraction or 0.0))
+        return moment if name[match.end() :].startswith("Z") else moment - offset
+    except (ValueError, OverflowError):
         return None
-    moment += timedelta(seconds=float(fraction or 0.0))
-    return moment if name[match.end() :].startswith("Z") else moment - offset
 
 
 def _from_sidecar(path: Path, exposure_us: float | None) -> tuple[datetime, float | None]:
     try:
         sidecar: dict[str, Any] = json.loads(path.read_text())
-        exposure = sidecar.get("exposure_us", exposure_us)
+        exposure = _exposure(sidecar.get("exposure_us", exposure_us), where=f"{path.name}, exposure_us")
         return parse_time(str(sidecar["time_utc"]), where=f"{path.name}, time_utc"), exposure
     except (ValueError, KeyError, AttributeError, OSError):
         raise InputError(
             field=path.name, problem="no sidecar that could be read", remedy='write {"time_utc": "…Z"}'
         ) from None
+
+
+def _exposure(value: object, *, where: str) -> float | None:
+    """Return an exposure in us that JSON holds; None for null and for 0, which stands for "not known"."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
+        raise InputError(field=where, problem=f"{value!r} is no exposure", remedy="give microseconds, or null")
+    return float(value) or None
 
 
 def _from_exif(path: Path, offset: timedelta) -> datetime | None:
@@ -182,9 +192,9 @@ def _from_exif(path: Path, offset: timedelta) -> datetime | None:
         moment = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - zoned below
         if zone:
             return datetime.fromisoformat(moment.isoformat() + str(zone)).astimezone(UTC)
-    except ValueError:
+        return _zoned(moment, offset)
+    except (ValueError, OverflowError):
         return None
-    return _zoned(moment, offset)
 
 
 def _zoned(moment: datetime, offset: timedelta) -> datetime:
