@@ -1,0 +1,89 @@
+"""What a calibration from a file refuses before it fits, and how an image circle is read."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from tests.exports.conftest import LENS, document_of
+from tests.fixtures.settings import SGP
+
+from sunarc.calibration import CalibrationOptions
+from sunarc.errors import InputError
+from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
+from sunarc.runtime.clock import VirtualClock
+
+NOW = datetime(2013, 5, 14, tzinfo=UTC)
+
+
+def points_file(folder: Path, *rows: str) -> Path:
+    path = folder / "roof.csv"
+    path.write_text("\n".join(["time_utc,x_px,y_px", *rows, ""]))
+    return path
+
+
+def calibrated(path: Path, *, size: tuple[int, int] = (1748, 1600), **more: Any) -> dict[str, Any]:  # noqa: ANN401 - options
+    return calibrate_file(
+        path, site=SGP, image_size=size, options=CalibrationOptions(), clock=VirtualClock(NOW), **more
+    )
+
+
+def test_without_sightings_the_document_is_refused_and_dated_now(tmp_path: Path) -> None:
+    document = calibrated(points_file(tmp_path))
+    assert (document["state"], document["verdict"]["accepted"]) == ("refused", False)
+    assert document["camera"] == "roof"
+    assert document["valid_from"] == document["created_at"]
+
+
+def test_too_few_sightings_are_refused_and_the_document_is_valid_from_the_first(tmp_path: Path) -> None:
+    document = calibrated(points_file(tmp_path, "2013-05-13T18:30:00Z,800,700", "2013-05-13T18:40:00Z,810,700"))
+    assert document["state"] == "refused"
+    assert datetime.fromisoformat(document["valid_from"]) == datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+    assert datetime.fromisoformat(document["created_at"]) == NOW
+
+
+def test_a_sighting_outside_the_image_is_refused_by_its_number(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        calibrated(points_file(tmp_path, "2013-05-13T18:30:00Z,800,700", "2013-05-13T18:40:00Z,1748,700"))
+    assert refused.value.field == "roof.csv, sighting 2"
+
+
+def test_the_lens_of_other_images_is_not_kept(tmp_path: Path) -> None:
+    start = tmp_path / "start.json"
+    start.write_text(json.dumps(document_of(LENS)))
+    path = points_file(tmp_path, "2013-05-13T18:30:00Z,80,70")
+    with pytest.raises(InputError) as refused:
+        calibrated(path, size=(640, 480), start=start, pose_only=True)
+    assert refused.value.field == "--start"
+
+
+def test_a_circle_is_read_from_three_numbers() -> None:
+    circle = image_circle_of("870.5, 880, 850")
+    assert (circle.x, circle.y, circle.radius, circle.angle_deg) == (870.5, 880.0, 850.0, 90.0)
+
+
+def test_a_circle_is_found_in_an_image(tmp_path: Path) -> None:
+    y, x = np.mgrid[:400, :500]
+    path = tmp_path / "noon.png"
+    cv2.imwrite(str(path), np.where(np.hypot(x - 245.0, y - 203.0) < 180.0, 160, 4).astype(np.uint8))
+    circle = image_circle_of(str(path))
+    assert (circle.x, circle.y, circle.radius) == pytest.approx((245.0, 203.0, 180.0), abs=1.0)
+
+
+@pytest.mark.parametrize("text", ["1,2,0", "1,2,-3", "1,2,nan", "inf,2,3", "1,2", "1,2,3,4"])
+def test_what_is_no_circle_and_no_file_is_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        image_circle_of(text)
+
+
+def test_an_image_without_a_circle_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plain.png"
+    cv2.imwrite(str(path), np.zeros((200, 200), dtype=np.uint8))
+    with pytest.raises(InputError) as refused:
+        image_circle_of(str(path))
+    assert refused.value.field == "--image-circle"
