@@ -15,10 +15,11 @@ import pyproj
 import pytest
 
 from sunarc.archive import CameraRecord, DiskOptions, ImageStore, Reserve
-from sunarc.archive.csv_files import parse_time, read_pairs, read_sightings, write_columns, write_sightings
+from sunarc.archive.csv_files import read_pairs, read_sightings, write_columns, write_sightings
 from sunarc.archive.sites import SITE_LIMIT_M, distance_m, require_same_site
 from sunarc.errors import InputError, OutsideError
 from sunarc.sky import Site
+from sunarc.utc import parse_time
 
 NOON = datetime(2013, 5, 13, 18, 30, 0, 123_456, tzinfo=UTC)
 ROOF = CameraRecord(name="roof", latitude=36.604, longitude=-97.485, altitude=318.0, width=10, height=10)

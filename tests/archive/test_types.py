@@ -9,8 +9,9 @@ import pytest
 from sqlalchemy import TypeDecorator
 from sqlalchemy.dialects import sqlite
 
-from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word, to_microseconds
+from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
 from sunarc.findings import UNCODED, Finding, uncoded
+from sunarc.utc import to_microseconds
 
 DIALECT = sqlite.dialect()
 

@@ -6,7 +6,7 @@ import logging
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import partial
 
 import sunarc
@@ -21,6 +21,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Worker
 from sunarc.settings import Settings
+from sunarc.utc import MICROSECOND
 from sunarc.workers import (
     CaptureWorker,
     ClockWatch,
@@ -213,7 +214,7 @@ class Service:
         if self.frame_time.known and self.clock_watch.trusted():
             return now
         newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=MAX_CLOCK_ERROR_S)
-        return now if newest is None else newest + timedelta(microseconds=1)
+        return now if newest is None else newest + MICROSECOND
 
     def capture_worker(self) -> CaptureWorker:
         """Return the worker that drives the camera."""

@@ -11,7 +11,6 @@ from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restor
 from sunarc.archive.camera_archive import CameraArchive
 from sunarc.archive.csv_files import (
     SightingTable,
-    parse_time,
     read_pairs,
     read_sightings,
     write_columns,
@@ -79,7 +78,6 @@ __all__ = [
     "lock_state",
     "newest_sound_copy",
     "open_archive",
-    "parse_time",
     "prepare_database",
     "prepare_folder",
     "read_pairs",

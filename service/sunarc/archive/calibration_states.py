@@ -16,9 +16,10 @@ from sunarc.archive.calibrations import Calibrations
 from sunarc.archive.documents import row_of
 from sunarc.archive.messages import MESSAGES
 from sunarc.archive.tables import calibration, event
-from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, written, wrong_state
+from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
 from sunarc.findings import Finding
+from sunarc.utc import rfc3339
 
 _COPY = re.compile(r"-r\d+$")
 
@@ -86,7 +87,7 @@ def add_copy(
 
 
 def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[Finding, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name
-    document: Mapping[str, Any] = {**record.document, "id": id, "created_at": written(at)}
+    document: Mapping[str, Any] = {**record.document, "id": id, "created_at": rfc3339(at)}
     return replace(
         record,
         id=id,

@@ -13,7 +13,7 @@ from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray
-from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
+from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
 _EXTRAPOLATED_AT_MOST = 100.0
@@ -60,7 +60,7 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
 def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa), (n,) each: measured with a sighting, else on its day; else NaN."""
     temperature = within_or_nan(rows["temperature"], TEMPERATURE_BOUNDS_C)
-    pressure = within_or_nan(100.0 * rows["pressure"], PRESSURE_BOUNDS_PA)
+    pressure = within_or_nan(PA_PER_HPA * rows["pressure"], PRESSURE_BOUNDS_PA)
     of_day = air_of_days(connection, camera, rows["time"] / 1e6)
     return (
         np.where(np.isnan(temperature), of_day[0], temperature),

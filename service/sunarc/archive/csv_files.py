@@ -6,19 +6,19 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import TextIO
 
 import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
+from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
+from sunarc.utc import parse_time, rfc3339
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
 _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
-_PRESSURE_BOUNDS_HPA = (PRESSURE_BOUNDS_PA[0] / 100.0, PRESSURE_BOUNDS_PA[1] / 100.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +66,7 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
                 _number(row["y_px"], where=f"{where}, y_px"),
                 _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
                 _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
-                100.0 * _between(row.get("pressure_hpa"), *_PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
+                PA_PER_HPA * _between(row.get("pressure_hpa"), *PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
             )
         )
     columns = np.array(rows, dtype=np.float64).reshape(-1, 6)
@@ -99,10 +99,10 @@ def write_sightings(
     writer.writerow((*SIGHTING_COLUMNS, *_AIR_COLUMNS) if measured else SIGHTING_COLUMNS)
     count = 0
     for time, x, y, sigma, body in rows:
-        stamp = time.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+        stamp = rfc3339(time, timespec="microseconds")
         cells = [stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body]
         if air is not None and measured:
-            cells += [_cell(air[0][count], places=3), _cell(air[1][count] / 100.0, places=3)]
+            cells += [_cell(air[0][count], places=3), _cell(air[1][count] / PA_PER_HPA, places=3)]
         writer.writerow(cells)
         count += 1
     return count
@@ -137,19 +137,6 @@ def write_columns(target: TextIO, columns: dict[str, FloatArray], *, places: dic
 
 def _cell(value: float, *, places: int) -> str:
     return "" if math.isnan(value) else f"{value:.{places}f}"
-
-
-def parse_time(text: str, *, where: str) -> datetime:
-    """Return an aware UTC time from ISO 8601 that states its zone."""
-    try:
-        moment = datetime.fromisoformat(text.strip())
-    except ValueError:
-        raise InputError(
-            field=where, problem=f"{text!r} is no time", remedy="write ISO 8601, as 2013-05-13T18:30:00Z"
-        ) from None
-    if moment.tzinfo is None:
-        raise InputError(field=where, problem=f"{text!r} has no time zone", remedy="end it with Z for UTC")
-    return moment.astimezone(UTC)
 
 
 def _rows(lines: Iterable[str], *, name: str, required: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:

@@ -16,12 +16,16 @@ from sunarc.archive.tables import day_air
 from sunarc.archive.values import DayAir, SunPoint
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, NotFoundError
-from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site, solar_date
-
-_SECONDS_PER_DEGREE = 240.0
-_SECONDS_PER_DAY = 86_400.0
-_PA_PER_HPA = 100.0
-_FIRST_DAY = date(1970, 1, 1)
+from sunarc.sky import (
+    PA_PER_HPA,
+    PRESSURE_BOUNDS_HPA,
+    PRESSURE_BOUNDS_PA,
+    TEMPERATURE_BOUNDS_C,
+    Site,
+    day_of_date,
+    solar_date,
+    solar_days,
+)
 
 
 class MeasuredAir(Store):
@@ -38,8 +42,7 @@ class MeasuredAir(Store):
         NotFoundError : the archive does not know the camera.
         """
         _require_within("temperature_c", air.temperature_c, TEMPERATURE_BOUNDS_C)
-        low, high = PRESSURE_BOUNDS_PA
-        _require_within("pressure_hpa", air.pressure_hpa, (low / _PA_PER_HPA, high / _PA_PER_HPA))
+        _require_within("pressure_hpa", air.pressure_hpa, PRESSURE_BOUNDS_HPA)
         c = day_air.c
         this = (c.camera == air.camera, c.date == air.date)
         row = asdict(air)
@@ -96,8 +99,8 @@ def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tupl
     known = _read(connection, camera) if unix_s.size else ()
     if not known or longitude is None:
         return unknown[0], unknown[1]
-    day = np.floor((unix_s + longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY)
-    days = np.array([(air.date - _FIRST_DAY).days for air in known], dtype=np.float64)
+    day = solar_days(unix_s, longitude=longitude)
+    days = np.array([day_of_date(air.date) for air in known])
     place = np.minimum(np.searchsorted(days, day), days.size - 1)
     temperature, pressure = _numbers(known)
     is_known = days[place] == day
@@ -123,7 +126,7 @@ def _numbers(known: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray
         [(_number(air.temperature_c), _number(air.pressure_hpa)) for air in known], dtype=np.float64
     ).reshape(-1, 2)
     temperature = within_or_nan(numbers[:, 0], TEMPERATURE_BOUNDS_C)
-    return temperature, within_or_nan(_PA_PER_HPA * numbers[:, 1], PRESSURE_BOUNDS_PA)
+    return temperature, within_or_nan(PA_PER_HPA * numbers[:, 1], PRESSURE_BOUNDS_PA)
 
 
 def _number(value: object) -> float:

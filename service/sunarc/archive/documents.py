@@ -8,7 +8,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import Connection, LargeBinary, RowMapping, cast, select
@@ -17,11 +16,12 @@ from sunarc.archive.engine import json_text
 from sunarc.archive.tables import calibration
 from sunarc.archive.values import CalibrationRecord
 from sunarc.findings import Finding
+from sunarc.utc import EPOCH
 
 DAMAGED = Finding("document_damaged")
 """What a damaged calibration gives as its reason."""
 
-UNKNOWN_TIME = datetime(1970, 1, 1, tzinfo=UTC)
+UNKNOWN_TIME = EPOCH
 """Stands for a time that cannot be read."""
 
 _MOST_KEPT = 128

@@ -19,7 +19,8 @@ from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.sky import day_bounds_unix_s, solar_date
+from sunarc.sky import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
+from sunarc.utc import DAY_S
 
 _FIRST_OF_EACH_DAY = text(
     """
@@ -248,8 +249,8 @@ class Sightings(Store):
         values = {
             "camera": camera,
             "since": 0 if since is None else round(1e6 * day_bounds_unix_s(since, longitude=longitude)[0]),
-            "day": 86_400_000_000,
-            "ahead": round(longitude * 240e6),
+            "day": round(1e6 * DAY_S),
+            "ahead": round(1e6 * longitude * SECONDS_PER_DEGREE),
         }
         with self._reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()

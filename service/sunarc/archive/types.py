@@ -6,20 +6,13 @@ A row that lacks a value which it must have is then left out of what is returned
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime
 from typing import Any
 
 from sqlalchemy import JSON, BigInteger, Date, Dialect, Text, TypeDecorator
 
 from sunarc.findings import Finding, from_json
-
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_MICROSECOND = timedelta(microseconds=1)
-
-
-def to_microseconds(time: datetime) -> int:
-    """Return the whole microseconds since 1970-01-01 UTC of an aware time."""
-    return (time - _EPOCH) // _MICROSECOND
+from sunarc.utc import from_microseconds, to_microseconds
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -37,7 +30,7 @@ class UtcTime(TypeDecorator[datetime]):
         if not isinstance(value, int):
             return None
         try:
-            return _EPOCH + value * _MICROSECOND
+            return from_microseconds(value)
         except OverflowError:  # no year that a datetime can hold
             return None
 

@@ -12,6 +12,7 @@ from sunarc.archive.tables import calibration
 from sunarc.archive.types import UtcTime
 from sunarc.archive.values import CalibrationRecord, CalibrationState
 from sunarc.errors import ConflictError
+from sunarc.utc import rfc3339
 
 SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 
@@ -20,8 +21,8 @@ def with_interval(record: CalibrationRecord) -> CalibrationRecord:
     """Let the document say what the archive decided since it was written."""
     decided = {
         "state": record.state,
-        "valid_from": written(record.valid_from),
-        "valid_until": None if record.valid_until is None else written(record.valid_until),
+        "valid_from": rfc3339(record.valid_from),
+        "valid_until": None if record.valid_until is None else rfc3339(record.valid_until),
         "verdict": {
             **record.document["verdict"],
             "accepted": record.accepted,
@@ -30,11 +31,6 @@ def with_interval(record: CalibrationRecord) -> CalibrationRecord:
         },
     }
     return replace(record, document={**record.document, **decided})
-
-
-def written(time: datetime) -> str:
-    """Return a time as documents have it."""
-    return time.isoformat().replace("+00:00", "Z")
 
 
 def wrong_state(calibration_id: str, state: str, *, remedy: str) -> ConflictError:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ from sunarc.calibration.robust_loss import finite, robust_sigma, tukey_loss
 from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast, rotation_matrix
 from sunarc.sky import Site
+from sunarc.utc import DAY_S, rfc3339, utc_time
 
 _SIDE = 12
 """Sightings that are looked at on either side of a gap."""
@@ -41,7 +41,6 @@ _JUMPS_TRIED = 3
 _NIGHT_RATIO = 4.0
 _SMALLEST_NIGHT_DEG = 0.05
 """Mounts wander by less from a day to the next."""
-_DAY_S = 86_400.0
 _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
 _LEAST_EVIDENCE = 15.0
@@ -254,8 +253,8 @@ def _one_pose(usable: FilteredSightings, row: int) -> bool:
 
 def _same_hours(residual: FloatArray, usable: FilteredSightings, early: IntArray, late: IntArray) -> float:
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
-    hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], _DAY_S)
-    before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], _DAY_S)
+    hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], DAY_S)
+    before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], DAY_S)
     place = np.clip(np.searchsorted(before, hours), 1, before.size - 1) if before.size > 1 else np.zeros(0, dtype=int)
     if place.size < _FEWEST:
         return math.nan
@@ -292,7 +291,5 @@ def _with_moves(solved: Calibration, usable: FilteredSightings) -> Calibration:
 
 
 def _finding(move: Move) -> Finding:
-    before, after = (
-        f"{datetime.fromtimestamp(s, UTC):%Y-%m-%dT%H:%M:%SZ}" for s in (move.before_unix_s, move.after_unix_s)
-    )
+    before, after = (rfc3339(utc_time(s), timespec="seconds") for s in (move.before_unix_s, move.after_unix_s))
     return Finding("pose_changed", {"before": before, "after": after, "turn_deg": move.turn_deg})

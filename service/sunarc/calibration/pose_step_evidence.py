@@ -26,12 +26,12 @@ from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, Param, project_with_rows_fast
 from sunarc.optics.camera import POSE
+from sunarc.utc import DAY_S
 
 _MOST_ROWS = 280
 """Rows of the covariance matrix; more sightings are gathered by their median (cost grows with the cube)."""
 _DAYS_BESIDE = 3
 """Days on either side of the step that are looked at."""
-_DAY_S = 86_400.0
 LONGEST_EPISODE_S = 4500.0
 """Longest episode of cloud that competes with a step: what lasts longer and is constant is a move."""
 _EPISODES_S = (900.0, 2400.0, LONGEST_EPISODE_S)
@@ -242,7 +242,7 @@ def _windows(rows: _Rows) -> list[tuple[float, float]]:
     times, found = rows.unix_s, []
     at = float(times[rows.after][0])
     for long in _EPISODES_S:
-        regular = np.arange(times[0], times[-1], 0.5 * long) if times[-1] - times[0] < 2.0 * _DAY_S else np.zeros(0)
+        regular = np.arange(times[0], times[-1], 0.5 * long) if times[-1] - times[0] < 2.0 * DAY_S else np.zeros(0)
         begins = [times[0], times[-1] - long, at - long - 1.0, at, at - 0.5 * long, *regular.tolist()]
         found += [(float(begin), float(begin) + long) for begin in begins]
     return found

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from sunarc.cameras.options import AravisOptions
+from sunarc.utc import EPOCH
 
 TAI_MINUS_UTC_S = 37.0
 """Seconds by which TAI is ahead of UTC since 2017-01-01 (IERS Bulletin C 52). Should a leap second change it,
 the comparison with the host's clock shows a difference of 1 s."""
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def utc_of_timestamp(timestamp_ns: int, options: AravisOptions) -> datetime:
@@ -21,4 +21,4 @@ def utc_of_timestamp(timestamp_ns: int, options: AravisOptions) -> datetime:
     options : which scale that is, and what is to be added.
     """
     added_s = options.timestamp_offset_s - (TAI_MINUS_UTC_S if options.timestamp_scale == "tai" else 0.0)
-    return _EPOCH + timedelta(microseconds=timestamp_ns // 1000, seconds=added_s)
+    return EPOCH + timedelta(microseconds=timestamp_ns // 1000, seconds=added_s)

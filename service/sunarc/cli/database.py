@@ -20,7 +20,6 @@ from sunarc.archive import (
     lock_holder,
     lock_state,
     newest_sound_copy,
-    parse_time,
     prepare_folder,
     require_file,
     restore,
@@ -35,6 +34,7 @@ from sunarc.offline.import_sightings import import_points as read_points
 from sunarc.offline.import_sightings import write_points
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_settings
+from sunarc.utc import parse_time
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
 db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")

@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.progress import track
 
 from sunarc import __version__, app, offline
-from sunarc.archive import parse_time
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
 from sunarc.cli.codes import all_codes, codes_as_markdown
@@ -30,6 +29,7 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings import all_settings, as_markdown, load_settings
 from sunarc.sky import Site
+from sunarc.utc import parse_time
 
 cli = typer.Typer(
     no_args_is_help=True,

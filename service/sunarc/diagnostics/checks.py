@@ -9,7 +9,7 @@ import urllib.request
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -21,6 +21,7 @@ from sunarc.errors import SunarcError
 from sunarc.runtime.clock import Clock, host_clock_state
 from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.settings import Settings
+from sunarc.utc import utc_time
 
 Outcome = Literal["ok", "warn", "fail"]
 _LEAST_FREE_BYTES = 2_000_000_000
@@ -109,7 +110,7 @@ def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
     copies = sorted(settings.backups.glob("sunarc-*.sqlite"))
     if not copies:
         return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"
-    made = datetime.fromtimestamp(copies[-1].stat().st_mtime, UTC)
+    made = utc_time(copies[-1].stat().st_mtime)
     text = f"{len(copies)}, the newest of {made:%Y-%m-%d %H:%M} UTC"
     recent = clock.now() - made < _OLDEST_BACKUP
     return ("ok", text) if recent else ("warn", f"{text}; see systemctl status sunarc-backup.timer")

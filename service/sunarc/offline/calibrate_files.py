@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import uuid
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.offline.project_files import read_calibration
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
+from sunarc.utc import utc_time
 
 
 def calibrate_file(
@@ -68,7 +68,7 @@ def calibrate_file(
         write_calibration_plots(solved, points, folder=plots)
     now = clock.now()
     since = points.unix_s[points.epoch == points.epoch.max()] if len(points) else points.unix_s
-    first = datetime.fromtimestamp(float(since.min()), UTC) if since.size else now
+    first = utc_time(float(since.min())) if since.size else now
     return to_document(
         solved,
         id=uuid.uuid4().hex,

@@ -17,6 +17,7 @@ from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch,
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import Table, Variable, netcdf_bytes
+from sunarc.utc import rfc3339
 
 _UNITS = {
     "x_px": "px",
@@ -98,7 +99,7 @@ def _cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a field h
     if isinstance(value, str | int | float):
         return value
     if isinstance(value, datetime):
-        return value.isoformat().replace("+00:00", "Z")
+        return rfc3339(value)
     if isinstance(value, date):
         return value.isoformat()
     return json.dumps(value, default=str)

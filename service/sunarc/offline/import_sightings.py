@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 
@@ -22,6 +22,8 @@ from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
+from sunarc.sky import PA_PER_HPA
+from sunarc.utc import utc_time
 
 
 def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -79,7 +81,7 @@ def _size_in_settings(settings: Settings) -> tuple[int, int] | None:
 
 
 def _points(archive: Archive, settings: Settings, table: SightingTable, name: str) -> list[SunPoint]:
-    times = [datetime.fromtimestamp(t, UTC) for t in table.unix_s]
+    times = [utc_time(t) for t in table.unix_s]
     reason = f"imported from {name}"
     return [
         SunPoint(
@@ -94,7 +96,7 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             y_px=float(y),
             sigma_px=_known(sigma),
             temperature_c=_known(temperature),
-            pressure_hpa=_known(pressure / 100.0),
+            pressure_hpa=_known(pressure / PA_PER_HPA),
         )
         for time, (x, y), sigma, temperature, pressure in zip(
             times, table.pixels, table.sigma_px, table.temperature, table.pressure, strict=True

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as Pictures
 
-from sunarc.archive import Archive, open_archive, parse_time, sun_point_of, upgrade_present
+from sunarc.archive import Archive, open_archive, sun_point_of, upgrade_present
 from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.imaging import document_of
@@ -23,6 +23,7 @@ from sunarc.offline.detect_files import Method, detect_in_image
 from sunarc.offline.files import read_file, read_image
 from sunarc.settings import Settings
 from sunarc.sky import sun_angles
+from sunarc.utc import parse_time
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 _NAME = re.compile(r"(\d{4})[-_]?(\d{2})[-_]?(\d{2})[-_T ]*(\d{2})[-_:h]?(\d{2})[-_:m]?(\d{2})(\.\d{1,6})?")

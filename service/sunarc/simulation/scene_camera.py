@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Literal
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame, full_scale_of
@@ -13,11 +13,10 @@ from sunarc.detection import bayer_of
 from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.runtime.clock import Clock
 from sunarc.simulation.scene import Region, Scene
+from sunarc.utc import to_microseconds
 
 Fault = Literal["timeout", "lost", "error", "wrong_exposure"]
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_MICROSECOND = timedelta(microseconds=1)
 _WRONG_FACTOR = 4.0
 
 
@@ -87,7 +86,7 @@ class SceneCamera:
         actual_us = float(round(min(max(exposure_us, self._info.exposure_min_us), self._info.exposure_max_us)))
         start = self._now()
         image = self._scene.render(
-            (start - _EPOCH) // _MICROSECOND,
+            to_microseconds(start),
             exposure_us=actual_us * (_WRONG_FACTOR if fault == "wrong_exposure" else 1.0),
             gain_db=self._gain_db,
             full_scale=self._info.full_scale,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sunarc.sky import Site, sun_angles
+from sunarc.utc import DAY_S
 
 _TWILIGHT_ZENITH_DEG = 92.0
 _STEP_S = 60.0
-_DAY_S = 86_400.0
 _LONGEST_NIGHT_DAYS = 200
 
 
@@ -53,9 +53,9 @@ class Timeline:
 
 def next_dawn(unix_s: float, site: Site) -> float:
     """Return the next minute at which the sun is at most 92° from the zenith; `unix_s` itself if there is none."""
-    minutes = np.arange(0.0, _DAY_S, _STEP_S)
+    minutes = np.arange(0.0, DAY_S, _STEP_S)
     for day in range(_LONGEST_NIGHT_DAYS):
-        times = unix_s + day * _DAY_S + minutes
+        times = unix_s + day * DAY_S + minutes
         light = np.flatnonzero(sun_angles(times, site).apparent_zenith <= _TWILIGHT_ZENITH_DEG)
         if light.size:
             return float(times[light[0]])

@@ -1,7 +1,7 @@
 """Position of the sun, refraction, directions and local mean solar days."""
 
 from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
-from sunarc.sky.days import date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
+from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
 from sunarc.sky.refraction import (
     ASSUMED_AIR_SD,
@@ -11,7 +11,7 @@ from sunarc.sky.refraction import (
     refraction_rad,
     upward,
 )
-from sunarc.sky.site import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
+from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
 from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_directions
 
 __all__ = [
@@ -19,7 +19,10 @@ __all__ = [
     "CLEAR_OPTICAL_DEPTH",
     "DAILY_AIR_SD",
     "MEASURED_AIR_SD",
+    "PA_PER_HPA",
+    "PRESSURE_BOUNDS_HPA",
     "PRESSURE_BOUNDS_PA",
+    "SECONDS_PER_DEGREE",
     "SOLAR_RADIUS",
     "TEMPERATURE_BOUNDS_C",
     "Site",

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.utc import DAY_S, EPOCH
 
-_SECONDS_PER_DEGREE = 240.0
-_SECONDS_PER_DAY = 86_400.0
-_FIRST_DAY = date(1970, 1, 1)
+SECONDS_PER_DEGREE = 240.0
+"""A degree of longitude in mean solar time, s."""
+_FIRST_DAY = EPOCH.date()
 
 
 def solar_date(unix_s: float, *, longitude: float) -> date:
@@ -21,13 +22,13 @@ def solar_date(unix_s: float, *, longitude: float) -> date:
     unix_s : seconds since 1970-01-01 UTC.
     longitude : degrees, east positive.
     """
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=unix_s + longitude * _SECONDS_PER_DEGREE)
-    return moment.date()
+    # Rounded to a microsecond, as times are: the first moment of a day must not fall before midnight by rounding.
+    return (EPOCH + timedelta(seconds=unix_s + longitude * SECONDS_PER_DEGREE)).date()
 
 
 def solar_days(unix_s: FloatArray, *, longitude: float) -> IntArray:
     """Return the local mean solar days (n,) of times (n,), counted from 1970."""
-    return np.floor((unix_s + longitude * _SECONDS_PER_DEGREE) / _SECONDS_PER_DAY).astype(np.int64)
+    return np.floor((unix_s + longitude * SECONDS_PER_DEGREE) / DAY_S).astype(np.int64)
 
 
 def date_of_day(day: int) -> date:
@@ -42,6 +43,5 @@ def day_of_date(day: date) -> int:
 
 def day_bounds_unix_s(day: date, *, longitude: float) -> tuple[float, float]:
     """Return the first moment of a solar day and of the next, in seconds since 1970-01-01 UTC."""
-    midnight = datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp()
-    start = midnight - longitude * _SECONDS_PER_DEGREE
-    return start, start + _SECONDS_PER_DAY
+    start = day_of_date(day) * DAY_S - longitude * SECONDS_PER_DEGREE
+    return start, start + DAY_S

@@ -13,6 +13,8 @@ TEMPERATURE_BOUNDS_C = (-60.0, 60.0)
 """Air temperatures that are accepted, °C: the annual mean of the coldest inhabited sites is -55, the record is 57."""
 PRESSURE_BOUNDS_PA = (30_000.0, 110_000.0)
 """Air pressures that are accepted, Pa: those of 9000 m and of the strongest high at sea level."""
+PA_PER_HPA = 100.0
+PRESSURE_BOUNDS_HPA = (PRESSURE_BOUNDS_PA[0] / PA_PER_HPA, PRESSURE_BOUNDS_PA[1] / PA_PER_HPA)
 
 PressurePa = Annotated[float, Ge(PRESSURE_BOUNDS_PA[0]), Le(PRESSURE_BOUNDS_PA[1])]
 TemperatureC = Annotated[float, Ge(TEMPERATURE_BOUNDS_C[0]), Le(TEMPERATURE_BOUNDS_C[1])]

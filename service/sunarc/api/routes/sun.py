@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +21,7 @@ from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_cova
 from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
+from sunarc.utc import utc_time
 
 _HORIZON_DEG = 90.0
 
@@ -116,7 +117,7 @@ def track_of(served: ApiContext, day: date, *, step_s: int, past: datetime | Non
         pixels = project(answering[1].camera, direction_from_angles(zenith_deg=zenith, azimuth_deg=azimuth))
     return SunTrack(
         date=day,
-        time=[datetime.fromtimestamp(0, UTC) + timedelta(seconds=float(s)) for s in unix_s[up]],
+        time=[utc_time(float(s)) for s in unix_s[up]],
         apparent_zenith=zenith.tolist(),
         azimuth=azimuth.tolist(),
         pixels=[[x, y] if np.isfinite(x + y) else None for x, y in pixels.tolist()],

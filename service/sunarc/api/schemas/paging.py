@@ -10,6 +10,8 @@ from urllib.parse import parse_qsl, urlencode
 
 from fastapi import Query, Request
 
+from sunarc.utc import MICROSECOND, from_microseconds, to_microseconds
+
 Row = TypeVar("Row")
 Cursor = Annotated[
     str | None,
@@ -19,8 +21,6 @@ Cursor = Annotated[
         examples=["1368469800000000-1"],
     ),
 ]
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_MICROSECOND = timedelta(microseconds=1)
 _MOST_SKIPPED = 9999
 
 
@@ -46,7 +46,7 @@ class Page:
 
     def until(self, wanted: datetime | None) -> datetime | None:
         """Return the end (exclusive) of the rows to ask for, where the client wants those before `wanted`."""
-        return _sooner(wanted, None if self.last is None else self.last + _MICROSECOND)
+        return _sooner(wanted, None if self.last is None else self.last + MICROSECOND)
 
     def until_date(self, wanted: date | None) -> date | None:
         """Return the end (exclusive) of the dates to ask for, where the client wants those before `wanted`."""
@@ -77,12 +77,12 @@ def page_at(cursor: str | None, limit: int) -> Page:
     if cursor is None:
         return Page(last=None, skip=0, limit=limit)
     microseconds, skip = cursor.split("-")
-    return Page(last=_EPOCH + int(microseconds) * _MICROSECOND, skip=int(skip), limit=limit)
+    return Page(last=from_microseconds(int(microseconds)), skip=int(skip), limit=limit)
 
 
 def _written(last: date, seen: int) -> str:
     moment = last if isinstance(last, datetime) else datetime(last.year, last.month, last.day, tzinfo=UTC)
-    return f"{(moment - _EPOCH) // _MICROSECOND}-{min(seen, _MOST_SKIPPED)}"
+    return f"{to_microseconds(moment)}-{min(seen, _MOST_SKIPPED)}"
 
 
 Moment = TypeVar("Moment", bound=date)

@@ -10,15 +10,14 @@ from pydantic import BaseModel, Field
 from sunarc.api.schemas.parameters import Asked, Next, Number
 from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit
 from sunarc.json_fields import EXAMPLE_TIME, Findings, Time, described
-from sunarc.sky import PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
+from sunarc.sky import PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
 
 _CALIBRATION_ID = "20130514T150508Z-52ee44"
-_PA_PER_HPA = 100.0
 _TEMPERATURE = "Of the air, mean over the hours of sun, degrees Celsius."
 _PRESSURE = "Of the air at the camera, not reduced to sea level, hPa (a unit of 100 Pa)."
 
 AirTemperature = Annotated[Number, Field(ge=TEMPERATURE_BOUNDS_C[0], le=TEMPERATURE_BOUNDS_C[1])]
-AirPressure = Annotated[Number, Field(ge=PRESSURE_BOUNDS_PA[0] / _PA_PER_HPA, le=PRESSURE_BOUNDS_PA[1] / _PA_PER_HPA)]
+AirPressure = Annotated[Number, Field(ge=PRESSURE_BOUNDS_HPA[0], le=PRESSURE_BOUNDS_HPA[1])]
 
 
 class DayAirIn(Asked):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
 from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
 from sunarc.sky import Site
+from sunarc.utc import rfc3339
 
 SCHEMA = "sunarc.calibration/1"
 
@@ -56,7 +57,7 @@ def to_document(
         "camera": camera,
         "state": state,
         "method": calibration.method,
-        "created_at": _time(created_at),
+        "created_at": rfc3339(created_at),
         "valid_from": _time(valid_from),
         "valid_until": _time(valid_until),
         "pose_epoch": pose_epoch,
@@ -124,8 +125,8 @@ def _field(field: Field) -> Document:
     }
 
 
-def _time(moment: datetime | None) -> str | None:
-    return None if moment is None else moment.astimezone(UTC).isoformat().replace("+00:00", "Z")
+def _time(time: datetime | None) -> str | None:
+    return None if time is None else rfc3339(time)
 
 
 def _number(value: float | None) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOption
 from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError
 from sunarc.findings import Data, Finding
+from sunarc.utc import DAY_S, utc_time
 from sunarc.workers.calibrating.provisional_pose import is_provisional
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
@@ -22,9 +23,8 @@ from sunarc.workers.messages import MESSAGES
 SEARCHED = "epochs_searched"
 """Kind of the event that remembers up to which sighting the record was searched, and which epochs it divided."""
 
-_BESIDE_S = 4.0 * 86_400.0
+_BESIDE_S = 4.0 * DAY_S
 """Time about new sightings that is searched with them: a step at their first or last day needs days on both sides."""
-_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class EpochSearch:
             return None
         self._last_id = int(columns.ids.max())
         near = self._near_new(columns)
-        if not np.any(near) or float(np.ptp(columns.unix_s[near])) < _DAY_S:
+        if not np.any(near) or float(np.ptp(columns.unix_s[near])) < DAY_S:
             return None
         return Problem(
             points=points_of(columns.select(near)),
@@ -107,7 +107,7 @@ class EpochSearch:
         """Open the epochs that steps begin, with an event each, and remember that the search was made."""
         divided: list[str] = []
         for step in steps:
-            at = _moment(step.after_unix_s)
+            at = utc_time(step.after_unix_s)
             try:
                 parts = self._camera.split_epoch(at=at, reason="bump")
             except InputError:  # an epoch begins there already
@@ -158,11 +158,7 @@ def _search(event: Event) -> _Search:
 
 
 def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
-    before = _moment(step.before_unix_s).isoformat(timespec="seconds")
+    before = utc_time(step.before_unix_s).isoformat(timespec="seconds")
     data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
     found = Finding("pose_changed", data)
     return Event.of(found, CHANGES, time=at, severity="warning", camera=camera, kind="bump", details={"searched": True})
-
-
-def _moment(unix_s: float) -> datetime:
-    return datetime.fromtimestamp(0.0, UTC) + timedelta(microseconds=round(unix_s * 1e6))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from datetime import UTC, date, datetime
+from datetime import date, datetime
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from sunarc.archive import CameraArchive, Day, Event, Refit, SunPointColumns
 from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, measure_day
 from sunarc.findings import Finding
 from sunarc.sky import day_bounds_unix_s, solar_date, sun_angles
+from sunarc.utc import utc_time
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.messages import MESSAGES
 
@@ -68,12 +69,12 @@ class DayJudge:
 
     def _stands(self, day: Day) -> bool:
         """Return whether a verdict was given after its day had ended and before now: else a wrong clock gave it."""
-        end = datetime.fromtimestamp(day_bounds_unix_s(day.date, longitude=self._camera.site.longitude)[1], UTC)
+        end = utc_time(day_bounds_unix_s(day.date, longitude=self._camera.site.longitude)[1])
         return end <= day.decided_at <= self._now()
 
     def _measure(self, date_: date) -> Day:
         start, end = day_bounds_unix_s(date_, longitude=self._camera.site.longitude)
-        since, until = datetime.fromtimestamp(start, UTC), datetime.fromtimestamp(end, UTC)
+        since, until = utc_time(start), utc_time(end)
         columns = self._camera.sun_point_columns(since=since, until=until)
         doubtful = np.nan_to_num(columns.clock_error_s) > self._options.largest_clock_error_s
         share = float(np.mean(doubtful)) if doubtful.size else 0.0

@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
+from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator, is_provisional
 from sunarc.workers.messages import condition
@@ -161,7 +162,7 @@ class WatchWorker:
             return
         if seen.unix_s > self._latest().timestamp():
             return
-        site = self._camera.site_at(_moment(seen.unix_s))
+        site = self._camera.site_at(utc_time(seen.unix_s))
         if site != self._camera.site:  # not in `notice`, which must not wait for the database
             seen = replace(seen, direction=_sun(seen.unix_s, site))
         self._watch, change = update_window(
@@ -182,7 +183,7 @@ class WatchWorker:
 
     def _act(self, change: Change) -> None:
         """Tell, and do what the change asks for."""
-        at = _moment(change.at_unix_s)
+        at = utc_time(change.at_unix_s)
         moved = change.kind == "bump" or change.kind in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
@@ -206,8 +207,8 @@ class WatchWorker:
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
-        doubted = f"ambiguous: the camera moved between {_moment(change.earliest_unix_s).isoformat()} and then"
-        after_last = _moment(change.earliest_unix_s) + timedelta(microseconds=1)
+        doubted = f"ambiguous: the camera moved between {utc_time(change.earliest_unix_s).isoformat()} and then"
+        after_last = utc_time(change.earliest_unix_s) + MICROSECOND
         self._camera.exclude(since=after_last, until=at, reason=doubted)
         try:
             reason = LENS_CHANGED if change.kind in LENS_KINDS else change.kind
@@ -235,8 +236,8 @@ class WatchWorker:
             self._fault = None
             self._board.set_condition(fault.finding.code, None)
             return
-        moment = _moment(seen.unix_s)
-        until = moment + timedelta(microseconds=1)
+        moment = utc_time(seen.unix_s)
+        until = moment + MICROSECOND
         self._camera.exclude(since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _tell(self, change: Change, at: datetime) -> None:
@@ -288,7 +289,7 @@ class WatchWorker:
         """Return whether the host's clock was set while the sightings in question were made."""
         if not len(self._watch):
             return False
-        since = _moment(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
+        since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
         return any(event.kind == "clock_step" for event in self._camera.events(since=since))
 
     def _show_future_epochs(self) -> None:
@@ -316,10 +317,6 @@ def _sun(unix_s: float, site: Site) -> tuple[float, float, float]:
     """Return the sun's apparent direction, east-north-up."""
     east, north, up = sun_directions(unix_s, site).tolist()
     return east, north, up
-
-
-def _moment(unix_s: float) -> datetime:
-    return datetime.fromtimestamp(unix_s, UTC)
 
 
 def _of_the_future(epoch: PoseEpoch) -> Reason:

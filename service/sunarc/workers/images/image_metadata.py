@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any
 
 import sunarc
@@ -11,6 +11,7 @@ from sunarc.cameras import Frame
 from sunarc.detection import bayer_of
 from sunarc.imaging import HdrImage
 from sunarc.sky import Site, sun_angles
+from sunarc.utc import rfc3339
 from sunarc.workers.sightings.sun_prediction import SunPredictor
 
 SCHEMA = "sunarc.image/1"
@@ -33,10 +34,10 @@ def image_document(
         "schema": SCHEMA,
         "preview": False,
         "camera": camera,
-        "time_utc": _rfc3339(first.time),
+        "time_utc": rfc3339(first.time, timespec="microseconds"),
         "exposures": [
             {
-                "time_utc": _rfc3339(frame.time),
+                "time_utc": rfc3339(frame.time, timespec="microseconds"),
                 "exposure_us": frame.exposure_us,
                 "gain_db": frame.gain_db,
                 "frame_id": frame.frame_id,
@@ -63,7 +64,3 @@ def _sun(moment: datetime, site: Site, predictor: SunPredictor) -> dict[str, flo
         "x_px": None if expected is None else round(expected.x_px, 3),
         "y_px": None if expected is None else round(expected.y_px, 3),
     }
-
-
-def _rfc3339(moment: datetime) -> str:
-    return moment.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from sunarc.errors import InputError
 from sunarc.runtime.clock import Clock
+from sunarc.utc import utc_time
 
 _COMPARED = 4
 """Frames whose time is compared with the host's: a bracket, so that a sighting's own frame is among them."""
@@ -89,4 +90,4 @@ class FrameTime:
     def next_slot(self, *, every_s: float) -> datetime:
         """Return the next moment that is a whole multiple of `every_s` since 1970-01-01 UTC."""
         slots = math.floor(self.now().timestamp() / every_s) + 1
-        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=slots * every_s)
+        return utc_time(slots * every_s)

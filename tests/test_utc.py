@@ -1,0 +1,40 @@
+"""Times as text, seconds and microseconds."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta, timezone
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sunarc.utc import EPOCH, from_microseconds, parse_time, rfc3339, to_microseconds, utc_time
+
+_WEST = timezone(timedelta(hours=-8))
+
+
+@pytest.mark.parametrize(
+    ("time", "timespec", "text"),
+    [
+        (datetime(2013, 5, 13, 18, 30, tzinfo=UTC), "auto", "2013-05-13T18:30:00Z"),
+        (datetime(2013, 5, 13, 18, 30, 0, 5, tzinfo=UTC), "auto", "2013-05-13T18:30:00.000005Z"),
+        (datetime(2013, 5, 13, 18, 30, tzinfo=UTC), "microseconds", "2013-05-13T18:30:00.000000Z"),
+        (datetime(2013, 5, 13, 22, 30, 59, 999_999, tzinfo=_WEST), "seconds", "2013-05-14T06:30:59Z"),
+    ],
+)
+def test_text_is_in_utc_and_ends_with_z(time: datetime, timespec: str, text: str) -> None:
+    assert rfc3339(time, timespec=timespec) == text
+
+
+@given(st.datetimes(min_value=datetime(1970, 1, 1), max_value=datetime(2199, 12, 31)))  # noqa: DTZ001 - zoned below
+def test_every_time_returns_from_its_text_its_microseconds_and_its_seconds(naive: datetime) -> None:
+    time = naive.replace(tzinfo=UTC)
+    assert parse_time(rfc3339(time), where="t") == time
+    assert from_microseconds(to_microseconds(time)) == time
+    # A float64 of seconds since 1970 resolves less than half a microsecond until 2242.
+    assert utc_time(time.timestamp()) == time
+
+
+def test_seconds_are_rounded_to_the_nearest_microsecond() -> None:
+    assert utc_time(1.000_000_4) == EPOCH + timedelta(seconds=1)
+    assert utc_time(1.000_000_6) == EPOCH + timedelta(seconds=1, microseconds=1)
