@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import tomllib
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from sunarc.settings import all_settings, as_markdown
-from sunarc.settings.reference import attributes_of
+import pytest
+from annotated_types import Gt, Le
+
+from sunarc.settings import REMOVED, all_settings, as_markdown
+from sunarc.settings.reference import _of_options, _toml, _type_name, attributes_of, dataclass_in
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -50,3 +55,80 @@ def test_an_attribute_section_is_read_over_several_lines() -> None:
         "second": "two of them, on two lines.",
         "third": "one.",
     }
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Options within options.
+
+    Attributes
+    ----------
+    depth : how deep, m.
+    """
+
+    depth: Annotated[float, Gt(0.0), Le(9.0)] = 2.0
+
+
+@dataclass(frozen=True)
+class Outer:
+    """Options of every kind.
+
+    Attributes
+    ----------
+    size : px.
+    levels : several.
+    kind : which.
+    """
+
+    size: int
+    levels: tuple[float, ...] = (0.5, 1.0)
+    kind: Literal["a", "b"] = "a"
+    inner: Inner = field(default_factory=Inner)
+
+
+def test_options_within_options_get_a_dotted_path_in_the_order_of_the_fields() -> None:
+    names = [setting.name for setting in _of_options(Outer, "outer")]
+    assert names == ["outer.size", "outer.levels", "outer.kind", "outer.inner.depth"]
+
+
+def test_each_setting_has_its_default_bounds_and_meaning() -> None:
+    found = {one.name: (one.default, one.allowed, one.meaning) for one in _of_options(Outer, "outer")}
+    assert found["outer.size"] == ("required", "a whole number", "px.")
+    assert found["outer.levels"] == ("[0.5, 1.0]", "a list of numbers", "several.")
+    assert found["outer.kind"] == ('"a"', 'one of "a", "b"', "which.")
+    assert found["outer.inner.depth"] == ("2.0", "a number above 0 and at most 9", "how deep, m.")
+
+
+@pytest.mark.parametrize(
+    ("annotation", "name"),
+    [
+        (str, "text"),
+        (bool, "true or false"),
+        (Path | None, "a path"),
+        (float | int, "a number or a whole number"),
+        (tuple[int, int, int, int], "a list of 4 whole numbers"),
+        (tuple[float, ...] | None, "a list of numbers"),
+    ],
+)
+def test_a_type_is_named_as_toml_has_it(annotation: Any, name: str) -> None:  # noqa: ANN401 - any annotation
+    assert _type_name(annotation) == name
+
+
+@pytest.mark.parametrize("value", [True, False, 3, 2.5, "text", (1, 2), Path("/var/lib")])
+def test_a_default_is_written_so_that_toml_reads_it_back(value: object) -> None:
+    read = tomllib.loads(f"value = {_toml(value)}")["value"]
+    assert read == (list(value) if isinstance(value, tuple) else str(value) if isinstance(value, Path) else value)
+
+
+def test_a_default_of_none_is_unset() -> None:
+    assert _toml(None) == "unset"
+
+
+def test_the_class_of_an_option_is_found_beside_none() -> None:
+    assert dataclass_in(Inner | None) is Inner
+    assert dataclass_in(float | None) is None
+
+
+def test_the_page_has_one_row_for_each_setting_and_each_removed_one() -> None:
+    rows = [line.split("`")[1] for line in as_markdown().splitlines() if line.startswith("| `")]
+    assert sorted(rows) == sorted([setting.name for setting in all_settings()] + list(REMOVED))
