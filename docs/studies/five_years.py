@@ -31,7 +31,7 @@ from fastapi.testclient import TestClient
 
 from sunarc.api import ApiOptions, create_app
 from sunarc.archive import Archive, CameraArchive, CameraRecord, Day, Event, Refit, open_archive, upgrade
-from sunarc.calibration import CalibrationOptions, DayOptions
+from sunarc.calibration import CalibrationOptions
 from sunarc.optics import project_fast
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.status import StatusRegistry
@@ -131,7 +131,6 @@ def measure(path: Path) -> None:
         camera=CameraArchive(archive, name="roof", site=SGP),
         cadence_s=_CADENCE_S,
         sun_zenith_deg=88.0,
-        options=DayOptions(),
         now=lambda: _END,
         request_refit=lambda reason: Refit(id="x", camera="roof", requested_at=_END, reason=reason),
     )

@@ -11,7 +11,7 @@ import pytest
 from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import OneOf, bounds_of
-from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions
+from sunarc.calibration import CalibrationOptions, SelectionOptions
 from sunarc.calibration.change_detection import WatchOptions
 from sunarc.cameras import AravisOptions
 from sunarc.detection import DiscOptions
@@ -190,12 +190,11 @@ def test_a_variable_that_went_away_is_refused_with_its_remedy(folder: Path, monk
         (CaptureOptions, {"hdr_exposures_us": ()}, "capture.hdr_exposures_us"),
         (AravisOptions, {"address": "192.0.2.7", "answer_timeout_s": 0.0}, "camera.answer_timeout_s"),
         (CalibrationOptions, {"method": "guess"}, "calibration.method"),
-        (DayOptions, {"clear_share": 0.2}, "days.partly_share"),
         (SelectionOptions, {"most": 0}, "refit.selection.most"),
         (RefitOptions, {"image_circle_px": (1.0, 1.0, 0.0)}, "refit.image_circle_px"),
         (SunExposureOptions, {"target_low": 0.8}, "sun_exposure.target_low"),
         (SupervisorOptions, {"stale_after_s": 4.9}, "supervisor.stale_after_s"),
-        (WatchOptions, {"least_gain": 9.9}, "watch.least_gain"),
+        (WatchOptions, {"wander_deg": 5.1}, "watch.wander_deg"),
     ],
 )
 def test_options_made_in_python_are_refused_by_the_same_path(options: Any, given: dict[str, Any], field: str) -> None:  # noqa: ANN401 - any options

@@ -26,7 +26,6 @@ from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
-    DayOptions,
     calibrate,
     from_document,
     hemisphere,
@@ -118,7 +117,6 @@ class LongRun:
             camera=CameraArchive(self.archive, name="roof", site=SGP),
             cadence_s=self.cadence_s,
             sun_zenith_deg=LOWEST_ZENITH_DEG,
-            options=DayOptions(),
             now=lambda: self.now,
             request_refit=self.request,
         )

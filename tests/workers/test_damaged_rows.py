@@ -32,7 +32,7 @@ from sunarc.archive import (
     upgrade,
 )
 from sunarc.archive.tables import metadata
-from sunarc.calibration import CalibrationOptions, DayOptions, SunPoints, to_document
+from sunarc.calibration import CalibrationOptions, SunPoints, to_document
 from sunarc.calibration.change_detection import WatchOptions
 from sunarc.errors import InputError
 from sunarc.optics import project
@@ -162,7 +162,7 @@ def run_every_part(path: Path, board: StatusRegistry, clock: VirtualClock) -> di
     predictor.clear_level_per_us(NOW)
     days = DayJudge(
         camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=60.0, sun_zenith_deg=90.0,
-        options=DayOptions(), now=clock.now, request_refit=lambda reason: archive.add_refit(
+        now=clock.now, request_refit=lambda reason: archive.add_refit(
             Refit(id="another", camera="roof", requested_at=NOW, reason=reason)
         ),
     )  # fmt: skip

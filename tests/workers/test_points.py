@@ -15,7 +15,7 @@ from tests.api.conftest import LENS, document
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
-from sunarc.calibration import CalibrationOptions, DayOptions, SelectionOptions, SunPoints, measure_day
+from sunarc.calibration import CalibrationOptions, SelectionOptions, SunPoints, measure_day
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import SunPredictor
@@ -96,7 +96,7 @@ def test_a_day_is_judged_in_its_measured_air(archive: Archive, monkeypatch: pyte
     monkeypatch.setattr(days, "measure_day", noting)
     judge = DayJudge(
         camera=CameraArchive(archive, name="roof", site=SITE), cadence_s=600.0, sun_zenith_deg=88.0,
-        options=DayOptions(), now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
+        now=lambda: NOON + timedelta(days=2), request_refit=lambda _: None,  # type: ignore[arg-type, return-value]
     )  # fmt: skip
     assert len(judge.judge_ended_days()) == 2
     by_time = sorted(given, key=lambda points: float(points.unix_s[0]))

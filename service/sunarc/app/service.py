@@ -13,7 +13,7 @@ import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
 from sunarc.archive import ELSEWHERE, Archive, CameraArchive, ImageStore, Recovery, Refit, Reserve
-from sunarc.calibration import MAX_CLOCK_ERROR_S, DayOptions
+from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.cameras import Frame, SkyCamera
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
@@ -100,7 +100,6 @@ class Service:
             camera=self.camera,
             cadence_s=settings.capture.cadence_s,
             sun_zenith_deg=settings.capture.sun_zenith_deg,
-            options=DayOptions(),
             now=self.frame_time.now,
             request_refit=self.request_refit,
         )

@@ -31,8 +31,8 @@ from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.quality.acceptance import accept, disagreement, distance_px, unseen_points
 from sunarc.calibration.quality.day_quality import (
+    DOUBTFUL_CLOCK_SHARE,
     DayMeasure,
-    DayOptions,
     DayVerdict,
     days_left_out,
     decide_day,
@@ -45,6 +45,7 @@ from sunarc.calibration.selection.selection import Selection, SelectionOptions, 
 
 __all__ = [
     "BACK_PROJECTED",
+    "DOUBTFUL_CLOCK_SHARE",
     "MAX_CLOCK_ERROR_S",
     "PROJECTED",
     "SCHEMA",
@@ -53,7 +54,6 @@ __all__ = [
     "Calibration",
     "CalibrationOptions",
     "DayMeasure",
-    "DayOptions",
     "DayVerdict",
     "Field",
     "ImageCircle",

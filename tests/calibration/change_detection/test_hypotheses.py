@@ -63,9 +63,7 @@ def changed(calibration: Calibration, directions: FloatArray, after: Camera) -> 
 
 
 def found(model: ResidualModel, *, site: Site = SGP, clock_stepped: bool = False, small: bool = False) -> Change | None:
-    return best_hypothesis(
-        model, site=site, options=OPTIONS, small=small, clock_stepped=clock_stepped, posed_from_few=False
-    )
+    return best_hypothesis(model, site=site, small=small, clock_stepped=clock_stepped, posed_from_few=False)
 
 
 def test_the_pole_stands_at_the_latitude_in_the_north() -> None:

@@ -44,7 +44,7 @@ def update_window(
     seen : the sighting, later than those remembered.
     calibration : what it is held to.
     site : where the camera is said to stand.
-    options : thresholds of a change.
+    options : what is no change.
     clock_stepped : whether the host says that its clock was set while these sightings were made.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """
@@ -59,7 +59,6 @@ def update_window(
     change = best_hypothesis(
         window_of(grown, calibration, options),
         site=site,
-        options=options,
         small=one_sided,
         clock_stepped=clock_stepped,
         posed_from_few=posed_from_few,

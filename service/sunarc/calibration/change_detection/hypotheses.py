@@ -16,7 +16,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.change_detection.cloud_drift import drift_evidence
 from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
-from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis, WatchOptions
+from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
 from sunarc.calibration.pose.error_model import joined, predicted, turned
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
@@ -26,9 +26,12 @@ from sunarc.sky import Site, sun_directions
 
 _SMALLEST_TURN_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
-_CLEARER = 6.0
 _LEAST_AGREEING = 4
 """Fewest sightings after a change that agree on it: three fix a rotation with one to check it."""
+_MIN_LOG_BAYES_FACTOR = 20.0
+"""By how many powers of e a change must explain the sightings better than none; Kass and Raftery (1995) call 5 very
+strong, but here the question is put after every sighting."""
+_CLEARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
 _CLEARER_THAN_CLOUD = 4.0
 """Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
@@ -70,13 +73,13 @@ class ScoredHypothesis:
 
 
 def best_hypothesis(
-    window: ResidualModel, *, site: Site, options: WatchOptions, small: bool, clock_stepped: bool, posed_from_few: bool
+    window: ResidualModel, *, site: Site, small: bool, clock_stepped: bool, posed_from_few: bool
 ) -> Change | None:
     """Return the change that explains the last sightings far better than none does; None where there is none.
 
     Parameters
     ----------
-    window, site, options : see `update_window`.
+    window, site : see `update_window`.
     small : whether to look for changes so small that sightings were trusted in spite of them.
     clock_stepped, posed_from_few : see `update_window`.
     """
@@ -88,7 +91,7 @@ def best_hypothesis(
     rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
     chosen = _chosen(best[0], rivals, clock_stepped=clock_stepped)
     gain = chosen.evidence - nothing.log_evidence
-    if gain < options.least_gain or chosen.agreeing < _LEAST_AGREEING:
+    if gain < _MIN_LOG_BAYES_FACTOR or chosen.agreeing < _LEAST_AGREEING:
         return None
     if chosen.agreeing < int(nothing.inlier[chosen.of.first :].sum()):
         return None

@@ -22,19 +22,17 @@ LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
-    """Thresholds of a change.
+    """What is no change.
 
     Attributes
     ----------
     wander_deg : 1-sigma per axis by which a mast and its mount wander with heat and wind, which is no change.
-    least_gain : by how many powers of e a change must explain the sightings better than none.
     """
 
     wander_deg: Annotated[float, Ge(0.0), Le(5.0)] = 0.01
-    least_gain: Annotated[float, Ge(10.0)] = 20.0
 
     def __post_init__(self) -> None:
-        """Refuse what would find changes everywhere."""
+        """Refuse what is out of bounds."""
         require_bounds(self, section="watch")
 
 

@@ -6,19 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from annotated_types import Gt, Le
 
 from sunarc.array_types import FloatArray
-from sunarc.bounds import Count, Positive, Share, require_bounds
 from sunarc.calibration.model.metrics import measures
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.quality.sampling import Sampling, fully_observed, sampling_of
 from sunarc.calibration.robust_loss import robust_sigma, tukey_weights
 from sunarc.calibration.selection.sky_grid import solid_angle_sr
-from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.robust_statistics import cauchy_weights
 from sunarc.sky import (
@@ -42,36 +39,17 @@ _POLYNOMIAL_PX = 0.2
 _HORIZON_DEG = 89.6
 _LARGEST_GAP = math.radians(5.0)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DayOptions:
-    """What makes a day clear, and what still makes it useful.
-
-    Attributes
-    ----------
-    clear_share, partly_share : smallest share of the observed slots that lie on the arc. Where slots were missed, the
-        lower 95 % bound of the share has to reach `clear_share`.
-    clear_sd_px : largest scatter of all sightings about the arc on a clear day, px.
-    smallest_count : fewer sightings on the arc make a day unusable.
-    smallest_arc_deg : a shorter arc makes a day unusable.
-    largest_clock_error_s : a sighting whose clock may be wrong by more is doubtful.
-    doubtful_share : a day with a larger share of doubtful sightings is unusable.
-    """
-
-    clear_share: Share = 0.8
-    partly_share: Share = 0.3
-    clear_sd_px: Positive = 1.5
-    smallest_count: Count = 20
-    smallest_arc_deg: Positive = 15.0
-    largest_clock_error_s: Positive = MAX_CLOCK_ERROR_S
-    doubtful_share: Annotated[float, Gt(0.0), Le(1.0)] = 0.5
-
-    def __post_init__(self) -> None:
-        """Refuse shares that are none."""
-        require_bounds(self, section="days")
-        if self.partly_share > self.clear_share:
-            problem = f"{self.partly_share:g} is above days.clear_share = {self.clear_share:g}"
-            raise InputError(field="days.partly_share", problem=problem, remedy="give e.g. 0.3 and 0.8")
+_CLEAR_SHARE = 0.8
+"""Smallest share of the observed slots on the arc of a clear day; of its lower 95 % bound where slots were missed."""
+_PARTLY_SHARE = 0.3
+"""Smallest share of a partly cloudy day."""
+_CLEAR_SD_PX = 1.5
+"""Largest scatter of all sightings about the arc on a clear day, px."""
+_MIN_COUNT = 20
+_MIN_ARC_DEG = 15.0
+"""Fewer sightings on the arc, or a shorter arc, make a day unusable."""
+DOUBTFUL_CLOCK_SHARE = 0.5
+"""A day is unusable where the clock of a larger share of its sightings may be wrong by more than 2 s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +100,6 @@ def measure_day(
     n_possible: int | None = None,
     observed_unix_s: FloatArray | None = None,
     cadence_s: float = 30.0,
-    options: DayOptions | None = None,
 ) -> DayMeasure:
     """Return what one day's sightings show; each pose epoch of the day has an arc of its own.
 
@@ -134,9 +111,7 @@ def measure_day(
     observed_unix_s : (m,) times of the day's sun exposures, those without a sighting included, s since 1970-01-01 UTC;
         None where they are not known: all possible cycles count as observed.
     cadence_s : seconds between cycles.
-    options : say which clock is doubtful.
     """
-    wanted = DayOptions() if options is None else options
     usable = filter_sightings(points, site=site)
     possible = _possible(points, site, cadence_s) if n_possible is None else n_possible
     sampling = _sampling(points, observed_unix_s, possible, cadence_s)
@@ -159,7 +134,7 @@ def measure_day(
         rmsd_px=rmsd,
         arc_deg=arc_length_deg(usable.directions[on_arc]),
         solid_angle_sr=solid_angle_sr(usable.directions[on_arc]),
-        doubtful_clock=float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)),
+        doubtful_clock=float(np.mean(np.abs(np.nan_to_num(points.clock_error_s)) > MAX_CLOCK_ERROR_S)),
     )
 
 
@@ -201,10 +176,9 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
     return arc, pixels - arc, weight
 
 
-def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVerdict:
+def decide_day(measure: DayMeasure) -> DayVerdict:
     """Return what kind of day it was, with its findings."""
-    limits = DayOptions() if options is None else options
-    unusable = _unusable(measure, limits)
+    unusable = _unusable(measure)
     if unusable is not None:
         return DayVerdict(kind="unusable", findings=(unusable,))
     share = measure.n_cycles / max(measure.n_observed, measure.n_cycles, 1)
@@ -212,24 +186,24 @@ def decide_day(measure: DayMeasure, options: DayOptions | None = None) -> DayVer
     missed = measure.n_possible - measure.n_observed
     if missed > 0:
         found.append(Finding("day_slots_missed", {"n_missed": missed, "n_possible": measure.n_possible}))
-    if share < limits.partly_share:
+    if share < _PARTLY_SHARE:
         return DayVerdict(kind="cloudy", findings=tuple(found))
-    found.append(Finding("day_scatter", {"sd_px": measure.sd_px, "limit_px": limits.clear_sd_px}))
-    uncertain = measure.lowest_share < limits.clear_share <= share
+    found.append(Finding("day_scatter", {"sd_px": measure.sd_px, "limit_px": _CLEAR_SD_PX}))
+    uncertain = measure.lowest_share < _CLEAR_SHARE <= share
     if uncertain:
-        data = {"n_observed": measure.n_observed, "share": measure.lowest_share, "limit": limits.clear_share}
+        data = {"n_observed": measure.n_observed, "share": measure.lowest_share, "limit": _CLEAR_SHARE}
         found.append(Finding("day_share_uncertain", data))
-    partly = uncertain or share < limits.clear_share or measure.sd_px > limits.clear_sd_px
+    partly = uncertain or share < _CLEAR_SHARE or measure.sd_px > _CLEAR_SD_PX
     return DayVerdict(kind="partly" if partly else "clear", findings=tuple(found))
 
 
-def _unusable(measure: DayMeasure, limits: DayOptions) -> Finding | None:
-    if measure.n_on_arc < limits.smallest_count:
-        return Finding("day_too_few_sightings", {"n": measure.n_on_arc, "least": limits.smallest_count})
-    if measure.arc_deg < limits.smallest_arc_deg:
-        return Finding("day_arc_too_short", {"arc_deg": measure.arc_deg, "least_deg": limits.smallest_arc_deg})
-    if measure.doubtful_clock > limits.doubtful_share:
-        return Finding("day_clock_uncertain", {"share": measure.doubtful_clock, "limit": limits.doubtful_share})
+def _unusable(measure: DayMeasure) -> Finding | None:
+    if measure.n_on_arc < _MIN_COUNT:
+        return Finding("day_too_few_sightings", {"n": measure.n_on_arc, "least": _MIN_COUNT})
+    if measure.arc_deg < _MIN_ARC_DEG:
+        return Finding("day_arc_too_short", {"arc_deg": measure.arc_deg, "least_deg": _MIN_ARC_DEG})
+    if measure.doubtful_clock > DOUBTFUL_CLOCK_SHARE:
+        return Finding("day_clock_uncertain", {"share": measure.doubtful_clock, "limit": DOUBTFUL_CLOCK_SHARE})
     return None
 
 

@@ -10,7 +10,14 @@ from datetime import date, datetime
 import numpy as np
 
 from sunarc.archive import CameraArchive, Day, Event, Refit, SunPointColumns
-from sunarc.calibration import DayOptions, PoseOffset, daily_pose_offset, decide_day, measure_day
+from sunarc.calibration import (
+    DOUBTFUL_CLOCK_SHARE,
+    MAX_CLOCK_ERROR_S,
+    PoseOffset,
+    daily_pose_offset,
+    decide_day,
+    measure_day,
+)
 from sunarc.findings import Finding
 from sunarc.sky import day_bounds_unix_s, solar_date, sun_angles
 from sunarc.utc import utc_time
@@ -27,7 +34,6 @@ class DayJudge:
     ----------
     camera : its archive and site.
     cadence_s, sun_zenith_deg : how often, and down to where, the sun is looked at.
-    options : what makes a day clear.
     now : frame time.
     request_refit : asks for a refit, with the reason.
     """
@@ -38,14 +44,12 @@ class DayJudge:
         *,
         cadence_s: float,
         sun_zenith_deg: float,
-        options: DayOptions,
         now: Callable[[], datetime],
         request_refit: Callable[[str], Refit],
     ) -> None:
         self._camera = camera
         self._cadence_s = cadence_s
         self._sun_zenith_deg = sun_zenith_deg
-        self._options = options
         self._now = now
         self._request_refit = request_refit
         self._judged_before: date | None = None
@@ -76,9 +80,9 @@ class DayJudge:
         start, end = day_bounds_unix_s(date_, longitude=self._camera.site.longitude)
         since, until = utc_time(start), utc_time(end)
         columns = self._camera.sun_point_columns(since=since, until=until)
-        doubtful = np.nan_to_num(columns.clock_error_s) > self._options.largest_clock_error_s
+        doubtful = np.nan_to_num(columns.clock_error_s) > MAX_CLOCK_ERROR_S
         share = float(np.mean(doubtful)) if doubtful.size else 0.0
-        largest_s = self._options.largest_clock_error_s if share <= self._options.doubtful_share else None
+        largest_s = MAX_CLOCK_ERROR_S if share <= DOUBTFUL_CLOCK_SHARE else None
         if largest_s is not None:  # else the day is judged by its clock
             columns = columns.select(~doubtful)
         frames = np.arange(start, end, self._cadence_s)
@@ -89,10 +93,9 @@ class DayJudge:
             n_possible=int(np.count_nonzero(up)),
             observed_unix_s=self._camera.observation_times(since=since, until=until, largest_clock_error_s=largest_s),
             cadence_s=self._cadence_s,
-            options=self._options,
         )
         measure = replace(measure, doubtful_clock=share)
-        decided = decide_day(measure, self._options)
+        decided = decide_day(measure)
         offset = self._pose_offset(columns) if decided.kind in _WORTH_A_REFIT else None
         return Day(
             camera=self._camera.name,
