@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import json
 import urllib.parse
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.client.transport import Transport
+from sunarc.client.transport import ImagerError, Transport
 
 FloatArray = NDArray[np.float64]
 
@@ -144,7 +147,7 @@ class Imager:
         radius = None if sun_radius_deg is None else repr(float(sun_radius_deg))
         query = {"format": "npz", "at": _time(at), "sun_radius_deg": radius}
         content, _ = self._transport.ask(f"{self._prefix}/back-projection-map", query)
-        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+        with _as_asked_for(), np.load(io.BytesIO(content), allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
 
     def sun(self, *, at: datetime | None = None) -> dict[str, Any]:
@@ -153,7 +156,8 @@ class Imager:
 
     def _json(self, path: str, at: datetime | None) -> dict[str, Any]:
         content, _ = self._transport.ask(f"{self._prefix}{path}", {"at": _time(at)})
-        columns: dict[str, Any] = json.loads(content)
+        with _as_asked_for():
+            columns: dict[str, Any] = json.loads(content)
         return columns
 
     def _rows(
@@ -167,8 +171,21 @@ class Imager:
         content, headers = self._transport.ask(
             f"{self._prefix}{path}", {"at": _time(at)}, body=stream.getvalue(), media_type=_NPY
         )
-        rows = np.load(io.BytesIO(content), allow_pickle=False)
-        return np.asarray(rows, dtype=np.float64), str(headers["Sunarc-Calibration"]), array.shape[:-1]
+        with _as_asked_for():
+            rows = np.asarray(np.load(io.BytesIO(content), allow_pickle=False), dtype=np.float64)
+            calibration = headers["Sunarc-Calibration"]
+            if calibration is None:
+                raise ValueError("no header Sunarc-Calibration")
+        return rows, calibration, array.shape[:-1]
+
+
+@contextmanager
+def _as_asked_for() -> Iterator[None]:
+    """Raise ImagerError where content is of another kind than was asked for, as a proxy's page."""
+    try:
+        yield
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ImagerError(f"the answer cannot be read: {error}; check the address", status=200) from None
 
 
 def _located(rows: FloatArray, shape: tuple[int, ...]) -> Located:

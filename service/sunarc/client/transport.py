@@ -87,7 +87,7 @@ class Transport:
 def _refusal(error: urllib.error.HTTPError) -> ImagerError:
     try:
         problem = json.loads(error.read())
-    except ValueError:
+    except (ValueError, OSError, http.client.HTTPException):  # no JSON, or the connection ended within it
         problem = {}
     problem = problem if isinstance(problem, dict) else {}
     refusal = ImagerError(str(problem.get("detail", error.reason)), status=error.code, problem=problem)
