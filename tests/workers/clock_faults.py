@@ -135,7 +135,7 @@ class Imager:
             method="disc",
             accepted=near,
             verdict="clear" if near else "elsewhere",
-            reason="",
+            findings=(),
             x_px=x,
             y_px=y,
             sigma_px=SIGMA_PX,

@@ -15,6 +15,7 @@ from tests.fixtures.archive import new_archive
 from sunarc.archive import FROZEN, Archive, CameraArchive, SunPoint
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions
+from sunarc.findings import Finding
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -88,7 +89,7 @@ def test_a_frozen_camera_gives_no_sighting_is_shown_and_is_welcome_when_it_lives
     assert all(worker.look_at(frame_at(seconds)).accepted for seconds in (0.0, 30.0, 60.0))
     frozen = [worker.look_at(frame_at(seconds, shown_s=60.0)) for seconds in np.arange(90.0, 240.0, 30.0)]
     assert [(one.accepted, one.verdict) for one in frozen] == [(False, FROZEN)] * 5
-    assert "2013-05-13T18:01:00" in frozen[0].reason
+    assert frozen[0].findings == (Finding("frame_repeated", {"time": "2013-05-13T18:01:00+00:00"}),)
     assert codes(board) == {"camera_frozen"}
     assert [event.kind for event in archive.events("roof", severity="alarm")] == ["camera_frozen"]
     assert len(archive.sun_points("roof", accepted=True)) == 3
@@ -131,7 +132,7 @@ def test_a_sun_that_hardly_moves_between_frames_is_not_taken_for_frozen(
 
 def seen(x_px: float, *, accepted: bool = True) -> Detection:
     return Detection(
-        method="disc", accepted=accepted, verdict="clear" if accepted else "hidden", reason="", x_px=x_px, y_px=50.0
+        method="disc", accepted=accepted, verdict="clear" if accepted else "hidden", findings=(), x_px=x_px, y_px=50.0
     )
 
 
@@ -152,7 +153,7 @@ def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board:
     checker = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     black = np.zeros((600, 600), dtype=np.uint8)
     black[3, :90] = 255  # hot pixels
-    hidden = Detection(method="disc", accepted=False, verdict="hidden", reason="")
+    hidden = Detection(method="disc", accepted=False, verdict="hidden", findings=())
     for number in range(5):
         frame = replace(frame_at(0.0), image=black, time=START + timedelta(seconds=30 * number))
         assert checker.checked(frame, hidden) == hidden

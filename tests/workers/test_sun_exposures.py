@@ -24,7 +24,7 @@ def seen(*, accepted: bool, peak: float, saturated_px: int) -> Detection:
         method="disc",
         accepted=accepted,
         verdict="clear" if accepted else "hidden",
-        reason="",
+        findings=(),
         x_px=4.0,
         y_px=3.0,
         peak_fraction=peak,

@@ -9,11 +9,13 @@ from typing import NamedTuple
 from sunarc.app.messages import MESSAGES as OF_APP
 from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.findings import Messages
 from sunarc.runtime.messages import MESSAGES as OF_RUNTIME
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
 _TABLES: dict[str, Messages] = {
+    "detection": OF_DETECTION,
     "calibration": OF_CALIBRATION,
     "archive": OF_ARCHIVE,
     "runtime": OF_RUNTIME,
@@ -23,8 +25,8 @@ _TABLES: dict[str, Messages] = {
 _HEAD = """# Codes of findings
 
 Verdicts of calibrations and days, conditions in `/readyz` and `/v1/status`, and events carry
-`findings: [{"code", "data"}]`. Codes and data are stable; the sentences are not. This page is the output of
-`sunarc codes`.
+`findings: [{"code", "data"}]`. Those of detections are stored as their sentence (`reason` of a sighting). Codes and
+data are stable; the sentences are not. This page is the output of `sunarc codes`.
 """
 
 

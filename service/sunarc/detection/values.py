@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from sunarc.detection.messages import reason_of
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 
 Method = Literal["disc", "paper"]
 Verdict = Literal[
@@ -35,7 +37,7 @@ class Detection:
     method : detector that was used.
     accepted : whether fits may use the position.
     verdict : classification of what the image shows at the sun's place.
-    reason : one sentence with the numbers that decided.
+    findings : what decided, as codes and data; the first is the main one.
     x_px, y_px : the sun's centre; None where none was found. A rejected position may be given.
     sigma_px : 1-sigma per axis.
     peak_fraction : level of the disc's centre over full scale; above 1 where it is extrapolated from masked saturation.
@@ -54,7 +56,7 @@ class Detection:
     method: Method
     accepted: bool
     verdict: Verdict
-    reason: str
+    findings: tuple[Finding, ...]
     x_px: float | None = None
     y_px: float | None = None
     sigma_px: float | None = None
@@ -68,6 +70,11 @@ class Detection:
     spread_px: float | None = None
     radial_bias_px: float | None = None
     exposure_us: float | None = None
+
+    @property
+    def reason(self) -> str:
+        """What decided, in a sentence."""
+        return reason_of(self.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

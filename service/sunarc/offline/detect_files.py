@@ -20,6 +20,7 @@ from sunarc.detection import (
     detect_sun_in_photo,
 )
 from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
 from sunarc.imaging import preview
 from sunarc.offline.files import read_image
 
@@ -102,8 +103,10 @@ def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | N
     try:
         found = detect_in_image(read_image(path), method=method, full_scale=full_scale, bayer=bayer)
     except InputError as error:
-        found = Detection(method="disc", accepted=False, verdict="no_frame", reason=str(error))
-    return {"file": str(path), **{name: getattr(found, name) for name in Detection.__slots__}}
+        unreadable = Finding("file_unreadable", {"error": str(error)})
+        found = Detection(method="disc", accepted=False, verdict="no_frame", findings=(unreadable,))
+    names = ("reason" if name == "findings" else name for name in Detection.__slots__)
+    return {"file": str(path), **{name: getattr(found, name) for name in names}}
 
 
 def _method_for(image: Image, full_scale: int) -> Literal["disc", "paper"]:

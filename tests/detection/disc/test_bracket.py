@@ -11,6 +11,7 @@ import scipy.stats
 
 from sunarc.detection import Detection, beside, combine
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 
 
 def sighting(x: float, y: float, sigma: float, *, accepted: bool = True, snr: float = 100.0) -> Detection:
@@ -18,7 +19,7 @@ def sighting(x: float, y: float, sigma: float, *, accepted: bool = True, snr: fl
         method="disc",
         accepted=accepted,
         verdict="clear" if accepted else "hidden",
-        reason="a disc",
+        findings=(Finding("disc_found", {"chi2": 1.0}),),
         x_px=x,
         y_px=y,
         sigma_px=sigma,

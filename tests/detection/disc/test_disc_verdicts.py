@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Scene, equisolid_stretch, read_out, render
 from tests.detection.sunless import KINDS, accepted_of
+from tests.finding_codes import codes
 
 from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
 from sunarc.errors import InputError
@@ -58,7 +59,7 @@ def test_a_sun_as_faint_as_a_moon_is_believed_where_a_filter_is_told_of() -> Non
     accepted = [detect_sun(image, sensor=SENSOR, options=o, exposure_us=exposure_us).accepted for o in told]
     unaware = detect_sun(image, sensor=SENSOR, exposure_us=exposure_us)
     assert (accepted, unaware.accepted, unaware.verdict) == ([True, True], False, "hidden")
-    assert "filter" in unaware.reason
+    assert codes(unaware.findings) == ["disc_below_faintest"]
 
 
 @pytest.mark.parametrize("level", [0, 4095])
@@ -117,4 +118,4 @@ def test_eight_bits_cannot_be_twelve() -> None:
 def test_a_sun_outside_the_image_is_hidden() -> None:
     expectation = Expectation(x_px=-40.0, y_px=5.0, stretch_px_per_rad=STRETCH)
     found = detect_sun(np.zeros((64, 64), np.uint16), sensor=SENSOR, expectation=expectation)
-    assert found.reason == "the sun is outside the image"
+    assert codes(found.findings) == ["sun_outside_image"]

@@ -9,7 +9,7 @@ import pytest
 from tests.detection.rendering import Image
 
 from sunarc.detection import DiscOptions, Expectation, Sensor
-from sunarc.detection.disc.obstruction import obstructed_reason
+from sunarc.detection.disc.obstruction import obstruction
 
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=5.0, read_noise_e=10.0, black_level=100.0)
 PREDICTED = Expectation(x_px=128.0, y_px=128.0, clear_peak_fraction=1.0)
@@ -25,7 +25,8 @@ def sky(*, level: float, here: float, noise: float = 2.0) -> Image:
 
 def obstructed(image: Image, expectation: Expectation = PREDICTED, *, reach_px: float = 12.0) -> bool:
     options = DiscOptions()
-    return bool(obstructed_reason(image, sensor=SENSOR, expectation=expectation, reach_px=reach_px, options=options))
+    found = obstruction(image, sensor=SENSOR, expectation=expectation, reach_px=reach_px, options=options)
+    return found is not None
 
 
 @pytest.mark.parametrize(("here", "expected"), [(96.0, True), (104.0, False)])

@@ -11,6 +11,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.detection.values import Detection
 from sunarc.errors import InputError
+from sunarc.findings import Finding
 
 _AGREE_PX = 0.1  # smaller differences are accepted: a lens's glare moves a saturated disc a little
 _SIGNIFICANCE = 1e-4  # probability of a larger chi² by chance below which frames are inconsistent
@@ -76,7 +77,7 @@ def beside(
             latest,
             accepted=False,
             verdict="partly_covered",
-            reason=f"another frame of the bracket: {covered[0].reason}",
+            findings=(Finding("bracket_covered"), *covered[0].findings),
         )
     if shifts is None:
         return latest
@@ -85,7 +86,7 @@ def beside(
         if there.accepted and _distance_px(there, latest) > _AGREE_PX:
             joined = combine([there, latest])
             if not joined.accepted:
-                return replace(latest, accepted=False, verdict=joined.verdict, reason=joined.reason)
+                return replace(latest, accepted=False, verdict=joined.verdict, findings=joined.findings)
     return latest
 
 
@@ -116,14 +117,10 @@ def _joined(accepted_ones: list[Detection]) -> Detection:
         # Birge's ratio, upward only: frames that agree by luck are not more certain than their sigmas.
         sigma_px=math.sqrt(max(1.0, chi2 / freedom) / float(weight.sum())),
     )
-    scatter = f"of {len(accepted_ones)} frames, chi² {chi2:.1f} for {freedom}"
+    scatter = {"frames": len(accepted_ones), "chi2": chi2, "freedom": freedom}
     from scipy.special import chdtri  # noqa: PLC0415 - the service starts sooner without it
 
     if chi2 > float(chdtri(freedom, _SIGNIFICANCE)):
-        return replace(
-            joined,
-            accepted=False,
-            verdict="partly_covered",
-            reason=f"the frames of the bracket are inconsistent: mean {scatter}",
-        )
-    return replace(joined, reason=f"{best.reason}; mean {scatter}")
+        inconsistent = Finding("bracket_inconsistent", scatter)
+        return replace(joined, accepted=False, verdict="partly_covered", findings=(inconsistent,))
+    return replace(joined, findings=(*best.findings, Finding("bracket_mean", scatter)))

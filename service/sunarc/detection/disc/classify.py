@@ -8,6 +8,7 @@ from sunarc.detection.disc.fit import DiscFit
 from sunarc.detection.disc.search import semi_axes
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
+from sunarc.findings import Finding
 
 _MIN_CONTRAST = 0.15  # disc over its surroundings; below it, texture resembles a disc
 _POSITION_TOLERANCE_PX = 1.0
@@ -17,66 +18,61 @@ _SIGNIFICANT = 16.0  # chi² of four parameters
 
 def verdict_of(
     fit: DiscFit, *, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
-) -> tuple[Verdict, bool, str]:
-    """Return the verdict, whether the position can be accepted_ones, and why, with the numbers it rests on."""
+) -> tuple[Verdict, bool, Finding]:
+    """Return the verdict, whether the position can be accepted, and what decided."""
     for check in (_no_disc, _misplaced, _covered, _uncertain):
         found = check(fit, expectation, options, sensor)
         if found is not None:
             return found[0], False, found[1]
     veil = _veil(fit, expectation, options, sensor)
-    return ("veiled", True, veil) if veil else ("clear", True, f"a disc, reduced chi² {fit.chi2:.2f}")
+    return ("clear", True, Finding("disc_found", {"chi2": fit.chi2})) if veil is None else ("veiled", True, veil)
 
 
 def _no_disc(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
-) -> tuple[Verdict, str] | None:
+) -> tuple[Verdict, Finding] | None:
     numbers = (fit.x_px, fit.y_px, fit.sigma_px, fit.level, fit.chi2, fit.snr)
     if not all(math.isfinite(number) for number in numbers) or not fit.converged:
-        return "hidden", "the disc fit did not converge"
+        return "hidden", Finding("disc_not_converged")
     if fit.snr < options.min_snr or fit.level < options.min_peak_fraction * sensor.full_scale:
-        return (
-            "hidden",
-            f"no disc: signal-to-noise {fit.snr:.1f}, level {fit.level / sensor.full_scale:.4f} of full scale",
-        )
+        return "hidden", Finding("disc_below_noise", {"snr": fit.snr, "level": fit.level / sensor.full_scale})
     if fit.level < _MIN_CONTRAST * fit.background:
-        return "hidden", f"no disc: only {fit.level / max(fit.background, 1e-9):.2f} of its surroundings' level"
+        return "hidden", Finding("disc_low_contrast", {"share": fit.level / max(fit.background, 1e-9)})
     deviation = abs(math.log(fit.psf_px / options.psf_px))
     if deviation > 4.0 * options.psf_tolerance:
-        return "hidden", f"no disc: its edge is {fit.psf_px:.2f} px wide, not {options.psf_px:.2f}"
+        return "hidden", Finding("disc_edge_width", {"width_px": fit.psf_px, "expected_px": options.psf_px})
     return _unusual_size(fit, options) if expectation is None or expectation.stretch_px_per_rad is None else None
 
 
-def _unusual_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, str] | None:
+def _unusual_size(fit: DiscFit, options: DiscOptions) -> tuple[Verdict, Finding] | None:
     minor, major = semi_axes(fit.stretch)
+    axes = {"minor_px": minor, "major_px": major}
     if not options.min_radius_px <= minor <= major <= options.max_radius_px:
-        return "hidden", f"no disc of the sun's size: semi-axes {minor:.2f} and {major:.2f} px"
+        return "hidden", Finding("disc_wrong_size", axes)
     if 1.0 - minor / major > options.max_ellipticity:
-        return "partly_covered", f"semi-axes {minor:.2f} and {major:.2f} px"
+        return "partly_covered", Finding("disc_elongated", axes)
     return None
 
 
 def _misplaced(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
-) -> tuple[Verdict, str] | None:
+) -> tuple[Verdict, Finding] | None:
     del options
     if expectation is None:
         return _unlikely(fit, sensor)
     distance = math.hypot(fit.x_px - expectation.x_px, fit.y_px - expectation.y_px)
     if distance > _POSITION_TOLERANCE_PX + 5.0 * expectation.uncertainty_px:
-        return "reflection", f"a disc {distance:.1f} px from where the sun should be"
+        return "reflection", Finding("disc_displaced", {"distance_px": distance})
     return None
 
 
-def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, str] | None:
+def _unlikely(fit: DiscFit, sensor: Sensor) -> tuple[Verdict, Finding] | None:
     """Return why a disc without a prediction is rejected: the moon and small clouds are fainter or fit worse."""
     if fit.level < _UNPREDICTED_LEVEL * sensor.full_scale:
-        return (
-            "hidden",
-            f"level {fit.level / sensor.full_scale:.3f} of full scale: too faint to be accepted without a prediction",
-        )
+        return "hidden", Finding("disc_faint_unpredicted", {"level": fit.level / sensor.full_scale})
     poor = fit.residual > _UNPREDICTED_RESIDUAL or (fit.chi2 > 3.0 and fit.residual > 0.3 * _UNPREDICTED_RESIDUAL)
     if poor or fit.sigma_px > _UNPREDICTED_SIGMA_PX:
-        return "hidden", f"poor disc fit: residuals {fit.residual:.3f} of its level, sigma {fit.sigma_px:.3f} px"
+        return "hidden", Finding("disc_poor_fit", {"residual": fit.residual, "sigma_px": fit.sigma_px})
     return None
 
 
@@ -87,47 +83,48 @@ def is_flat(fit: DiscFit, flat: DiscFit | None) -> bool:
 
 def _covered(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
-) -> tuple[Verdict, str] | None:
+) -> tuple[Verdict, Finding] | None:
     del expectation, sensor
     uneven_px = math.sqrt(max(fit.uneven, 0.0)) * fit.sigma_px
     if fit.uneven > _SIGNIFICANT and uneven_px > options.max_uneven_px:
-        return "partly_covered", f"uneven brightness, worth {uneven_px:.2f} px (chi² {fit.uneven:.0f} for 4)"
+        return "partly_covered", Finding("disc_uneven", {"uneven_px": uneven_px, "chi2": fit.uneven})
     if fit.residual > options.max_residual_fraction:
-        return "partly_covered", f"residuals {fit.residual:.3f} of the disc's level, reduced chi² {fit.chi2:.1f}"
+        return "partly_covered", Finding("disc_residuals", {"residual": fit.residual, "chi2": fit.chi2})
     return None
 
 
 def _uncertain(
     fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor
-) -> tuple[Verdict, str] | None:
+) -> tuple[Verdict, Finding] | None:
     del expectation
     if fit.level < options.min_accepted_fraction * sensor.full_scale:
-        return "veiled", f"level {fit.level / sensor.full_scale:.3f} of full scale: a covered disc would look the same"
+        return "veiled", Finding("disc_faint", {"level": fit.level / sensor.full_scale})
     if fit.sigma_px > options.max_sigma_px:
-        return "veiled", f"position uncertain: sigma {fit.sigma_px:.3f} px"
+        return "veiled", Finding("disc_position_uncertain", {"sigma_px": fit.sigma_px})
     return None
 
 
-def _veil(fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor) -> str:
+def _veil(fit: DiscFit, expectation: Expectation | None, options: DiscOptions, sensor: Sensor) -> Finding | None:
     if expectation is not None and expectation.clear_peak_fraction:
         share = fit.level / sensor.full_scale / expectation.clear_peak_fraction
         if share < options.veiled_below:
-            return f"{share:.2f} of the clear sun's brightness"
+            return Finding("disc_dimmed", {"share": share})
     contrast = fit.level / max(fit.level + fit.background, 1e-9)
-    return f"{contrast:.2f} of the light comes from the disc" if contrast < options.veiled_below else ""
+    return Finding("disc_in_bright_sky", {"share": contrast}) if contrast < options.veiled_below else None
 
 
-def detection_of(fit: DiscFit, verdict: tuple[Verdict, bool, str], *, sensor: Sensor, saturated_px: int) -> Detection:
+def detection_of(
+    fit: DiscFit, verdict: tuple[Verdict, bool, Finding], *, sensor: Sensor, saturated_px: int
+) -> Detection:
     """Return the detection of a classified fit."""
-    name, accepted, reason = verdict
+    name, accepted, finding = verdict
     minor, major = semi_axes(fit.stretch)
-    if accepted and saturated_px:
-        reason += f", {saturated_px} saturated pixels left out"
+    left_out = (Finding("saturated_left_out", {"n": saturated_px}),) if accepted and saturated_px else ()
     return Detection(
         method="disc",
         accepted=accepted,
         verdict=name,
-        reason=reason,
+        findings=(finding, *left_out),
         x_px=fit.x_px,
         y_px=fit.y_px,
         sigma_px=fit.sigma_px,

@@ -11,13 +11,14 @@ from sunarc.array_types import FloatArray, Image
 from sunarc.detection.disc.classify import detection_of, is_flat, verdict_of
 from sunarc.detection.disc.fit import DiscFit, fit_disc
 from sunarc.detection.disc.model import Prior
-from sunarc.detection.disc.obstruction import obstructed_reason
+from sunarc.detection.disc.obstruction import obstruction
 from sunarc.detection.disc.search import Spot, brightest_spots, semi_axes, symmetric_root
 from sunarc.detection.disc.template import sun_sources
 from sunarc.detection.disc.window import Window, cut, saturated_level
 from sunarc.detection.frames import require_raw
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
+from sunarc.findings import Finding
 
 _CANDIDATES = 3
 _MARGIN_PX = 5.0
@@ -64,7 +65,7 @@ def detect_sun(
     limit = math.radians(options.max_apparent_zenith_deg)
     if expectation is not None and expectation.apparent_zenith is not None and expectation.apparent_zenith > limit:
         zenith = math.degrees(expectation.apparent_zenith)
-        found = _none("below_horizon", f"the sun is at {zenith:.2f} degrees from the zenith")
+        found = _none("below_horizon", Finding("sun_below_horizon", {"zenith_deg": zenith}))
     elif expectation is None:
         found = _search(image, sensor=sensor, options=options)
     else:
@@ -83,41 +84,39 @@ def _clear_level(expectation: Expectation | None, options: DiscOptions, exposure
 
 
 def _reject_faint(found: Detection, clear: float | None, options: DiscOptions) -> Detection:
-    """Return what was found, disaccepted_ones where it is far too faint at this exposure."""
+    """Return what was found, rejected where it is far too faint at this exposure."""
     if clear is None or not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_share * clear:
         return found
-    reason = f"{(found.peak_fraction or 0.0) / clear:.1e} of the clear sun's brightness: the moon, or a lamp"
-    return replace(found, accepted=False, verdict="hidden", reason=reason)
+    faint = Finding("disc_below_clear_sun", {"share": (found.peak_fraction or 0.0) / clear})
+    return replace(found, accepted=False, verdict="hidden", findings=(faint,))
 
 
 def _reject_unpredicted_faint(found: Detection, options: DiscOptions, exposure_us: float) -> Detection:
-    """Return what was found, disaccepted_ones where no camera without a dense filter would see the sun so faint."""
+    """Return what was found, rejected where no camera without a dense filter would see the sun so faint."""
     if not found.accepted or (found.peak_fraction or 0.0) >= options.faintest_level_per_us * exposure_us:
         return found
     level = (found.peak_fraction or 0.0) / max(exposure_us, 1e-9)
-    reason = (
-        f"{level:.1e} of full scale in 1 µs: the moon, a lamp, or the sun behind a filter that is not in the settings"
-    )
-    return replace(found, accepted=False, verdict="hidden", reason=reason)
+    faint = Finding("disc_below_faintest", {"level": level})
+    return replace(found, accepted=False, verdict="hidden", findings=(faint,))
 
 
-def _none(verdict: Verdict, reason: str) -> Detection:
-    return Detection(method="disc", accepted=False, verdict=verdict, reason=reason)
+def _none(verdict: Verdict, finding: Finding) -> Detection:
+    return Detection(method="disc", accepted=False, verdict=verdict, findings=(finding,))
 
 
 def _detect_near(image: Image, *, sensor: Sensor, expectation: Expectation, options: DiscOptions) -> Detection:
     """Detect the sun around the predicted pixel."""
     height, width = image.shape
     if not (-0.5 <= expectation.x_px < width - 0.5 and -0.5 <= expectation.y_px < height - 0.5):
-        return _none("hidden", "the sun is outside the image")
+        return _none("hidden", Finding("sun_outside_image"))
     axes = _expected_axes(expectation, options)
     size = 2.0 * (options.max_radius_px if axes is None else semi_axes(axes)[1])
     reach = 2.0 + 5.0 * expectation.uncertainty_px + size
     found = _search_near(reach, image, axes, sensor=sensor, expectation=expectation, options=options)
     if found.verdict == "hidden":
         near = size + 2.0 * expectation.uncertainty_px
-        reason = obstructed_reason(image, sensor=sensor, expectation=expectation, reach_px=near, options=options)
-        return replace(found, verdict="obstructed", reason=reason) if reason else found
+        dark = obstruction(image, sensor=sensor, expectation=expectation, reach_px=near, options=options)
+        return found if dark is None else replace(found, verdict="obstructed", findings=(dark,))
     return found
 
 
@@ -148,15 +147,15 @@ def _search(image: Image, *, sensor: Sensor, options: DiscOptions) -> Detection:
         return _dark(image, sensor, options)
     first = spots[0]
     if first.contrast < 0.5 * (first.level - sensor.black_level):
-        return _none("hidden", f"no region stands out: the brightest is at {first.level / sensor.full_scale:.3f}")
+        return _none("hidden", Finding("no_outstanding_region", {"level": first.level / sensor.full_scale}))
     found = _fitted(image, first, None, sensor=sensor, expectation=None, options=options)
     rivals = [
         s for s in spots[1:] if s.contrast > 0.3 * first.contrast and s.semi_axes[1] > 0.7 * options.min_radius_px
     ]
     if found.accepted and rivals:
-        where = ", ".join(f"({spot.x:.0f}, {spot.y:.0f})" for spot in rivals)
-        reason = f"other regions are as bright, at {where}: reflections or clouds"
-        return replace(found, accepted=False, verdict="reflection", reason=reason)
+        places = ", ".join(f"({spot.x:.0f}, {spot.y:.0f})" for spot in rivals)
+        alike = Finding("disc_rivals", {"places": places})
+        return replace(found, accepted=False, verdict="reflection", findings=(alike,))
     return found
 
 
@@ -177,8 +176,8 @@ def _expected_axes(expectation: Expectation, options: DiscOptions) -> FloatArray
 def _dark(part: Image, sensor: Sensor, options: DiscOptions) -> Detection:
     top = float(part.max()) if part.size else 0.0
     peak = max(top - sensor.black_level, 0.0) / sensor.full_scale
-    reason = f"no region brighter than {options.min_peak_fraction:g} of full scale; only single pixels"
-    return replace(_none("hidden", reason), peak_fraction=peak)
+    dark = Finding("no_bright_region", {"least": options.min_peak_fraction})
+    return replace(_none("hidden", dark), peak_fraction=peak)
 
 
 def _fitted(
@@ -195,21 +194,21 @@ def _fitted(
     start = shapes[0][1]
     half = math.ceil(max(semi_axes(start)[1], spot.semi_axes[1]) + _MARGIN_PX * options.psf_px + 2.0)
     if spot.semi_axes[1] > 2.0 * options.max_radius_px or half > 4.0 * options.max_radius_px:
-        return _none("hidden", f"the bright region is {2.0 * spot.semi_axes[1]:.0f} px long, no disc")
+        return _none("hidden", Finding("disc_too_long", {"length_px": 2.0 * spot.semi_axes[1]}))
     at = (spot.x, spot.y)
     window = cut(image, center=at, half=half, sensor=sensor, saturation_fraction=options.saturation_fraction)
     if _all_saturated(window):
-        reason = f"{window.saturated_px} pixels around the sun are saturated"
-        return replace(_none("saturated", reason), saturated_px=window.saturated_px, peak_fraction=1.0)
+        saturated = Finding("disc_saturated", {"n": window.saturated_px})
+        return replace(_none("saturated", saturated), saturated_px=window.saturated_px, peak_fraction=1.0)
     radius_px = math.sqrt(math.prod(semi_axes(start)))
     fit = _fit(window, at, shapes, radius_px=radius_px, free=axes is None, sensor=sensor, options=options)
     if fit is None:
-        return _none("hidden", "too few pixels for a fit")
+        return _none("hidden", Finding("disc_too_few_pixels"))
     verdict = verdict_of(fit, expectation=expectation, options=options, sensor=sensor)
     if verdict[1] and expectation is None and not window.saturated_px:
         at, shapes, even = (fit.x_px, fit.y_px), [(fit.psf_px, fit.stretch)], replace(options, limb_darkening=0.0)
         if is_flat(fit, _fit(window, at, shapes, radius_px=radius_px, free=True, sensor=sensor, options=even)):
-            verdict = ("hidden", False, "a disc without the sun's darker limb: the moon, or a lamp")
+            verdict = ("hidden", False, Finding("disc_without_limb"))
     return detection_of(fit, verdict, sensor=sensor, saturated_px=window.saturated_px)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from sunarc.array_types import FloatArray, Image
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.values import Expectation, Sensor
+from sunarc.findings import Finding
 
 _TILE = 64
 _TILE_ROWS = 8  # every so many rows are looked at
@@ -17,16 +18,16 @@ _SIGNIFICANT = 6.0
 _DETECTABLE = 3.0  # predicted level over the detection limit from which a missing disc is significant
 
 
-def obstructed_reason(
+def obstruction(
     image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float, options: DiscOptions
-) -> str:
-    """Return why a sun that was not found is behind a mast or a building; empty where that is not certain.
+) -> Finding | None:
+    """Return that a sun that was not found is behind a mast or a building; None where that is not certain.
 
     A cloud in front of the sun is brighter than most of the sky; a building is dark. So the surroundings of the
     predicted pixel must be darker than half of the sky (the brighter quarter of the image's 64 px tiles), the
     difference must exceed 6 of its sigmas, and a clear sun must be well above the detection limit at this exposure
     (`clear_peak_fraction`). Where an exposure is too short for the sky to show, or the obstruction is smaller than
-    the surroundings, the result is empty.
+    the surroundings, the result is None.
 
     Parameters
     ----------
@@ -35,21 +36,19 @@ def obstructed_reason(
     """
     clear = expectation.clear_peak_fraction
     if clear is None or clear < _DETECTABLE * options.min_peak_fraction:
-        return ""
+        return None
     x, y, reach = round(expectation.x_px), round(expectation.y_px), math.ceil(reach_px)
     part = image[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(np.float64)
     tiles = _tile_means(image)
     if tiles.size == 0 or part.size == 0:
-        return ""
+        return None
     noise = math.hypot(sensor.read_noise_e / sensor.gain_e_per_count, 0.3)
     part = np.minimum(part, float(np.median(part)) + 5.0 * noise)  # hot pixels are clipped
     here, sky = float(part.mean()) - sensor.black_level, float(np.quantile(tiles, 0.75)) - sensor.black_level
     sigma = math.hypot(float(part.std()), noise) / math.sqrt(part.size)
     if here > _DARK_SHARE * sky or sky - here < _SIGNIFICANT * sigma:
-        return ""
-    return (
-        f"dark at {here / sensor.full_scale:.5f} of full scale where the sky around has {sky / sensor.full_scale:.5f}"
-    )
+        return None
+    return Finding("sun_obstructed", {"level": here / sensor.full_scale, "sky": sky / sensor.full_scale})
 
 
 def _tile_means(image: Image) -> FloatArray:

@@ -14,6 +14,7 @@ from sunarc.detection.photo.blob_bias import Lens, bias_at
 from sunarc.detection.photo.circles import Circle, Plane, level_circle
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.values import Detection, Expectation, Verdict
+from sunarc.findings import Finding
 
 _LEVELS = (0.995, 0.98, 0.96, 0.93, 0.90, 0.86)
 _SEEDS = 40
@@ -114,18 +115,19 @@ def detect_sun_in_photo(
     planes = planes_of(image, full_scale=full_scale)
     zenith = None if expectation is None else expectation.apparent_zenith
     if zenith is not None and zenith > math.radians(_MAX_APPARENT_ZENITH_DEG):
-        return _none("below_horizon", f"the sun is at {math.degrees(zenith):.2f} degrees from the zenith", exposure_us)
+        below = Finding("sun_below_horizon", {"zenith_deg": math.degrees(zenith)})
+        return _none("below_horizon", below, exposure_us)
     peak = float(planes.counts.max()) / full_scale
     if peak < _MIN_PEAK_FRACTION:
-        return _none("hidden", f"the brightest pixel is {peak:.2f} of full scale", exposure_us, peak)
+        return _none("hidden", Finding("image_dark", {"peak": peak}), exposure_us, peak)
     if float(np.median(planes.counts[::8, ::8])) >= _ALL_WHITE * full_scale:
-        return _none("saturated", "more than half of the image is saturated", exposure_us, peak)
+        return _none("saturated", Finding("image_saturated"), exposure_us, peak)
     seen = _best_blob(planes, peak, expectation)
     estimates = _estimates(planes, seen, zenith, robust=robust)
     if seen is None or estimates is None:
-        return _none("hidden", "no bright region is round", exposure_us, peak)
-    verdict, reason = _verdict(seen, expectation)
-    return _detection(seen, estimates, (verdict, reason), planes, robust=robust, lens=lens, exposure_us=exposure_us)
+        return _none("hidden", Finding("no_round_region"), exposure_us, peak)
+    verdict = _verdict(seen, expectation)
+    return _detection(seen, estimates, verdict, planes, robust=robust, lens=lens, exposure_us=exposure_us)
 
 
 def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, *, robust: bool) -> Estimates | None:
@@ -139,9 +141,14 @@ def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, *, robu
     return None if found is None else found.shifted(x0, y0)
 
 
-def _none(verdict: Verdict, reason: str, exposure_us: float | None, peak: float | None = None) -> Detection:
+def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: float | None = None) -> Detection:
     return Detection(
-        method="paper", accepted=False, verdict=verdict, reason=reason, peak_fraction=peak, exposure_us=exposure_us
+        method="paper",
+        accepted=False,
+        verdict=verdict,
+        findings=(finding,),
+        peak_fraction=peak,
+        exposure_us=exposure_us,
     )
 
 
@@ -204,38 +211,38 @@ def _light_around(grey: Plane, circle: Circle) -> float:
     return float(np.median(ring)) if ring.size else 0.0
 
 
-def _verdict(seen: _Seen, expectation: Expectation | None) -> tuple[Verdict, str]:
+def _verdict(seen: _Seen, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     x, y = seen.center
     if expectation is not None:
         distance = math.hypot(x - expectation.x_px, y - expectation.y_px)
         if distance > 5.0 * expectation.uncertainty_px + 2.0:
-            return "reflection", f"a round bright region {distance:.0f} px from where the sun should be"
+            return "reflection", Finding("blob_displaced", {"distance_px": distance})
     if seen.halo is None:
-        return "partly_covered", "too little of the light around the bright region can be seen"
-    clear = f"a bright region of {2.0 * seen.radius:.0f} px, the light around it even to {seen.halo.scatter:.3f}"
+        return "partly_covered", Finding("blob_light_hidden")
+    clear = Finding("blob_found", {"diameter_px": 2.0 * seen.radius, "scatter": seen.halo.scatter})
     return _fault(seen.halo, seen.spread_px) or ("clear", clear)
 
 
-def _fault(halo: Halo, spread_px: float) -> tuple[Verdict, str] | None:
+def _fault(halo: Halo, spread_px: float) -> tuple[Verdict, Finding] | None:
     """Return what is wrong with the light around a bright region."""
     if halo.edge < _MIN_EDGE:
-        return "hidden", f"a white patch with an edge, no glare: {halo.edge:.2f} of its light next to it"
+        return "hidden", Finding("blob_edged", {"edge": halo.edge})
     sure = spread_px < _SURE_SPREAD_PX
     if halo.share < (0.8 * _MIN_SHARE if sure else _MIN_SHARE):
-        return "partly_covered", f"in only {halo.share:.2f} of the directions around it the light falls off alike"
+        return "partly_covered", Finding("blob_one_sided", {"share": halo.share})
     if halo.scatter > (2.5 * _MAX_SCATTER if sure else _MAX_SCATTER):
-        return "veiled", f"the light around it is uneven by {halo.scatter:.3f} of its fall"
+        return "veiled", Finding("blob_light_uneven", {"scatter": halo.scatter})
     if halo.ellipticity > _MAX_ELLIPTICITY:
-        return "veiled", f"the light around it is drawn out: 1 - minor/major axis is {halo.ellipticity:.2f}"
+        return "veiled", Finding("blob_light_elongated", {"ellipticity": halo.ellipticity})
     if spread_px > _MAX_SPREAD_PX:
-        return "veiled", f"its centre is known to {spread_px:.1f} px only"
+        return "veiled", Finding("blob_centre_uncertain", {"sigma_px": spread_px})
     return None
 
 
 def _detection(
     seen: _Seen,
     estimates: Estimates,
-    verdict: tuple[Verdict, str],
+    verdict: tuple[Verdict, Finding],
     planes: Planes,
     *,
     robust: bool,
@@ -247,7 +254,7 @@ def _detection(
         method="paper",
         accepted=verdict[0] == "clear",
         verdict=verdict[0],
-        reason=verdict[1],
+        findings=(verdict[1],),
         x_px=x,
         y_px=y,
         sigma_px=math.hypot(_SIGMA_PX, min(seen.spread_px, seen.radius), _LARGE * seen.radius),

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from sunarc.archive import sun_point_of
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions, Expectation, beside, detect_sun
+from sunarc.findings import Finding
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.sensor import SensorOptions, sensor_of
@@ -134,7 +135,8 @@ class DetectWorker:
         anywhere = detect_sun(frame.image, sensor=sensor, options=options, exposure_us=frame.exposure_us)
         if not anywhere.accepted:
             return found
-        return replace(anywhere, accepted=False, verdict="elsewhere", reason=f"not where it should be: {found.reason}")
+        findings = (Finding("sun_elsewhere"), *found.findings)
+        return replace(anywhere, accepted=False, verdict="elsewhere", findings=findings)
 
     def _with_brightness(self, moment: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""

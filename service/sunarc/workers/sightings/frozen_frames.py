@@ -77,8 +77,8 @@ class FrozenFrames:
                 self._clear()
             return detection
         self._count(frame.time, earlier)
-        reason = f"the camera delivered the image of {earlier.isoformat(timespec='seconds')} again"
-        return replace(detection, accepted=False, verdict=FROZEN, reason=reason)
+        repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
+        return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
 
     def _same_image(self, frame: Frame) -> datetime | None:
         """Return the time of an earlier frame with the same bytes; None where there is none, or they say nothing."""

@@ -1,0 +1,95 @@
+"""The messages of detections: why an image shows the sun, why not, and why a position is rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from sunarc.findings import Finding, Message, Messages
+
+_ACCEPTED = "Accepted."
+_NO_SUN = "No sun in this image."
+_REJECTED = "A position is given and not used."
+_BY_LIGHT = "The light around the blob is not the sun's; a position is given and not used."
+_FILTER = "set detection.clear_level_per_us if there is a filter before the lens"
+
+MESSAGES = Messages(
+    # accepted discs
+    disc_found=Message("a disc, reduced chi² {chi2:.2f}", _ACCEPTED),
+    disc_dimmed=Message("{share:.2f} of the clear sun's brightness", "Accepted as veiled."),
+    disc_in_bright_sky=Message("{share:.2f} of the light comes from the disc", "Accepted as veiled."),
+    saturated_left_out=Message("{n} saturated pixels left out", "The disc was fitted without them."),
+    bracket_mean=Message("mean of {frames} frames, chi² {chi2:.1f} for {freedom}", _ACCEPTED),
+    # rejected discs
+    disc_not_converged=Message("the disc fit did not converge", _NO_SUN),
+    disc_below_noise=Message("no disc: signal-to-noise {snr:.1f}, level {level:.4f} of full scale", _NO_SUN),
+    disc_low_contrast=Message("no disc: only {share:.2f} of its surroundings' level", _NO_SUN),
+    disc_edge_width=Message("no disc: its edge is {width_px:.2f} px wide, not {expected_px:.2f}", _NO_SUN),
+    disc_wrong_size=Message("no disc of the sun's size: semi-axes {minor_px:.2f} and {major_px:.2f} px", _NO_SUN),
+    disc_too_few_pixels=Message("too few pixels for a fit", _NO_SUN),
+    disc_too_long=Message("the bright region is {length_px:.0f} px long, no disc", _NO_SUN),
+    disc_saturated=Message(
+        "{n} pixels around the sun are saturated", _NO_SUN, "none: the service takes a shorter exposure next"
+    ),
+    disc_elongated=Message("semi-axes {minor_px:.2f} and {major_px:.2f} px", _REJECTED),
+    disc_displaced=Message("a disc {distance_px:.1f} px from where the sun should be", _REJECTED),
+    disc_faint_unpredicted=Message(
+        "level {level:.3f} of full scale: too faint to be accepted without a prediction", _REJECTED
+    ),
+    disc_poor_fit=Message("poor disc fit: residuals {residual:.3f} of its level, sigma {sigma_px:.3f} px", _REJECTED),
+    disc_without_limb=Message("a disc without the sun's darker limb: the moon, or a lamp", _REJECTED),
+    disc_uneven=Message("uneven brightness, worth {uneven_px:.2f} px (chi² {chi2:.0f} for 4)", _REJECTED),
+    disc_residuals=Message("residuals {residual:.3f} of the disc's level, reduced chi² {chi2:.1f}", _REJECTED),
+    disc_faint=Message("level {level:.3f} of full scale: a covered disc would look the same", _REJECTED),
+    disc_position_uncertain=Message("position uncertain: sigma {sigma_px:.3f} px", _REJECTED),
+    disc_below_clear_sun=Message("{share:.1e} of the clear sun's brightness: the moon, or a lamp", _REJECTED, _FILTER),
+    disc_below_faintest=Message(
+        "{level:.1e} of full scale in 1 µs: the moon, a lamp, or the sun behind a filter that is not in the settings",
+        _REJECTED,
+        _FILTER,
+    ),
+    disc_rivals=Message("other regions are as bright, at {places}: reflections or clouds", _REJECTED),
+    bracket_covered=Message("another frame of the bracket", _REJECTED),
+    bracket_inconsistent=Message(
+        "the frames of the bracket are inconsistent: mean of {frames} frames, chi² {chi2:.1f} for {freedom}", _REJECTED
+    ),
+    # frames without a disc
+    sun_below_horizon=Message("the sun is at {zenith_deg:.2f} degrees from the zenith", _NO_SUN),
+    sun_outside_image=Message("the sun is outside the image", _NO_SUN),
+    sun_obstructed=Message("dark at {level:.5f} of full scale where the sky around has {sky:.5f}", _NO_SUN),
+    no_bright_region=Message("no region brighter than {least:g} of full scale; only single pixels", _NO_SUN),
+    no_outstanding_region=Message("no region stands out: the brightest is at {level:.3f}", _NO_SUN),
+    # ordinary images
+    blob_found=Message("a bright region of {diameter_px:.0f} px, the light around it even to {scatter:.3f}", _ACCEPTED),
+    image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
+    image_saturated=Message("more than half of the image is saturated", _NO_SUN),
+    no_round_region=Message("no bright region is round", _NO_SUN),
+    blob_displaced=Message("a round bright region {distance_px:.0f} px from where the sun should be", _REJECTED),
+    blob_light_hidden=Message("too little of the light around the bright region can be seen", _REJECTED),
+    blob_edged=Message("a white patch with an edge, no glare: {edge:.2f} of its light next to it", _BY_LIGHT),
+    blob_one_sided=Message("in only {share:.2f} of the directions around it the light falls off alike", _BY_LIGHT),
+    blob_light_uneven=Message("the light around it is uneven by {scatter:.3f} of its fall", _BY_LIGHT),
+    blob_light_elongated=Message(
+        "the light around it is drawn out: 1 - minor/major axis is {ellipticity:.2f}", _BY_LIGHT
+    ),
+    blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_LIGHT),
+    # by what is known beside the image
+    sun_elsewhere=Message(
+        "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."
+    ),
+    frame_repeated=Message(
+        "the camera delivered the image of {time} again", "Rejected.", "see the condition `camera_frozen`"
+    ),
+    file_unreadable=Message("{error}", "The file is no image."),
+)
+
+_JOINED_BEFORE = {"saturated_left_out": ", "}
+_JOINED_AFTER = {"bracket_covered": ": ", "sun_elsewhere": ": "}
+
+
+def reason_of(findings: Iterable[Finding]) -> str:
+    """Return the findings of one detection in a sentence, as it is stored."""
+    text, after = "", ""
+    for finding in findings:
+        text += (text and _JOINED_BEFORE.get(finding.code, after)) + MESSAGES.text_of(finding)
+        after = _JOINED_AFTER.get(finding.code, "; ")
+    return text
