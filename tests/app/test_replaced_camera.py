@@ -8,6 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from tests.finding_codes import codes
 from tests.fixtures.cameras import INFO
 from tests.workers.clock_faults import START, Imager
 
@@ -94,7 +95,7 @@ def test_a_refit_takes_the_new_camera_s_sightings_alone(imager: Imager) -> None:
     refit = imager.service.request_refit("by hand")
     worker = imager.service.refit_worker()
     worker.carry_out(refit, threading.Event(), lambda: None)
-    assert imager.archive.refit(refit.id).message == "there are no accepted sightings yet"
+    assert codes(imager.archive.refit(refit.id).findings) == ["no_accepted_sightings"]
 
 
 def test_a_camera_is_replaced_though_an_epoch_of_the_future_stands_in_the_way(imager: Imager) -> None:

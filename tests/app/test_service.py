@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.app import Service
 from sunarc.archive import CameraRecord, SunPoint, open_archive, upgrade
@@ -75,7 +76,7 @@ def test_a_refit_waits_for_a_synchronised_clock(service: Service, clock: Virtual
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
     stop.clear()
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 10.0 else None)
-    assert [refit.message for refit in service.archive.refits("imager")] == ["there are no accepted sightings yet"]
+    assert [codes(refit.findings) for refit in service.archive.refits("imager")] == [["no_accepted_sightings"]]
 
 
 def test_a_refit_left_over_by_a_kill_waits_until_the_camera_has_told_its_time(

@@ -12,6 +12,7 @@ import pytest
 
 from sunarc.archive import Archive, Day, DayAir, Event, Refit, SunPoint, check, downgrade, open_archive, upgrade
 from sunarc.archive.tables import metadata
+from sunarc.findings import Finding, uncoded
 
 from .conftest import NOON
 from .test_calibrations import document
@@ -81,6 +82,21 @@ def test_every_step_down_and_up_again_keeps_what_both_revisions_hold(filled: Pat
     kept, wanted = shared(everything(filled), former)
     assert kept == wanted
     assert check(filled).sound
+
+
+def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
+    archive = open_archive(filled)
+    archive.add_refit(Refit(id="new", camera="roof", requested_at=NOON, reason="by hand"))
+    no_arc = (Finding("no_camera_fits"),)
+    archive.finish_refit("r", state="failed", finished_at=NOON, message="no camera's arc", findings=no_arc)
+    assert archive.refit("r").findings == no_arc
+    archive.close()
+    downgrade(filled, "0009")
+    upgrade(filled)
+    archive = open_archive(filled)
+    assert archive.refit("r").findings == (uncoded("no camera's arc"),)
+    assert archive.refit("new").findings == ()
+    archive.close()
 
 
 @pytest.mark.parametrize("revision", REVISIONS[1:])

@@ -26,6 +26,7 @@ from sunarc.calibration import (
     project_with_covariance,
     reproduce_calibration,
 )
+from sunarc.findings import Finding
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -231,7 +232,7 @@ def test_a_search_whose_process_was_killed_is_begun_once_more(
     def search_at_the_second_time(problem: Problem, **_: object) -> tuple[PoseStep, ...]:
         begun.append(1)
         if len(begun) == 1:
-            raise SolverDiedError("the solving process died (signal 9); see the log")
+            raise SolverDiedError(Finding("solver_died", {"end": "signal 9"}))
         return search_here(problem)
 
     monkeypatch.setattr(worker, "_search", search_at_the_second_time)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.finding_codes import codes
 
 from sunarc.archive import Archive, CameraArchive, Day, SunPoint, backup, open_archive
 from sunarc.calibration import from_document
@@ -153,7 +154,7 @@ def test_a_calibration_of_a_newer_schema_is_kept_told_and_not_replaced(lived: Li
     run.worker.carry_out(waiting, threading.Event(), lambda: None)
     refit = archive.refit(waiting.id)
     assert refit.state == "marginal"
-    assert "cannot be read by this version" in refit.message
+    assert "active_unreadable" in codes(refit.findings)
     current = archive.current_calibration("roof")
     assert current is not None
     assert current.id == served.id
@@ -201,7 +202,8 @@ def test_no_fit_is_made_of_days_whose_clock_was_doubtful(tmp_path: Path) -> None
     run.now += timedelta(hours=1)
     refit = run.request("now")
     run.worker.carry_out(refit, threading.Event(), lambda: None)
-    assert run.archive.refit(refit.id).message.startswith("none of 30 sightings can be used: 30 with a doubtful")
+    (unusable,) = run.archive.refit(refit.id).findings
+    assert (unusable.code, unusable.data["n"], unusable.data["n_doubtful_clock"]) == ("no_usable_sightings", 30, 30)
     run.archive.close()
 
 

@@ -13,6 +13,7 @@ from sunarc.archive import tables
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.values import Day, Event, EventSeverity, Refit, RefitState
 from sunarc.errors import NotFoundError
+from sunarc.findings import Finding
 
 _log = logging.getLogger(__name__)
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ERROR}
@@ -39,7 +40,7 @@ class Journal(Store):
     def add_refit(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
         with self._writing() as connection:
-            connection.execute(insert(tables.refit).values(asdict(refit)))
+            connection.execute(insert(tables.refit).values(asdict(refit) | {"findings": refit.findings}))
         return refit
 
     def request_refit(self, refit: Refit) -> Refit:
@@ -55,7 +56,7 @@ class Journal(Store):
             found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
-            connection.execute(insert(tables.refit).values(asdict(refit)))
+            connection.execute(insert(tables.refit).values(asdict(refit) | {"findings": refit.findings}))
         return refit
 
     def start_refit(self, refit_id: str, *, started_at: datetime) -> Refit:
@@ -70,10 +71,16 @@ class Journal(Store):
         finished_at: datetime,
         calibration: str | None = None,
         message: str = "",
+        findings: tuple[Finding, ...] = (),
     ) -> Refit:
         """Write down how a refit ended, and the calibration it made (accepted or refused)."""
         return self._change_refit(
-            refit_id, state=state, finished_at=finished_at, calibration=calibration, message=message
+            refit_id,
+            state=state,
+            finished_at=finished_at,
+            calibration=calibration,
+            message=message,
+            findings=findings,
         )
 
     def refit(self, refit_id: str) -> Refit:

@@ -171,6 +171,7 @@ refit = Table(
     Column("finished_at", UtcTime),
     Column("calibration", Text, ForeignKey("calibration.id")),
     Column("message", Text, nullable=False),
+    Column("findings", FindingTuple),
     Index("ix_refit_camera_requested_at", "camera", "requested_at"),
     Index("ix_refit_unfinished", "camera", "requested_at", sqlite_where=text("finished_at IS NULL")),
 )

@@ -245,6 +245,7 @@ class Refit(Returned):
     message: Annotated[
         str, described("How it ended, in a sentence; empty until then.", "1-sigma over the sky 0.0099 degrees")
     ] = ""
+    findings: Findings = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

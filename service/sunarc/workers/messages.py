@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sunarc.calibration import messages as calibration
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.status import Reason, Severity
 
@@ -51,6 +52,31 @@ MESSAGES = Messages(
         "{message}", "A refit made a calibration that is not served.", "see the findings of the calibration"
     ),
     refit_failed=Message("{message}", "A refit made no calibration.", "see the text"),
+    no_accepted_sightings=Message(
+        "there are no accepted sightings yet",
+        "A refit had nothing to solve.",
+        "wait for a clear day, or import sightings with `sunarc points import`",
+    ),
+    no_usable_sightings=Message(
+        "none of {n} sightings can be used: {n_doubtful_clock} with a doubtful clock, {n_other_days} of cloudy or "
+        "unusable days",
+        "A refit had nothing to solve.",
+        "wait for a clear day; see the conditions of the clock",
+    ),
+    solve_failed=Message("the solve failed: {error}", "A refit made no calibration.", "see the log"),
+    solve_too_long=Message(
+        "the solve took longer than {limit_s:g} s",
+        "A refit made no calibration.",
+        "free processor time on the host (see its load)",
+    ),
+    solver_died=Message(
+        "the solving process died ({end}); see the log",
+        "It was killed, or memory was short; it is started once more.",
+        "free memory on the host (see the kernel's log)",
+    ),
+    search_failed=Message(
+        "the search for pose epochs failed: {error}", "The refit goes on with the known ones.", "see the log"
+    ),
     active_is_pinned=Message(
         "kept as a candidate: the active calibration is pinned",
         "An operator pinned the active one.",
@@ -194,7 +220,9 @@ MESSAGES = Messages(
     ),
 )
 
-text_of = MESSAGES.text_of
+_ALL = Messages(calibration.MESSAGES | MESSAGES)
+
+text_of = _ALL.text_of
 
 
 def condition(code: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:

@@ -159,13 +159,13 @@ class RefitWorker:
             circle=self._circle(),
             now=self._now(),
         )
-        if isinstance(task, str):
-            self._finish(refit, "failed", task)
+        if isinstance(task, Finding):
+            self._finish(refit, "failed", (task,))
             return
         try:
             solved = _in_child(self._solve, task.problem, child)
         except SolveFailedError as error:
-            self._finish(refit, "failed", str(error))
+            self._finish(refit, "failed", (error.finding,))
             return
         if solved is not None:
             self._judge(refit, task, task.with_selection(solved))
@@ -220,8 +220,8 @@ class RefitWorker:
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
         served = record.accepted and self._camera.archive.activate(record.id).state == "current"
-        pinned = (text_of(Finding("active_is_pinned")),) if record.accepted and not served else ()
-        self._finish(refit, state, "; ".join((*record.reasons, *pinned)), calibration=record.id)
+        pinned = (Finding("active_is_pinned"),) if record.accepted and not served else ()
+        self._finish(refit, state, (*record.findings, *pinned), calibration=record.id)
         self._integrity.look()
 
     def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
@@ -274,10 +274,12 @@ class RefitWorker:
         started = {epoch.id: epoch.started_at for epoch in self._camera.epochs()}
         return started.get(pose_epoch, now)
 
-    def _finish(self, refit: Refit, state: RefitState, message: str, *, calibration: str | None = None) -> None:
-        now = self._now()
+    def _finish(
+        self, refit: Refit, state: RefitState, findings: tuple[Finding, ...], *, calibration: str | None = None
+    ) -> None:
+        now, message = self._now(), "; ".join(map(text_of, findings))
         self._camera.archive.finish_refit(
-            refit.id, state=state, finished_at=now, calibration=calibration, message=message
+            refit.id, state=state, finished_at=now, calibration=calibration, message=message, findings=findings
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
         severity: EventSeverity = "info" if state == "accepted" else "warning"

@@ -17,6 +17,7 @@ from sunarc.calibration import (
     days_left_out,
     select_sightings,
 )
+from sunarc.findings import Finding
 from sunarc.workers.calibrating.epoch_search import since_lens
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
@@ -61,21 +62,23 @@ def next_task(
     options: CalibrationOptions,
     circle: ImageCircle | None,
     now: datetime,
-) -> Task | str:
-    """Return what the record of a camera up to now asks for; or why there is nothing to solve, in words."""
+) -> Task | Finding:
+    """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
     sizes = {known.name: (known.width, known.height) for known in camera.archive.cameras()}
     columns = camera.sun_point_columns(since=since_lens(camera, now), until=now)
     if camera.name not in sizes or columns.ids.size == 0:
-        return "there are no accepted sightings yet"
+        return Finding("no_accepted_sightings")
     left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
         points_of(columns), site=camera.site, slot_s=cadence_s, options=limits, left_out_days=np.array(left_out)
     )
     if selection.index.size == 0:
-        return (
-            f"none of {selection.n_supplied} sightings can be used: {selection.n_doubtful_clock} with a doubtful "
-            f"clock, {selection.n_other_days} of cloudy or unusable days"
-        )
+        counts = {
+            "n": selection.n_supplied,
+            "n_doubtful_clock": selection.n_doubtful_clock,
+            "n_other_days": selection.n_other_days,
+        }
+        return Finding("no_usable_sightings", counts)
     used = columns.select(selection.index)
     problem = Problem(
         points=points_of(used), site=camera.site, image_size=sizes[camera.name], options=options, circle=circle

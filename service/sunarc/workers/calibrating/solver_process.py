@@ -21,8 +21,10 @@ from sunarc.calibration import (
     calibrate,
     find_pose_steps,
 )
+from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
+from sunarc.workers.messages import text_of
 
 _POLL_S = 0.25
 _NICENESS = 10
@@ -31,7 +33,16 @@ _OOM_SCORE = "500"  # of 1000, added to the child's own: short of memory, the ke
 
 
 class SolveFailedError(Exception):
-    """The solve gave no answer, or took too long."""
+    """The solve gave no answer, or took too long.
+
+    Parameters
+    ----------
+    finding : what happened, of the workers' messages.
+    """
+
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(text_of(finding))
+        self.finding = finding
 
 
 class SolverDiedError(SolveFailedError):
@@ -71,7 +82,7 @@ def solve_in_child(
     """
     answer = _in_child(_calibrate, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, Calibration):
-        raise SolveFailedError(f"the solve failed: {answer}")
+        raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
     return answer
 
 
@@ -91,7 +102,7 @@ def search_in_child(
     """
     answer = _in_child(_find_steps, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, tuple):
-        raise SolveFailedError(f"the search for pose epochs failed: {answer}")
+        raise SolveFailedError(Finding("search_failed", {"error": str(answer)}))
     return answer
 
 
@@ -120,7 +131,7 @@ def _in_child(
         exit_code = _exit_code(process)
         if clock.wait(stop, _STOP_FOLLOWS_S):  # one stop ends both, and the child a moment before this is reached
             return None
-        raise SolverDiedError(f"the solving process died ({_end(exit_code)}); see the log") from None
+        raise SolverDiedError(Finding("solver_died", {"end": _end(exit_code)})) from None
     finally:
         receiving.close()
         if process.pid is not None:
@@ -142,7 +153,7 @@ def _answer(
         if receiving.poll(_POLL_S):
             return receiving.recv()
         if monotonic() > end:
-            raise SolveFailedError(f"the solve took longer than {time_limit_s:g} s")
+            raise SolveFailedError(Finding("solve_too_long", {"limit_s": time_limit_s}))
     return None
 
 

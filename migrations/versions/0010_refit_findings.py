@@ -1,0 +1,27 @@
+"""Refits say how they ended as findings, beside the sentence.
+
+Revision ID: 0010
+Revises: 0009
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0010"
+down_revision = "0009"
+branch_labels = None
+depends_on = None
+
+
+def upgrade() -> None:
+    """Of refits that ended until now the sentence is the finding."""
+    op.add_column("refit", sa.Column("findings", sa.JSON()))
+    uncoded = "json_array(json_object('code', 'uncoded', 'data', json_object('text', message)))"
+    op.execute(f"UPDATE refit SET findings = {uncoded} WHERE message <> ''")  # noqa: S608 - constants
+
+
+def downgrade() -> None:
+    """Forget the codes; the sentence stays."""
+    op.drop_column("refit", "findings")
