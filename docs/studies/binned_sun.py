@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance, sigma_px
 from sunarc.cameras import CameraInfo, Counts, Frame
-from sunarc.detection import DiscOptions, detect_sun
+from sunarc.detection import detect_sun
 from sunarc.imaging import SunExposureOptions
 from sunarc.optics import project
 from sunarc.simulation import SGP, Scene, SceneOptions, SensorModel, true_camera
@@ -70,7 +70,7 @@ def live(binning: int, *, every_s: float) -> Day:
                 full_scale=FULL_SCALE, frame_id=1, binning=binning,
             )  # fmt: skip
             sensor = sensor_of(frame, SensorOptions(black_level_fraction=0.0078))
-            seen = detect_sun(frame.image, sensor=sensor, options=DiscOptions(), exposure_us=exposure_us)
+            seen = detect_sun(frame.image, sensor=sensor, exposure_us=exposure_us)
             control.report(frame, seen)
             if seen.accepted and seen.x_px is not None and seen.y_px is not None:
                 true = (scene.sun_pixel(middle_s) - 0.5 * (binning - 1)) / binning

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.detection import DiscOptions, Expectation, Sensor, detect_sun
+from sunarc.detection import Expectation, Sensor, detect_sun
 from sunarc.optics import local_stretch
 from sunarc.simulation import SGP, Scene, true_camera
 from sunarc.sky import sun_angles
@@ -40,7 +40,7 @@ def test_a_bare_sun_is_found_all_day(scene: Scene, exposure_us: float, way: str)
         unix_s = moment.timestamp() + exposure_us * 0.5e-6
         image = scene.render(round(moment.timestamp() * 1e6), exposure_us=exposure_us, full_scale=FULL_SCALE)
         told = expectation(scene, unix_s) if way == "with a prediction" else None
-        found = detect_sun(image, sensor=SENSOR, expectation=told, options=DiscOptions(), exposure_us=exposure_us)
+        found = detect_sun(image, sensor=SENSOR, expectation=told, exposure_us=exposure_us)
         if found.accepted and found.x_px is not None and found.y_px is not None:
             off.append(np.array([found.x_px, found.y_px]) - scene.sun_pixel(unix_s))
         else:

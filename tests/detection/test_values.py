@@ -90,18 +90,10 @@ def test_colours_of_a_pixel_format(pixel_format: str, bayer: str | None) -> None
     assert bayer_of(pixel_format) == bayer
 
 
-def test_options_follow_the_cameras_binning() -> None:
-    options, binned = DiscOptions(), DiscOptions().binned(2)
-    assert (binned.psf_px, binned.min_radius_px, binned.max_radius_px) == (0.35, 0.6, 5.0)
-    assert (binned.max_sigma_px, binned.min_snr) == (options.max_sigma_px, options.min_snr)
-    assert options.binned(1) == options
-
-
-@pytest.mark.parametrize("field", ["psf_px", "solar_radius_deg", "min_radius_px", "max_radius_px"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_lengths_of_the_disc_are_positive_and_finite(field: str, value: float) -> None:
+@pytest.mark.parametrize("value", [-1.0, 1.1e6, math.nan, math.inf])
+def test_a_clear_level_is_finite_and_not_negative(value: float) -> None:
     with pytest.raises(InputError):
-        DiscOptions(**{field: value})
+        DiscOptions(clear_level_per_us=value)
 
 
 @pytest.mark.parametrize(

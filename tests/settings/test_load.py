@@ -183,7 +183,7 @@ def test_a_variable_that_went_away_is_refused_with_its_remedy(folder: Path, monk
 @pytest.mark.parametrize(
     ("options", "given", "field"),
     [
-        (DiscOptions, {"min_snr": -5.0}, "detection.min_snr"),
+        (DiscOptions, {"clear_level_per_us": -5.0}, "detection.clear_level_per_us"),
         (CaptureOptions, {"sun_zenith_deg": 500.0}, "capture.sun_zenith_deg"),
         (CaptureOptions, {"reopen_after_s": -5.0}, "capture.reopen_after_s"),
         (CaptureOptions, {"reopen_after_s": 0.0}, "capture.reopen_after_s"),

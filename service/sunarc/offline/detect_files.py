@@ -13,7 +13,6 @@ from sunarc.array_types import Image
 from sunarc.detection import (
     Bayer,
     Detection,
-    DiscOptions,
     Expectation,
     Sensor,
     detect_sun,
@@ -76,7 +75,7 @@ def detect_in_image(
             field="method", problem="disc wants a raw frame, and the image has colours", remedy="use --method paper"
         )
     sensor = Sensor.from_full_well(full_scale=top, bayer=bayer)
-    return detect_sun(image, sensor=sensor, expectation=expectation, options=DiscOptions(), exposure_us=exposure_us)
+    return detect_sun(image, sensor=sensor, expectation=expectation, exposure_us=exposure_us)
 
 
 def draw_overlay(path: Path, found: dict[str, Any], target: Path) -> None:

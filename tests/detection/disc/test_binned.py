@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from sunarc.detection import Detection, DiscOptions, Sensor, detect_sun
+from sunarc.detection import Detection, Sensor, detect_sun
 from sunarc.detection.disc.window import saturated_pixels
 from sunarc.errors import InputError
 from sunarc.simulation import SGP, Scene, SceneOptions, SensorModel, true_camera
@@ -31,7 +31,7 @@ def look(scene: Scene, *, hour: float, exposure_us: float, sensor: Sensor) -> tu
     full = scene.render(start_us, exposure_us=exposure_us, full_scale=FULL_SCALE)
     height, width = (n // 2 for n in full.shape)
     image = full[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean(axis=(1, 3)).astype(np.uint16)
-    found = detect_sun(image, sensor=sensor, options=DiscOptions(), exposure_us=exposure_us)
+    found = detect_sun(image, sensor=sensor, exposure_us=exposure_us)
     true = (scene.sun_pixel(start_us * 1e-6) - 0.5) / 2.0
     return found, float(np.hypot((found.x_px or 0.0) - true[0], (found.y_px or 0.0) - true[1]))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import Image
 
-from sunarc.detection import DiscOptions, Expectation, Sensor
+from sunarc.detection import Expectation, Sensor
 from sunarc.detection.disc.obstruction import obstruction
 
 SENSOR = Sensor(full_scale=4095, gain_e_per_count=5.0, read_noise_e=10.0, black_level=100.0)
@@ -24,8 +24,7 @@ def sky(*, level: float, here: float, noise: float = 2.0) -> Image:
 
 
 def obstructed(image: Image, expectation: Expectation = PREDICTED, *, reach_px: float = 12.0) -> bool:
-    options = DiscOptions()
-    found = obstruction(image, sensor=SENSOR, expectation=expectation, reach_px=reach_px, options=options)
+    found = obstruction(image, sensor=SENSOR, expectation=expectation, reach_px=reach_px)
     return found is not None
 
 

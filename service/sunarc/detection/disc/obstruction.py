@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
-from sunarc.detection.options import DiscOptions
+from sunarc.detection.disc.limits import MIN_PEAK_FRACTION
 from sunarc.detection.values import Expectation, Sensor
 from sunarc.findings import Finding
 
@@ -18,9 +18,7 @@ _SIGNIFICANT = 6.0
 _DETECTABLE = 3.0  # predicted level over the detection limit from which a missing disc is significant
 
 
-def obstruction(
-    image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float, options: DiscOptions
-) -> Finding | None:
+def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach_px: float) -> Finding | None:
     """Return that a sun that was not found is behind a mast or a building; None where that is not certain.
 
     A cloud in front of the sun is brighter than most of the sky; a building is dark. So the surroundings of the
@@ -35,7 +33,7 @@ def obstruction(
     reach_px : half the square around the expected pixel that counts as its surroundings.
     """
     clear = expectation.clear_peak_fraction
-    if clear is None or clear < _DETECTABLE * options.min_peak_fraction:
+    if clear is None or clear < _DETECTABLE * MIN_PEAK_FRACTION:
         return None
     x, y, reach = round(expectation.x_px), round(expectation.y_px), math.ceil(reach_px)
     part = image[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1].astype(np.float64)
