@@ -127,7 +127,7 @@ def test_a_clocks_bound_is_widened_and_never_narrowed(archive: Archive, error_s:
     archive.add_sun_points(
         [replace(POINT, time=at(0), clock_error_s=None), replace(POINT, time=at(1), clock_error_s=0.02)]
     )
-    assert archive.doubt_times("roof", since=at(0), until=at(1), error_s=error_s) == widened
+    assert archive.widen_clock_errors("roof", since=at(0), until=at(1), error_s=error_s) == widened
     found = [p.clock_error_s for p in archive.sun_points("roof")]
     assert found == [error_s, max(error_s, 0.02)]
 

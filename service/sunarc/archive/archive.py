@@ -50,7 +50,7 @@ class Archive(Sightings, SightingRevisions, EpochClosing, UsedSightings, Journal
             return None
         if problem not in {DELETED, REPLACED, EMPTIED}:
             raise OutsideError(f"the database {self._file.path} {problem}")
-        with self._turn:
+        with self._lock:
             self._usable.clear()
             try:
                 self._require_idle()

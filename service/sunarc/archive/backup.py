@@ -97,26 +97,26 @@ def restore(path: Path, source: Path, *, now: datetime) -> Path | None:
     InputError : `source` is no sound database, or the database is in use.
     """
     require_sound(source)
-    kept = None
+    former = None
     if path.exists():
-        kept = _keep_former(path, keep_aside(path, "before-restore", now=now))
+        former = _keep_former(path, keep_aside(path, "before-restore", now=now))
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
     backup(source, path, replace=True)
     remove_old_asides(path)
-    return kept
+    return former
 
 
-def _keep_former(path: Path, kept: Path) -> Path:
+def _keep_former(path: Path, former: Path) -> Path:
     """Copy the former database aside; one that is damaged or empty is moved as it is."""
     if _is_database(path):
         _require_unused(path)
         try:
-            return backup(path, kept)
+            return backup(path, former)
         except OutsideError:  # damaged, or no room for both
             pass
-    path.replace(kept)
-    return kept
+    path.replace(former)
+    return former
 
 
 def _is_database(path: Path) -> bool:

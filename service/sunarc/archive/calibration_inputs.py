@@ -29,28 +29,28 @@ class UsedSightings(Store):
         InputError : they were changed or deleted since.
         """
         with self._reading() as connection:
-            kept = connection.execute(
+            row = connection.execute(
                 select(used_sightings, calibration.c.camera)
                 .join(calibration, calibration.c.id == used_sightings.c.calibration)
                 .where(used_sightings.c.calibration == calibration_id)
             ).one_or_none()
-            if kept is None:
+            if row is None:
                 raise NotFoundError(
                     field="id",
                     problem=f"no sightings were kept with calibration {calibration_id}",
                     remedy="name one that a refit made, see `sunarc calibrations list`",
                 )
             try:
-                ids, epochs = _unpacked(kept.ids), [(str(name), int(start)) for name, start in kept.epochs]
-                air = _unpacked_air(kept.air, ids.size)
+                ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
+                air = _unpacked_air(row.air, ids.size)
             except (TypeError, ValueError, zlib.error):
                 raise _changed(calibration_id, "the list of its sightings is damaged") from None
-            found = read_columns(connection, kept.camera, [sun_point.c.id.in_(_listed(ids))])
+            found = read_columns(connection, row.camera, [sun_point.c.id.in_(_listed(ids))])
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
         columns = _as_then(found, epochs, air)
         # Rows of the same keys may have been edited since: the fit would not be the same.
-        if _digest(columns) != kept.digest:
+        if _digest(columns) != row.digest:
             raise _changed(calibration_id, "its sightings were changed since")
         return columns
 

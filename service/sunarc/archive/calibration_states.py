@@ -44,15 +44,15 @@ class History(Calibrations):
             findings = (Finding("activated_by_operator", {"reason": reason}), *record.findings)
             end_others(connection, record.camera, at)
             if record.state in SERVED:
-                chosen = add_copy(connection, record, at=at, findings=findings)
+                reinstated = add_copy(connection, record, at=at, findings=findings)
             else:
                 decided: dict[str, Any] = {"state": "current", "valid_from": at, "valid_until": None}
                 set_columns(connection, record.id, **decided, findings=findings)
-                chosen = replace(record, **decided, findings=findings)
-            copied = chosen.parent if record.state in SERVED else None
-            found = Finding("calibration_reinstated", {"calibration": chosen.id, "reason": reason})
-            insert_event(connection, found, at=at, camera=chosen.camera, details={"copied": copied})
-        return with_interval(chosen)
+                reinstated = replace(record, **decided, findings=findings)
+            copied = reinstated.parent if record.state in SERVED else None
+            found = Finding("calibration_reinstated", {"calibration": reinstated.id, "reason": reason})
+            insert_event(connection, found, at=at, camera=reinstated.camera, details={"copied": copied})
+        return with_interval(reinstated)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Keep the current calibration, whatever a refit finds, until it is unpinned or another is reinstated."""
@@ -69,21 +69,21 @@ class History(Calibrations):
             record = self._required(connection, calibration_id)
             if record.state != "current":
                 raise wrong_state(calibration_id, f"is {record.state}", remedy="name the current one")
-            chosen = replace(record, pinned=what == "pinned")
-            set_columns(connection, record.id, pinned=chosen.pinned)
+            changed = replace(record, pinned=what == "pinned")
+            set_columns(connection, record.id, pinned=changed.pinned)
             found = Finding(f"calibration_{what}", {"calibration": record.id, "reason": reason})
             insert_event(connection, found, at=at, camera=record.camera)
-        return with_interval(chosen)
+        return with_interval(changed)
 
 
 def add_copy(
     connection: Connection, record: CalibrationRecord, *, at: datetime, findings: tuple[Finding, ...]
 ) -> CalibrationRecord:
     """Store a copy of a calibration that answered before, current from `at` on, with the same sightings."""
-    chosen = _copy(record, id=_name_of_copy(connection, record.id), at=at, findings=findings)
-    connection.execute(insert(calibration).values(row_of(chosen)))
-    copy_used(connection, record.id, to=chosen.id)
-    return chosen
+    copy = _copy(record, id=_name_of_copy(connection, record.id), at=at, findings=findings)
+    connection.execute(insert(calibration).values(row_of(copy)))
+    copy_used(connection, record.id, to=copy.id)
+    return copy
 
 
 def _copy(record: CalibrationRecord, *, id: str, at: datetime, findings: tuple[Finding, ...]) -> CalibrationRecord:  # noqa: A002 - the field's name

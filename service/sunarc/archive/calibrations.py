@@ -52,7 +52,7 @@ class Calibrations(Store):
         """
         record = _record(document, parent)
         with self._writing() as connection:
-            if self._known(connection, record.id):
+            if self._exists(connection, record.id):
                 raise wrong_state(record.id, "is there already", remedy="give it an id of its own")
             connection.execute(insert(calibration).values(row_of(record)))
             if used is not None:
@@ -81,13 +81,13 @@ class Calibrations(Store):
                     remedy="activate a copy of it with its own id",
                 )
             pinned = self._records(connection, calibration.c.camera == record.camera, calibration.c.pinned)
-            if any(not held.damaged for held in pinned):
+            if any(not one.damaged for one in pinned):
                 return with_interval(record)
             start = at or record.valid_from
             end_others(connection, record.camera, start)
-            chosen = replace(record, state="current", valid_from=start, valid_until=None)
+            activated = replace(record, state="current", valid_from=start, valid_until=None)
             set_columns(connection, calibration_id, state="current", valid_from=start, valid_until=None)
-        return with_interval(chosen)
+        return with_interval(activated)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
         """Let a candidate answer for times past, `since` <= t < `until`, in place of what answered for them.
@@ -102,8 +102,8 @@ class Calibrations(Store):
             c = calibration.c
             around = (c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > until))
             pinned = (c.pinned, c.valid_from < until)
-            held = or_(and_(*around), and_(*pinned))
-            if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), held):
+            blocking = or_(and_(*around), and_(*pinned))
+            if self._records(connection, c.camera == record.camera, c.state.in_(SERVED), blocking):
                 return with_interval(record)
             clear_interval(connection, record.camera, since, until)
             set_columns(connection, calibration_id, state="retired", valid_from=since, valid_until=until)
@@ -137,10 +137,10 @@ class Calibrations(Store):
         if at is not None:
             return self._read_answering(camera, at)
         revision = self.revision()
-        known = self._current.get(camera)
-        if known is None or known[0] != revision:
-            known = self._current[camera] = (revision, self._read_answering(camera, None))
-        return known[1]
+        cached = self._current.get(camera)
+        if cached is None or cached[0] != revision:
+            cached = self._current[camera] = (revision, self._read_answering(camera, None))
+        return cached[1]
 
     def _read_answering(self, camera: str, at: datetime | None) -> CalibrationRecord | None:
         with self._reading() as connection:
@@ -181,12 +181,12 @@ class Calibrations(Store):
 
     def _answering(self, connection: Connection, camera: str, at: datetime | None) -> CalibrationRecord | None:
         c = calibration.c
-        wanted = [c.camera == camera]
+        filters = [c.camera == camera]
         if at is None:
-            wanted.append(c.state == "current")
+            filters.append(c.state == "current")
         else:
-            wanted += [c.state.in_(SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
-        found = self._records(connection, *wanted)
+            filters += [c.state.in_(SERVED), c.valid_from <= at, or_(c.valid_until.is_(None), c.valid_until > at)]
+        found = self._records(connection, *filters)
         if not found or not found[0].damaged:
             return found[0] if found else None
         before = self._before(connection, found[0])
@@ -209,8 +209,8 @@ class Calibrations(Store):
         It is of the lens of that time, and of no pose epoch that was closed as wrong.
         """
         c, e = calibration.c, pose_epoch.c
-        mine = (e.camera == camera, e.reason == LENS_CHANGED, e.started_at <= until, not_closed())
-        changed = connection.scalar(select(e.started_at).where(*mine).order_by(e.started_at.desc()).limit(1))
+        lens_changes = (e.camera == camera, e.reason == LENS_CHANGED, e.started_at <= until, not_closed())
+        changed = connection.scalar(select(e.started_at).where(*lens_changes).order_by(e.started_at.desc()).limit(1))
         closed = select(e.id).where(e.camera == camera, not_(not_closed()))
         answered = [c.camera == camera, c.state.in_(SERVED), c.valid_from <= until]
         answered.append(or_(c.pose_epoch.is_(None), c.pose_epoch.not_in(closed)))
@@ -219,9 +219,9 @@ class Calibrations(Store):
     def last_served(self, camera: str, *, pose_epoch: str) -> datetime | None:
         """Return when the latest calibration of a pose epoch that ever answered was made; None without one."""
         c = calibration.c
-        mine = (c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+        filters = (c.camera == camera, c.pose_epoch == pose_epoch, c.state.in_(SERVED))
         with self._reading() as connection:
-            return connection.scalar(select(c.created_at).where(*mine).order_by(c.created_at.desc()).limit(1))
+            return connection.scalar(select(c.created_at).where(*filters).order_by(c.created_at.desc()).limit(1))
 
     def calibration(self, calibration_id: str) -> CalibrationRecord:
         """Return a calibration by its id; NotFoundError when there is none, ConflictError when it is damaged."""
@@ -238,20 +238,20 @@ class Calibrations(Store):
     ) -> tuple[CalibrationRecord, ...]:
         """Return a camera's calibrations made before `until`, the newest first."""
         c = calibration.c
-        wanted = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
+        filters = given((c.camera.__eq__, camera), (c.state.__eq__, state), (c.created_at.__lt__, until))
         with self._reading() as connection:
-            return tuple(with_interval(record) for record in self._records(connection, *wanted, limit=limit))
+            return tuple(with_interval(record) for record in self._records(connection, *filters, limit=limit))
 
     def _records(
-        self, connection: Connection, *wanted: ColumnElement[bool], limit: int | None = None
+        self, connection: Connection, *filters: ColumnElement[bool], limit: int | None = None
     ) -> list[CalibrationRecord]:
         c = calibration.c
         columns = [column.label(column.key) for column in c if column.name != "document"]
-        statement = select(*columns).where(*wanted).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
+        statement = select(*columns).where(*filters).order_by(c.created_at.desc(), c.id.desc()).limit(limit)
         rows = connection.execute(statement).mappings().all()
         return [self._documents.record(connection, row) for row in rows]
 
-    def _known(self, connection: Connection, calibration_id: str) -> bool:
+    def _exists(self, connection: Connection, calibration_id: str) -> bool:
         return connection.scalar(select(calibration.c.id).where(calibration.c.id == calibration_id)) is not None
 
     def _required(self, connection: Connection, calibration_id: str) -> CalibrationRecord:

@@ -30,19 +30,20 @@ _UNMEASURED = -1e9
 _EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
 
 
-def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement[bool]]) -> SunPointColumns:
+def read_columns(connection: Connection, camera: str, filters: list[ColumnElement[bool]]) -> SunPointColumns:
     """Return the sightings of a camera that meet the conditions, in the order of their times."""
     epochs = tables.pose_epoch.c
-    rows = _numbers(connection, [*wanted, epochs.camera == camera])
-    known = connection.execute(
+    rows = _numbers(connection, [*filters, epochs.camera == camera])
+    epoch_rows = connection.execute(
         select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera).order_by(epochs.started_at)
     ).all()
-    ids = [str(row.id) for row in known]
-    place = {int(row[0]): place for place, row in enumerate(known)}  # an epoch may be written down after a later one
+    ids = [str(row.id) for row in epoch_rows]
+    # The row number of an epoch does not tell its place in time: one may be stored after a later one.
+    index_of = {int(row[0]): index for index, row in enumerate(epoch_rows)}
     # Few epochs and millions of rows: names are looked up once an epoch, not once a row.
     numbers, member = np.unique(rows["epoch"], return_inverse=True)
-    places = np.array([place[int(number)] for number in numbers], dtype=np.int64)
-    present, epoch = np.unique(places[member], return_inverse=True)
+    order = np.array([index_of[int(number)] for number in numbers], dtype=np.int64)
+    present, epoch = np.unique(order[member], return_inverse=True)
     temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
         unix_s=rows["time"] / 1e6,
@@ -50,7 +51,7 @@ def read_columns(connection: Connection, camera: str, wanted: list[ColumnElement
         sigma_px=_nan_for_negative(rows["sigma"]),
         clock_error_s=_nan_for_negative(rows["clock"]),
         epoch=epoch.astype(np.int64),
-        epoch_ids=tuple(ids[place] for place in present.tolist()),
+        epoch_ids=tuple(ids[index] for index in present.tolist()),
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,
@@ -68,7 +69,7 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     )
 
 
-def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
     c, epochs = sun_point.c, tables.pose_epoch
     numbers = (
         *(c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
@@ -76,7 +77,7 @@ def _numbers(connection: Connection, wanted: list[ColumnElement[bool]]) -> np.nd
     )
     sound = [func.typeof(c.time) == "integer", *(func.typeof(column) == "real" for column in (c.x_px, c.y_px))]
     joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
-    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*wanted, *sound).order_by(c.time, c.id)
+    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*filters, *sound).order_by(c.time, c.id)
     result = connection.execute(statement)
     cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
     return np.fromiter(cursor, dtype=_COLUMNS)
@@ -91,17 +92,17 @@ def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[
     return np.where(column < 0.0, np.nan, column)
 
 
-def read_levels(connection: Connection, wanted: list[ColumnElement[bool]]) -> tuple[FloatArray, FloatArray]:
+def read_levels(connection: Connection, filters: list[ColumnElement[bool]]) -> tuple[FloatArray, FloatArray]:
     """Return times (unix seconds) and the discs' levels over full scale in 1 µs."""
     c = sun_point.c
     peak = func.min(c.peak_fraction, _EXTRAPOLATED_AT_MOST) - func.coalesce(c.background_fraction, 0.0)
-    result = connection.execute(select(c.time, peak / c.exposure_us).where(*wanted, c.exposure_us > 0.0, peak > 0.0))
+    result = connection.execute(select(c.time, peak / c.exposure_us).where(*filters, c.exposure_us > 0.0, peak > 0.0))
     rows = np.fromiter(cast("Iterable[tuple[float, ...]]", result.cursor), dtype=_LEVELS)
     return rows["time"] / 1e6, rows["level"].copy()
 
 
-def read_times(connection: Connection, wanted: list[ColumnElement[bool]]) -> FloatArray:
+def read_times(connection: Connection, filters: list[ColumnElement[bool]]) -> FloatArray:
     """Return the times of all rows that meet the conditions, s since 1970-01-01 UTC (n,), in no order."""
     c = sun_point.c
-    times = select(type_coerce(c.time, Integer)).where(*wanted, func.typeof(c.time) == "integer")
+    times = select(type_coerce(c.time, Integer)).where(*filters, func.typeof(c.time) == "integer")
     return np.fromiter(connection.scalars(times), dtype=np.float64) / 1e6

@@ -24,13 +24,13 @@ class Changes:
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         self._engine = engine
         self._file = file
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._connection: sqlite3.Connection | None = None
         self._opened = 0
 
     def count(self) -> int:
         """Return a number that is another one after any commit, of this process or another."""
-        with self._turn, outside_errors(self._engine):
+        with self._lock, outside_errors(self._engine):
             if self._connection is None:
                 try:
                     self._connection = self._file.connect()
@@ -43,7 +43,7 @@ class Changes:
 
     def close(self) -> None:
         """Close the connection; the next question opens another."""
-        with self._turn:
+        with self._lock:
             if self._connection is not None:
                 self._connection.close()
             self._connection = None

@@ -53,9 +53,9 @@ class MeasuredAir(Store):
                     problem=f"the archive has no camera {air.camera}",
                     remedy="wait until it has answered once, or import sightings of it",
                 )
-            kept = values_of(connection, select(day_air).where(*this), DayAir)
-            if kept and _values(kept[0]) == _values(air):
-                return kept[0]
+            stored = values_of(connection, select(day_air).where(*this), DayAir)
+            if stored and _values(stored[0]) == _values(air):
+                return stored[0]
             if _values(air) == (None, None):
                 connection.execute(delete(day_air).where(*this))
             else:
@@ -73,8 +73,9 @@ class MeasuredAir(Store):
         unix_s = np.array([point.time.timestamp() for point in points], dtype=np.float64)
         with self._reading() as connection:
             of_day = air_of_days(connection, camera, unix_s)
-        own = _numbers(points)
-        return np.where(np.isnan(own[0]), of_day[0], own[0]), np.where(np.isnan(own[1]), of_day[1], own[1])
+        measured = _numbers(points)
+        temperature, pressure = (np.where(np.isnan(own), day, own) for own, day in zip(measured, of_day, strict=True))
+        return temperature, pressure
 
     def site_on(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site in the measured air of a solar day; in the site's own where nothing was measured."""
@@ -87,24 +88,24 @@ class MeasuredAir(Store):
         temperature, pressure = _numbers(found)
         return site.with_air(temperature=_or_none(temperature[0]), pressure=_or_none(pressure[0]))
 
-    def site_at(self, camera: str, site: Site, moment: datetime) -> Site:
+    def site_at(self, camera: str, site: Site, time: datetime) -> Site:
         """Return a camera's site in the measured air of the solar day of a moment, as `site_on`."""
-        return self.site_on(camera, site, solar_date(moment.timestamp(), longitude=site.longitude))
+        return self.site_on(camera, site, solar_date(time.timestamp(), longitude=site.longitude))
 
 
 def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa) of the solar days of times (n,), (n,) each; NaN where not measured."""
     unknown = np.full((2, unix_s.size), np.nan)
     longitude = connection.scalar(select(cameras.c.longitude).where(cameras.c.name == camera))
-    known = _read(connection, camera) if unix_s.size else ()
-    if not known or longitude is None:
+    of_days = _read(connection, camera) if unix_s.size else ()
+    if not of_days or longitude is None:
         return unknown[0], unknown[1]
     day = solar_days(unix_s, longitude=longitude)
-    days = np.array([day_of_date(air.date) for air in known])
-    place = np.minimum(np.searchsorted(days, day), days.size - 1)
-    temperature, pressure = _numbers(known)
-    is_known = days[place] == day
-    return np.where(is_known, temperature[place], np.nan), np.where(is_known, pressure[place], np.nan)
+    days = np.array([day_of_date(air.date) for air in of_days])
+    index = np.minimum(np.searchsorted(days, day), days.size - 1)
+    temperature, pressure = _numbers(of_days)
+    is_measured = days[index] == day
+    return np.where(is_measured, temperature[index], np.nan), np.where(is_measured, pressure[index], np.nan)
 
 
 def within_or_nan(values: FloatArray, bounds: tuple[float, float]) -> FloatArray:
@@ -116,14 +117,14 @@ def _read(
     connection: Connection, camera: str, *, since: date | None = None, until: date | None = None
 ) -> tuple[DayAir, ...]:
     c = day_air.c
-    wanted = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-    return values_of(connection, select(day_air).where(*wanted).order_by(c.date), DayAir)
+    filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
+    return values_of(connection, select(day_air).where(*filters).order_by(c.date), DayAir)
 
 
-def _numbers(known: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
+def _numbers(measured: Sequence[DayAir | SunPoint]) -> tuple[FloatArray, FloatArray]:
     """Return temperature (°C) and pressure (Pa), (n,) each; NaN where not measured."""
     numbers = np.array(
-        [(_number(air.temperature_c), _number(air.pressure_hpa)) for air in known], dtype=np.float64
+        [(_number(air.temperature_c), _number(air.pressure_hpa)) for air in measured], dtype=np.float64
     ).reshape(-1, 2)
     temperature = within_or_nan(numbers[:, 0], TEMPERATURE_BOUNDS_C)
     return temperature, within_or_nan(PA_PER_HPA * numbers[:, 1], PRESSURE_BOUNDS_PA)

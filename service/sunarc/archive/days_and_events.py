@@ -34,8 +34,8 @@ class Journal(Store):
     ) -> tuple[Day, ...]:
         """Return the days with `since` <= date < `until` that have a verdict, the newest first."""
         c = tables.day.c
-        wanted = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
-        return self._values(select(tables.day).where(*wanted).order_by(c.date.desc()).limit(limit), Day)
+        filters = given((c.camera.__eq__, camera), (c.date.__ge__, since), (c.date.__lt__, until))
+        return self._values(select(tables.day).where(*filters).order_by(c.date.desc()).limit(limit), Day)
 
     def add_refit(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
@@ -95,8 +95,8 @@ class Journal(Store):
     ) -> tuple[Refit, ...]:
         """Return a camera's refits asked for before `until`, the newest first; those that have not ended, if asked."""
         c = tables.refit.c
-        wanted = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
-        statement = select(tables.refit).where(*wanted).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
+        filters = given((c.camera.__eq__, camera), (c.requested_at.__lt__, until))
+        statement = select(tables.refit).where(*filters).order_by(c.requested_at.desc(), c.id.desc()).limit(limit)
         return self._values(statement.where(c.finished_at.is_(None)) if unfinished else statement, Refit)
 
     def add_event(self, event: Event) -> Event:
@@ -105,10 +105,10 @@ class Journal(Store):
         row.pop("id")
         with self._writing() as connection:
             key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
-        known = replace(event, id=None if key is None else int(key[0]))
-        fields = {"event_id": known.id, "event_kind": known.kind}  # what the journal's line shares with /v1/events
-        _log.log(_LEVELS[known.severity], "%s: %s", known.kind, known.text, extra=fields)
-        return known
+        stored = replace(event, id=None if key is None else int(key[0]))
+        fields = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line shares with /v1/events
+        _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=fields)
+        return stored
 
     def events(
         self,
@@ -122,15 +122,15 @@ class Journal(Store):
     ) -> tuple[Event, ...]:
         """Return the events with `since` <= time < `until`, the newest first; None does not filter."""
         c = tables.event.c
-        mine = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
-        wanted = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
-        wanted += given((c.kind.__eq__, kind))
-        statement = select(tables.event).where(*mine, *wanted).order_by(c.time.desc(), c.id.desc()).limit(limit)
+        of_camera = [] if camera is None else [(c.camera == camera) | c.camera.is_(None)]
+        filters = given((c.time.__ge__, since), (c.time.__lt__, until), (c.severity.__eq__, severity))
+        filters += given((c.kind.__eq__, kind))
+        statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
         return self._values(statement, Event)
 
     def _change_refit(self, refit_id: str, **columns: object) -> Refit:
         self.refit(refit_id)
-        mine = tables.refit.c.id == refit_id
+        this_refit = tables.refit.c.id == refit_id
         with self._writing() as connection:
-            connection.execute(update(tables.refit).where(mine).values(**columns))
-            return values_of(connection, select(tables.refit).where(mine), Refit)[0]
+            connection.execute(update(tables.refit).where(this_refit).values(**columns))
+            return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]

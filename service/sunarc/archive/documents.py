@@ -24,7 +24,7 @@ DAMAGED = Finding("document_damaged")
 UNKNOWN_TIME = EPOCH
 """Stands for a time that cannot be read."""
 
-_MOST_KEPT = 128
+_CACHE_SIZE = 128
 _SAME = ("id", "camera", "method", "pose_epoch")
 """Columns that the document has too."""
 
@@ -33,18 +33,18 @@ class Documents:
     """The documents that were asked for lately; parsing one takes longer than finding its row."""
 
     def __init__(self) -> None:
-        self._turn = threading.Lock()
-        self._kept: OrderedDict[str, Mapping[str, Any] | None] = OrderedDict()
+        self._lock = threading.Lock()
+        self._cache: OrderedDict[str, Mapping[str, Any] | None] = OrderedDict()
 
     def get(self, connection: Connection, calibration_id: str) -> Mapping[str, Any] | None:
         """Return the document of a calibration that exists; None when it is damaged."""
-        with self._turn:
-            if calibration_id not in self._kept:
-                self._kept[calibration_id] = read_document(connection, calibration_id)
-            self._kept.move_to_end(calibration_id)
-            if len(self._kept) > _MOST_KEPT:
-                self._kept.popitem(last=False)
-            return self._kept.get(calibration_id)
+        with self._lock:
+            if calibration_id not in self._cache:
+                self._cache[calibration_id] = read_document(connection, calibration_id)
+            self._cache.move_to_end(calibration_id)
+            if len(self._cache) > _CACHE_SIZE:
+                self._cache.popitem(last=False)
+            return self._cache.get(calibration_id)
 
     def record(self, connection: Connection, row: RowMapping) -> CalibrationRecord:
         """Return the record of a row (all columns but the document), marked where the document is damaged."""
@@ -88,7 +88,7 @@ def _times(row: RowMapping) -> tuple[object, ...]:
 
 def _damaged(values: dict[str, Any]) -> CalibrationRecord:
     """Return a record that shows what is left of a damaged calibration, with a document that no fit can use."""
-    known = {
+    shown = {
         **values,
         "state": values["state"] or "refused",
         "created_at": values["created_at"] or UNKNOWN_TIME,
@@ -97,4 +97,4 @@ def _damaged(values: dict[str, Any]) -> CalibrationRecord:
         "accepted": False,
     }
     document = {"id": values["id"], "camera": values["camera"], "damaged": True, "verdict": {}}
-    return CalibrationRecord(**known, document=document, damaged=True)
+    return CalibrationRecord(**shown, document=document, damaged=True)

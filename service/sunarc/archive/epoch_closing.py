@@ -61,11 +61,11 @@ class EpochClosing(History):
         if current and current[0].pose_epoch != wrong.id:
             return current[0].id
         answered = self._records(connection, *self._may_stand_in(connection, wrong.camera, until=at))
-        served = [record for record in answered if not record.damaged]
+        undamaged = [record for record in answered if not record.damaged]
         end_others(connection, wrong.camera, at)
-        if not served:
+        if not undamaged:
             return None
-        last = max(served, key=lambda record: (record.valid_from, record.created_at))
+        last = max(undamaged, key=lambda record: (record.valid_from, record.created_at))
         if last.valid_until is None or last.valid_until > at:  # it still answers: nothing else ever did
             set_columns(connection, last.id, state="current", valid_until=None)
             return last.id
@@ -75,13 +75,13 @@ class EpochClosing(History):
 
 def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpoch, PoseEpoch]:
     epochs = pose_epoch.c
-    known = values_of(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
-    camera = next((epoch.camera for epoch in known if epoch.id == epoch_id), None)
+    in_order = values_of(connection, select(pose_epoch).where(not_closed()).order_by(epochs.started_at), PoseEpoch)
+    camera = next((epoch.camera for epoch in in_order if epoch.id == epoch_id), None)
     if camera is None:
         raise NotFoundError(
             field="id", problem=f"there is no open pose epoch {epoch_id}", remedy="see `sunarc epochs list`"
         )
-    for before, wrong in pairwise(epoch for epoch in known if epoch.camera == camera):
+    for before, wrong in pairwise(epoch for epoch in in_order if epoch.camera == camera):
         if wrong.id == epoch_id:
             return wrong, before
     raise InputError(

@@ -89,8 +89,8 @@ class ImageStore:
 
     def path(self, captured_at: datetime, *, kind: str) -> Path:
         """Return where an image of this moment and kind ("hdr.png", "hdr.jpg") stands."""
-        moment = captured_at.astimezone(UTC)
-        return self.folder / f"{moment:%Y/%m/%d}" / f"{moment:{_STAMP}}.{moment.microsecond // 1000:03d}Z_{kind}"
+        time = captured_at.astimezone(UTC)
+        return self.folder / f"{time:%Y/%m/%d}" / f"{time:{_STAMP}}.{time.microsecond // 1000:03d}Z_{kind}"
 
     def write(self, captured_at: datetime, encoded: bytes, *, kind: str) -> Path:
         """Write an encoded image atomically and return its path; older images make room for it.
@@ -104,7 +104,7 @@ class ImageStore:
             if not self.make_room(len(encoded)):
                 raise OutsideError(f"image {target.name} was not written: the disk has too little room")
             try:
-                _write_whole(target, encoded)
+                _write_atomically(target, encoded)
             except OSError as error:
                 if error.errno in _FULL and self._remove_oldest():
                     continue
@@ -198,21 +198,21 @@ class ImageStore:
             raise OutsideError(f"image folder {self.folder}: {error.strerror or error}") from error
 
     def _free(self) -> int:
-        return self._free_bytes(self._place())
+        return self._free_bytes(self._existing_folder())
 
     def _out_of_files(self) -> bool:
         """Return whether the file system can hold no more files; some (btrfs) have no such limit and say 0 of 0."""
         try:
-            found = os.statvfs(self._place())
+            found = os.statvfs(self._existing_folder())
         except OSError:
             return False
         return found.f_files > 0 and found.f_favail < _LEAST_FREE_FILES
 
-    def _place(self) -> Path:
-        place = self.folder
-        while not place.exists():
-            place = place.parent
-        return place
+    def _existing_folder(self) -> Path:
+        folder = self.folder
+        while not folder.exists():
+            folder = folder.parent
+        return folder
 
     def _first(self) -> Path | None:
         """Return the oldest image; the files of one day are listed at a time."""
@@ -243,7 +243,7 @@ class ImageStore:
             return True
 
 
-def _write_whole(target: Path, encoded: bytes) -> None:
+def _write_atomically(target: Path, encoded: bytes) -> None:
     """Write beside the target, to the disk itself, and rename: a power cut leaves all of it or nothing."""
     part = target.with_suffix(target.suffix + ".part")
     try:

@@ -16,5 +16,5 @@ def give_to_owner_of(folder: Path, path: Path) -> None:
     """
     if os.geteuid() != 0:
         return
-    wanted = folder.stat()
-    os.chown(path, wanted.st_uid, wanted.st_gid)
+    owner = folder.stat()
+    os.chown(path, owner.st_uid, owner.st_gid)

@@ -150,8 +150,8 @@ def _closed(connection: sqlite3.Connection) -> bool:
 def _put(path: Path, partial: Path, found: Recovery, *, problem: str, now: datetime) -> Recovery:
     aside = ""
     if path.exists():
-        kept = path.replace(keep_aside(path, "found", now=now))
-        aside = f"; what stood in its place is kept as {kept.name}"
+        former = path.replace(keep_aside(path, "found", now=now))
+        aside = f"; what stood in its place is kept as {former.name}"
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
     partial.chmod(PRIVATE)

@@ -65,7 +65,7 @@ def upgrade(path: Path) -> Path | None:
             return None
         if revision is not None and revision not in _revisions():
             raise _newer(revision, path)
-        copy = backup(path, _kept_aside(path, revision), replace=True) if existed else None
+        copy = backup(path, _copy_path(path, revision), replace=True) if existed else None
         _migrate(engine, to="head")
     finally:
         engine.dispose()
@@ -104,13 +104,13 @@ def downgrade(path: Path, revision: str) -> Path:
     What only the newer revision can hold is lost; everything else stays.
     """
     require_file(path, command="sunarc db upgrade")
-    known = _revisions()
+    revisions = _revisions()
     engine = create_archive_engine(path, foreign_keys=False, create=True)
     try:
         with reading(engine) as connection:
             present = _revision(connection)
-        if present not in known or revision not in known or revision > present:
-            older = ", ".join(known[: known.index(present) + 1]) if present in known else "none"
+        if present not in revisions or revision not in revisions or revision > present:
+            older = ", ".join(revisions[: revisions.index(present) + 1]) if present in revisions else "none"
             raise InputError(
                 field="--to",
                 problem=f"{path} is at revision {present}, which cannot be brought to {revision}",
@@ -147,7 +147,7 @@ def _newer(revision: str, path: Path) -> SchemaError:
     )
 
 
-def _kept_aside(path: Path, revision: str | None) -> Path:
+def _copy_path(path: Path, revision: str | None) -> Path:
     return path.with_name(f"{path.name}.before-{revision or 'none'}")
 
 
@@ -160,10 +160,10 @@ def _revision(connection: Connection) -> str | None:
 
 def _revisions() -> tuple[str, ...]:
     """Return the revisions that this version knows, oldest first: a migration's file begins with its own."""
-    known = sorted(file.stem.split("_")[0] for file in (_migrations() / "versions").glob("[0-9]*.py"))
-    if not known:
+    revisions = sorted(file.stem.split("_")[0] for file in (_migrations() / "versions").glob("[0-9]*.py"))
+    if not revisions:
         raise SchemaError("the migrations are missing; install sunarc again")
-    return tuple(known)
+    return tuple(revisions)
 
 
 def _migrate(engine: Engine, *, to: str) -> None:

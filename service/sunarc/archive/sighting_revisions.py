@@ -26,16 +26,16 @@ class SightingRevisions(Store):
     def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
         """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""
         c = sun_point.c
-        wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
-        change = update(sun_point).where(*wanted, c.accepted.is_(True))
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        change = update(sun_point).where(*filters, c.accepted.is_(True))
         with self._writing() as connection:
             return connection.execute(change.values(accepted=False, verdict="set_aside", reason=reason)).rowcount
 
     def readmit(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str = MOVED) -> int:
         """Accept the discs seen elsewhere with `since` <= time < `until`, and return how many: the camera has moved."""
         c = sun_point.c
-        wanted = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
-        wanted += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
+        filters = given((c.camera.__eq__, camera), (c.time.__ge__, since), (c.time.__lt__, until))
+        filters += [c.verdict == ELSEWHERE, c.x_px.is_not(None), c.y_px.is_not(None)]
         with self._writing() as connection:
-            change = update(sun_point).where(*wanted).values(accepted=True, verdict="clear", reason=reason)
+            change = update(sun_point).where(*filters).values(accepted=True, verdict="clear", reason=reason)
             return connection.execute(change).rowcount

@@ -67,8 +67,8 @@ class Sightings(Store):
         epochs = tables.pose_epoch.c
         # Read under the write lock, so that no other thread opens an epoch between the check and the row.
         with self._writing() as connection:
-            known = select(tables.pose_epoch).where(epochs.camera == camera)
-            before = values_of(connection, known, PoseEpoch)
+            statement = select(tables.pose_epoch).where(epochs.camera == camera)
+            before = values_of(connection, statement, PoseEpoch)
             # a closed epoch has no duration, but its beginning stays unique
             if any(e.started_at >= at for e in before if e.ended_at != e.started_at or e.started_at == at):
                 raise InputError(
@@ -94,8 +94,8 @@ class Sightings(Store):
         """
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
-            known = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
-            every = values_of(connection, known, PoseEpoch)
+            statement = select(tables.pose_epoch).where(epochs.camera == camera).order_by(epochs.started_at)
+            every = values_of(connection, statement, PoseEpoch)
             begun = [
                 epoch for epoch in every if epoch.started_at < at and (epoch.ended_at is None or at < epoch.ended_at)
             ]
@@ -107,16 +107,16 @@ class Sightings(Store):
                     problem="an epoch that began at that time was closed as wrong",
                     remedy="give another time",
                 )
-            whole, new = begun[-1], _next_id(connection, camera)
-            first = _first_answered(connection, whole.id)
+            divided, new = begun[-1], _next_id(connection, camera)
+            first = _first_answered(connection, divided.id)
             keeps_later = first is not None and first >= at
-            earlier = replace(whole, id=new if keeps_later else whole.id, ended_at=at)
-            later = replace(whole, id=whole.id if keeps_later else new, started_at=at, reason=reason)
-            kept, added = (later, earlier) if keeps_later else (earlier, later)
-            connection.execute(update(tables.pose_epoch).where(epochs.id == whole.id).values(asdict(kept)))
+            earlier = replace(divided, id=new if keeps_later else divided.id, ended_at=at)
+            later = replace(divided, id=divided.id if keeps_later else new, started_at=at, reason=reason)
+            remaining, added = (later, earlier) if keeps_later else (earlier, later)
+            connection.execute(update(tables.pose_epoch).where(epochs.id == divided.id).values(asdict(remaining)))
             connection.execute(insert(tables.pose_epoch).values(asdict(added)))
             side = sun_point.c.time < at if keeps_later else sun_point.c.time >= at
-            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == whole.id, side)
+            moving = update(sun_point).where(sun_point.c.camera == camera, sun_point.c.pose_epoch == divided.id, side)
             connection.execute(moving.values(pose_epoch=new))
         return earlier, later
 
@@ -135,15 +135,15 @@ class Sightings(Store):
     def epochs(self, camera: str, *, include_closed: bool = False) -> tuple[PoseEpoch, ...]:
         """Return a camera's pose epochs, the first one first; those closed by an operator only if asked."""
         epochs = tables.pose_epoch.c
-        wanted = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
-        return self._values(select(tables.pose_epoch).where(*wanted).order_by(epochs.started_at), PoseEpoch)
+        filters = [epochs.camera == camera, *([] if include_closed else [not_closed()])]
+        return self._values(select(tables.pose_epoch).where(*filters).order_by(epochs.started_at), PoseEpoch)
 
     def _first_epoch(self, camera: str, at: datetime, reason: str) -> PoseEpoch:
         epochs = tables.pose_epoch.c
         with self._writing() as connection:
-            known = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
-            known = known.order_by(epochs.started_at).limit(1)
-            first = values_of(connection, known, PoseEpoch)
+            statement = select(tables.pose_epoch).where(epochs.camera == camera, not_closed())
+            statement = statement.order_by(epochs.started_at).limit(1)
+            first = values_of(connection, statement, PoseEpoch)
             if not first:
                 epoch = PoseEpoch(id=f"{camera}-1", camera=camera, started_at=at, reason=reason)
                 connection.execute(insert(tables.pose_epoch).values(asdict(epoch)))
@@ -160,7 +160,7 @@ class Sightings(Store):
         with self._writing() as connection:
             return connection.execute(insert(sun_point).on_conflict_do_nothing(), rows).rowcount
 
-    def doubt_times(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
+    def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
         """Widen the bound of the clock's error of sightings with `since` <= time <= `until`; return how many."""
         c = sun_point.c
         doubted = [c.camera == camera, c.time >= since, c.time <= until, func.coalesce(c.clock_error_s, 0.0) < error_s]
@@ -181,11 +181,11 @@ class Sightings(Store):
     ) -> tuple[SunPoint, ...]:
         """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter."""
         c = sun_point.c
-        wanted = _wanted(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
-        wanted += _clock_within(largest_clock_error_s)
+        filters = _filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
+        filters += _clock_within(largest_clock_error_s)
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
-        return self._values(select(*fields).where(*wanted).order_by(*order).limit(limit), SunPoint)
+        return self._values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
 
     def sun_point_columns(
         self,
@@ -200,11 +200,11 @@ class Sightings(Store):
     ) -> SunPointColumns:
         """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter."""
         c = sun_point.c
-        wanted = _wanted(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
-        wanted += _clock_within(largest_clock_error_s)
-        wanted += given((c.body.__eq__, body), (c.method.__eq__, method))
+        filters = _filters(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        filters += _clock_within(largest_clock_error_s)
+        filters += given((c.body.__eq__, body), (c.method.__eq__, method))
         with self._reading() as connection:
-            return read_columns(connection, camera, wanted)
+            return read_columns(connection, camera, filters)
 
     def newest_sighting_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
         """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
@@ -223,13 +223,13 @@ class Sightings(Store):
         had delivered before (`FROZEN`): they show another moment's sky.
         """
         c = sun_point.c
-        wanted = [*_wanted(camera, since=since, until=until), c.body == "sun", *_clock_within(largest_clock_error_s)]
-        wanted.append(c.verdict != FROZEN)
+        filters = [*_filters(camera, since=since, until=until), *_clock_within(largest_clock_error_s)]
+        filters += [c.body == "sun", c.verdict != FROZEN]
         with self._reading() as connection:
-            imported = select(c.id).where(*wanted, c.method == "import").limit(1)
+            imported = select(c.id).where(*filters, c.method == "import").limit(1)
             if connection.scalar(imported) is not None:
                 return None
-            return read_times(connection, wanted)
+            return read_times(connection, filters)
 
     def sun_levels(
         self, camera: str, *, since: datetime, until: datetime, largest_clock_error_s: float | None = None
@@ -239,10 +239,10 @@ class Sightings(Store):
         A saturated disc's level is what the fit made of its edges; above 100 times full scale it counts as that.
         """
         c = sun_point.c
-        wanted = [*_wanted(camera, since=since, until=until, accepted=True), c.method == "disc", c.body == "sun"]
-        wanted += _clock_within(largest_clock_error_s)
+        filters = _filters(camera, since=since, until=until, accepted=True) + _clock_within(largest_clock_error_s)
+        filters += [c.method == "disc", c.body == "sun"]
         with self._reading() as connection:
-            return read_levels(connection, wanted)
+            return read_levels(connection, filters)
 
     def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
         """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""
@@ -266,11 +266,11 @@ def _next_id(connection: Connection, camera: str) -> str:
 def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
     """Return from when on a calibration of a pose epoch answered; None where none did."""
     c = tables.calibration.c
-    mine = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
-    return connection.scalar(select(c.valid_from).where(*mine).order_by(c.valid_from).limit(1))
+    filters = (c.pose_epoch == pose_epoch, c.state.in_(SERVED))
+    return connection.scalar(select(c.valid_from).where(*filters).order_by(c.valid_from).limit(1))
 
 
-def _wanted(
+def _filters(
     camera: str,
     *,
     since: datetime | None = None,

@@ -14,14 +14,14 @@ SITE_LIMIT_M = 500.0
 """A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
 
 
-class _Place(Protocol):
+class _Location(Protocol):
     @property
     def latitude(self) -> float: ...
     @property
     def longitude(self) -> float: ...
 
 
-def require_same_site(record: CameraRecord, site: _Place) -> None:
+def require_same_site(record: CameraRecord, site: _Location) -> None:
     """Raise `InputError` when the settings name another site than the archive has for the camera.
 
     Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
@@ -38,7 +38,7 @@ def require_same_site(record: CameraRecord, site: _Place) -> None:
         )
 
 
-def distance_m(first: _Place, second: _Place) -> float:
+def distance_m(first: _Location, second: _Location) -> float:
     """Return the great-circle distance of two places in metres (haversine, a sphere)."""
     a, b = np.radians([first.latitude, second.latitude])
     east = np.radians(second.longitude - first.longitude)

@@ -40,7 +40,7 @@ class Store:
         self._changes = Changes(engine, file)
         self._usable = threading.Event()
         self._usable.set()
-        self._turn = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+        self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
 
     def __enter__(self) -> Self:
         return self
@@ -66,7 +66,7 @@ class Store:
 
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
-        with self._turn:
+        with self._lock:
             self._file.require_in_place()
             with writing(self._engine) as connection:
                 yield connection
@@ -87,21 +87,21 @@ def values_of(connection: Connection, statement: Select[Any], kind: type[Value])
     needed = [number for number, column in enumerate(columns) if _required(column)]
     keys = [number for number, column in enumerate(columns) if getattr(column, "primary_key", False)]
     rows = result.all()
-    whole = [
+    complete = [
         row
         for row in rows
         if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
     ]
-    if len(whole) < len(rows):
-        lost, name = len(rows) - len(whole), kind.__name__
+    if len(complete) < len(rows):
+        lost, name = len(rows) - len(complete), kind.__name__
         _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)
-    return tuple(kind(**dict(zip(names, row, strict=True))) for row in whole)
+    return tuple(kind(**dict(zip(names, row, strict=True))) for row in complete)
 
 
 def _required(column: ColumnElement[Any]) -> bool:
     return isinstance(column, Column) and not column.nullable and isinstance(column.type, TypeDecorator)
 
 
-def given(*conditions: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
+def given(*filters: tuple[Callable[[Any], Any], object | None]) -> list[ColumnElement[bool]]:
     """Return the conditions whose argument is given: `given((column.__eq__, None))` filters nothing."""
-    return [compare(argument) for compare, argument in conditions if argument is not None]
+    return [compare(argument) for compare, argument in filters if argument is not None]

@@ -51,16 +51,16 @@ def end_others(connection: Connection, camera: str, at: datetime) -> None:
 def clear_interval(connection: Connection, camera: str, since: datetime, until: datetime) -> None:
     """Let no calibration of a camera answer for `since` <= t < `until`; what goes on beyond `until` begins there."""
     c = calibration.c
-    served = (c.camera == camera, c.state.in_(SERVED))
+    filters = (c.camera == camera, c.state.in_(SERVED))
     beyond = or_(c.valid_until.is_(None), c.valid_until > until)
     within = (c.valid_from >= since, c.valid_from < until)
-    connection.execute(update(calibration).where(*served, *within, beyond).values(valid_from=until))
+    connection.execute(update(calibration).where(*filters, *within, beyond).values(valid_from=until))
     connection.execute(
-        update(calibration).where(*served, *within, c.valid_until <= until).values(valid_until=c.valid_from)
+        update(calibration).where(*filters, *within, c.valid_until <= until).values(valid_until=c.valid_from)
     )
     # Last, for it ends at `since` what the first two left: one that began before and reaches in.
     reaching = update(calibration).where(
-        *served, c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > since)
+        *filters, c.valid_from < since, or_(c.valid_until.is_(None), c.valid_until > since)
     )
     connection.execute(reaching.values(state="retired", valid_until=since, pinned=False))
 

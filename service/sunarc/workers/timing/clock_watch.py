@@ -247,7 +247,7 @@ class ClockWatch:
             step, wait_s = self._unwritten[0]
             try:
                 for since, until in step.doubted:
-                    self._archive.doubt_times(self._camera, since=since, until=until, error_s=abs(step.step_s))
+                    self._archive.widen_clock_errors(self._camera, since=since, until=until, error_s=abs(step.step_s))
                 self._archive.add_event(self._event(step, wait_s))
             except OutsideError as error:
                 _log.warning("could not store clock step, will retry: %s", error)
