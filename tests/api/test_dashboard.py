@@ -21,9 +21,12 @@ from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import SunPoint
-from sunarc.calibration.messages import text_of
+from sunarc.calibration.messages import MESSAGES, text_of
+from sunarc.findings import Finding
 from sunarc.optics import project
+from sunarc.runtime.status import Reason
 from sunarc.sky import sun_directions
+from sunarc.workers.messages import condition
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -157,7 +160,8 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         shown(desktop.page)
         assert desktop.page.evaluate(MARKER) == pytest.approx(sun.tolist(), abs=1.0)
         assert desktop.page.get_attribute("#health", "data-health") == "ready"
-        assert text_of(REFUSED) in desktop.page.inner_text("#calibrations")
+        assert desktop.page.inner_text(f"#calibrations [data-code={REFUSED.code}]") == text_of(REFUSED)
+        shows_conditions_by_their_codes(desktop.page, pictured)
         updates_live(desktop.page, pictured)
         can_be_used_by_keyboard(desktop.page)
         is_accessible(desktop.page)
@@ -168,6 +172,22 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         for one in (desktop, phone):
             assert one.complaints == []
             assert {url.split("/")[2] for url in one.asked if not url.startswith("blob:")} == {address.split("/")[2]}
+
+
+def shows_conditions_by_their_codes(page: Page, made: Made) -> None:
+    """Check that a condition is shown with its severity, what to do if anything, and its code."""
+    made.board.set_condition("images_unreadable", condition("images_unreadable", error="the disk is gone"))
+    made.board.set_condition("no_frame_yet", Reason.of(Finding("not_mirrored"), MESSAGES, code="no_frame_yet"))
+    unreadable = "#reasons li[data-code=images_unreadable][data-severity=degraded]"
+    page.wait_for_selector(f"{unreadable} .action", timeout=10_000)
+    assert page.inner_text(f"{unreadable} code") == "images_unreadable"
+    page.wait_for_selector("#reasons li[data-code=no_frame_yet]", timeout=10_000)
+    assert page.query_selector("#reasons li[data-code=no_frame_yet] .action") is None  # its action is "none"
+    assert "[object" not in page.inner_text("body")
+    assert page.get_attribute("#health", "data-health") == "degraded"
+    made.board.set_condition("images_unreadable", None)
+    made.board.set_condition("no_frame_yet", None)
+    page.wait_for_selector("#health[data-health=ready]", timeout=10_000)
 
 
 def updates_live(page: Page, made: Made) -> None:
@@ -230,15 +250,15 @@ def test_what_the_dashboard_sums_up_is_of_the_accepted_sightings_and_of_cycles(m
     with serving(made) as address, browser() as chromium:  # of a service that has seen no frame since its start
         page = opened(chromium, address).page
         shown(page)
-        told = page.inner_text("#residual-sum")
-        assert f"last {len(points)} accepted sightings" in told
-        assert float(re.findall(r": ([\d.]+) px", told)[0]) == pytest.approx(rmse, rel=0.01)
+        summary = page.inner_text("#residual-sum")
+        assert f"last {len(points)} accepted sightings" in summary
+        assert float(re.findall(r": ([\d.]+) px", summary)[0]) == pytest.approx(rmse, rel=0.01)
         page.click(f"button[data-date='{days[0].date}']")
         assert "sun seen in 379 of 418 cycles" in page.inner_text("#day")
         page.click(f"button[data-date='{days[1].date}']")  # of a version that did not count cycles
         assert "700 sightings" in page.inner_text("#day")
         assert page.is_visible("#image")
-        assert "Last seen at" in page.inner_text("#sun")
+        assert "Last sighting at" in page.inner_text("#sun")
         assert "not yet" not in page.inner_text("#sun")
 
 

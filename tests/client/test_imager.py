@@ -22,18 +22,24 @@ from sunarc.archive import open_archive
 from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError
 from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.messages import of_worker
 from sunarc.runtime.status import StatusRegistry
+from sunarc.workers.messages import condition
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def board() -> StatusRegistry:
+    return StatusRegistry(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, board: StatusRegistry) -> Iterator[str]:
     path = tmp_path_factory.mktemp("served") / "archive.sqlite"
     new_archive(path).close()
     archive = open_archive(path)
     fill(archive)
-    board = StatusRegistry(version="0.1.0", started_at=NOON, monotonic=VirtualClock(NOON).monotonic)
     app = create_app(
         archive=archive,
         camera="roof",
@@ -102,6 +108,56 @@ def test_the_map_and_the_exports_come_as_they_are(imager: Imager) -> None:
     assert float(found["zenith"][900, 400]) == pytest.approx(float(told.zenith_deg[0]), abs=1e-4)
     assert 100 < int(found["sun_mask"].sum()) < 20_000
     assert imager.export("ocamcalib").startswith(b"#polynomial coefficients for the DIRECT mapping")
+
+
+def test_conditions_come_with_code_severity_and_data(imager: Imager, board: StatusRegistry) -> None:
+    assert imager.conditions() == ()
+    low = condition("disk_low", folder="/var", free_mb=812.0, images_mb=90_000.0)
+    board.set_condition("disk_low", low)
+    board.set_condition("worker_stuck_web", of_worker("worker_stuck", "web", severity="not_ready", limit_s=60.0))
+    first, second = imager.conditions()
+    assert first == (
+        "disk_low",
+        "degraded",
+        {"folder": "/var", "free_mb": 812.0, "images_mb": 9e4},
+        low.text,
+        low.remedy,
+    )
+    assert (second.code, second.severity, second.data) == (
+        "worker_stuck_web",
+        "not_ready",
+        {"name": "web", "limit_s": 60.0},
+    )
+    board.set_condition("disk_low", None)
+    board.set_condition("worker_stuck_web", None)
+
+
+def test_a_verdict_comes_as_codes_with_data(imager: Imager) -> None:
+    verdict = imager.calibration()["verdict"]
+    assert [finding.code for finding in imager.verdict()] == [finding["code"] for finding in verdict["findings"]]
+    assert [finding.text for finding in imager.verdict()] == verdict["reasons"]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "expected"),
+    [
+        ({"reasons": ["good"]}, [("uncoded", {"text": "good"}, "good")]),  # of version 0.2
+        ({"reasons": ["good"], "findings": [{"code": "c", "data": {"n": 1}}]}, [("c", {"n": 1}, "good")]),
+        ({"findings": []}, None),
+        ({"reasons": ["good"], "findings": []}, None),
+        ("none", None),
+    ],
+)
+def test_verdicts_of_other_versions_are_read_or_refused(
+    monkeypatch: pytest.MonkeyPatch, verdict: object, expected: list[object] | None
+) -> None:
+    other = Imager("http://127.0.0.1:9")
+    monkeypatch.setattr(other, "calibration", lambda **_: {"verdict": verdict})
+    if expected is None:
+        with pytest.raises(ImagerError, match="cannot be read"):
+            other.verdict()
+    else:
+        assert list(other.verdict()) == expected
 
 
 def test_a_refusal_carries_the_problem_document(imager: Imager, address: str) -> None:

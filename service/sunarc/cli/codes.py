@@ -26,7 +26,8 @@ _HEAD = """# Codes of findings
 
 Verdicts of calibrations and days, conditions in `/readyz` and `/v1/status`, and events carry
 `findings: [{"code", "data"}]`. Those of detections are stored as their sentence (`reason` of a sighting). Codes and
-data are stable; the sentences are not. This page is the output of `sunarc codes`.
+data are stable; the sentences are not. The code of a worker's condition ends with the worker's name
+(`worker_stuck_capture`). This page is the output of `sunarc codes`.
 """
 
 

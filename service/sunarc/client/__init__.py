@@ -3,7 +3,7 @@
 `imager` the requests · `transport` retries.
 """
 
-from sunarc.client.imager import BackProjection, Imager, Located, Projection
+from sunarc.client.imager import BackProjection, Condition, Finding, Imager, Located, Projection
 from sunarc.client.transport import ImagerError
 
-__all__ = ["BackProjection", "Imager", "ImagerError", "Located", "Projection"]
+__all__ = ["BackProjection", "Condition", "Finding", "Imager", "ImagerError", "Located", "Projection"]

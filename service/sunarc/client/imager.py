@@ -73,6 +73,30 @@ class Located(NamedTuple):
     covariance_m2: FloatArray
 
 
+class Finding(NamedTuple):
+    """What was found: a code of docs/codes.md, its numbers and names, and the sentence, which is for people only."""
+
+    code: str
+    data: dict[str, Any]
+    text: str
+
+
+class Condition(NamedTuple):
+    """Why the service is degraded or not ready.
+
+    code : of docs/codes.md; of a worker's condition it ends with the worker's name.
+    severity : "degraded" or "not_ready".
+    data : its numbers and names.
+    text, remedy : the sentence, and what to do ("none": nothing).
+    """
+
+    code: str
+    severity: str
+    data: dict[str, Any]
+    text: str
+    remedy: str
+
+
 class Imager:
     """An imager's service. Times are aware datetimes; without one, the answer is for now.
 
@@ -147,16 +171,36 @@ class Imager:
         radius = None if sun_radius_deg is None else repr(float(sun_radius_deg))
         query = {"format": "npz", "at": _time(at), "sun_radius_deg": radius}
         content, _ = self._transport.ask(f"{self._prefix}/back-projection-map", query)
-        with _as_asked_for(), np.load(io.BytesIO(content), allow_pickle=False) as found:
+        with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
 
     def sun(self, *, at: datetime | None = None) -> dict[str, Any]:
         """Return where the sun is, and on which pixel."""
         return self._json("/sun", at)
 
+    def conditions(self) -> tuple[Condition, ...]:
+        """Return why the service is degraded or not ready; empty when it is ready. Select by code."""
+        content, _ = self._transport.ask("/v1/status", {})
+        with _expected_content():
+            status = json.loads(content)
+            data = {finding["code"]: finding["data"] for finding in status["findings"]}
+            return tuple(
+                Condition(one["code"], one["severity"], data.get(one["code"], {}), one["text"], one["remedy"])
+                for one in status["reasons"]
+            )
+
+    def verdict(self, *, at: datetime | None = None) -> tuple[Finding, ...]:
+        """Return the findings of the calibration's verdict. Select by code."""
+        document = self.calibration(at=at)
+        with _expected_content():
+            verdict = document["verdict"]
+            uncoded = [{"code": "uncoded", "data": {"text": text}} for text in verdict["reasons"]]  # version 0.2
+            pairs = zip(verdict.get("findings", uncoded), verdict["reasons"], strict=True)
+            return tuple(Finding(finding["code"], finding["data"], text) for finding, text in pairs)
+
     def _json(self, path: str, at: datetime | None) -> dict[str, Any]:
         content, _ = self._transport.ask(f"{self._prefix}{path}", {"at": _time(at)})
-        with _as_asked_for():
+        with _expected_content():
             columns: dict[str, Any] = json.loads(content)
         return columns
 
@@ -171,7 +215,7 @@ class Imager:
         content, headers = self._transport.ask(
             f"{self._prefix}{path}", {"at": _time(at)}, body=stream.getvalue(), media_type=_NPY
         )
-        with _as_asked_for():
+        with _expected_content():
             rows = np.asarray(np.load(io.BytesIO(content), allow_pickle=False), dtype=np.float64)
             calibration = headers["Sunarc-Calibration"]
             if calibration is None:
@@ -180,11 +224,11 @@ class Imager:
 
 
 @contextmanager
-def _as_asked_for() -> Iterator[None]:
+def _expected_content() -> Iterator[None]:
     """Raise ImagerError where content is of another kind than was asked for, as a proxy's page."""
     try:
         yield
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ImagerError(f"the answer cannot be read: {error}; check the address", status=200) from None
 
 

@@ -1,11 +1,11 @@
 // The days as a calendar of verdicts: weeks as rows, a sign in every day, its reasons on demand.
-import { $, node, telling } from "./draw.js";
+import { $, node, sentences, telling } from "./draw.js";
 
 const SIGNS = { clear: "☀", partly: "◐", cloudy: "☁", unusable: "✕" };
 const WEEK = ["Mo", "Tu", "We", "Th", "Fr", "Sa", "Su"];
 const DAY_MS = 86400000;
 const MOST_WEEKS = 26;
-const known = { days: new Map(), drawn: "", chosen: null };
+const known = { days: new Map(), drawn: "", selected: null };
 
 export function drawCalendar(days, today) {
   known.days = new Map(days.map((day) => [day.date, day]));
@@ -21,7 +21,7 @@ export function drawCalendar(days, today) {
     return item;
   }));
   $("calendar").replaceChildren(table(days, now));
-  tell(known.chosen ?? days[0]?.date);
+  show(known.selected ?? days[0]?.date);
 }
 
 function table(days, now) {
@@ -58,21 +58,24 @@ function cell(date, now) {
   button.type = "button";
   button.dataset.date = date;
   button.setAttribute("aria-label", `${date}: ${day.verdict}`);
-  button.addEventListener("click", () => tell(date));
+  button.addEventListener("click", () => show(date));
   td.append(button);
   return td;
 }
 
 // A bracket makes several sightings in one cycle: only cycles can be counted against cycles.
-function seen(day) {
+function observed(day) {
   return day.n_cycles === null ? `${day.n} sightings` : `sun seen in ${day.n_cycles} of ${day.n_possible} cycles`;
 }
 
-function tell(date) {
-  known.chosen = date ?? null;
+function show(date) {
+  known.selected = date ?? null;
   const day = known.days.get(date);
   for (const button of $("calendar").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.date === date));
-  $("day").textContent = day
-    ? `${day.date}: ${day.verdict}; ${seen(day)}${day.sd_px === null ? "" : `, scatter ${telling(day.sd_px)} px`}. ${day.reasons.join("; ")}.`
-    : "No day has ended yet.";
+  if (!day) {
+    $("day").textContent = "No day has ended yet.";
+    return;
+  }
+  const scatter = day.sd_px === null ? "" : `, scatter ${telling(day.sd_px)} px`;
+  $("day").replaceChildren(`${day.date}: ${day.verdict}; ${observed(day)}${scatter}. `, sentences(day.reasons, day.findings), ".");
 }

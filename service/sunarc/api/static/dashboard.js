@@ -1,13 +1,15 @@
 // The dashboard: asks the API, draws what it says, and asks again.
 import { ask, keepToken, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
-import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, telling } from "./draw.js";
+import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
 import { drawResiduals } from "./residuals.js";
 import { drawSigma } from "./sigma.js";
 import { drawSky, showImage } from "./sky.js";
 
 const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
-const TOLD_ELSEWHERE = ["health", "reasons", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
+const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
+const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
+const NO_ACTION = "none"; // as docs/codes.md has it
 const known = { status: null, points: [], overlay: null, calibration: undefined, date: null };
 
 function showHealth(health, headline) {
@@ -26,20 +28,26 @@ async function refreshStatus() {
   $("camera-name").textContent = `· ${status.camera_name}`;
   $("version").textContent = `sunarc ${status.version}`;
   const c = status.calibration;
-  const sure = c ? `calibrated to ${telling(c.rmse_px, " px")} RMSE, the sky known to ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
-  showHealth(status.health, `${sure} · ${status.last_sighting_at ? `sun last seen ${ago(status.last_sighting_at, status.frame_time)}` : "sun not seen yet"}`);
-  $("reasons").replaceChildren(...status.reasons.map((reason) => {
-    const item = node("li");
-    item.dataset.severity = reason.severity;
-    item.append(node("b", `${reason.severity === "not_ready" ? "✕" : "!"} ${reason.text}.`), node("span", `Remedy: ${reason.remedy}.`));
-    return item;
-  }));
+  const quality = c ? `calibration RMSE ${telling(c.rmse_px, " px")}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
+  showHealth(status.health, `${quality} · ${status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet"}`);
+  $("reasons").replaceChildren(...status.reasons.map(condition));
   fillRows("workers", status.workers.map((w) => [
     w.name, judged(w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
   ]), "No worker has started.");
   fillFacts("facts", factsOf(status));
   fillFacts("more-facts", moreFactsOf(status));
   await showImage(status);
+}
+
+// A condition: what is the case, what to do where there is something to do, and the code under which it is documented.
+function condition({ code, severity, text, remedy }) {
+  const item = node("li");
+  item.dataset.code = code;
+  item.dataset.severity = severity;
+  item.append(node("b", `${CONDITION_SIGNS[severity]} ${text}.`));
+  if (remedy !== NO_ACTION) item.append(node("span", `What to do: ${remedy}. `, "action"));
+  item.append(node("code", code));
+  return item;
 }
 
 function factsOf(status) {
@@ -57,15 +65,15 @@ function factsOf(status) {
 
 function moreFactsOf(status) {
   const facts = {};
-  const told = [...TOLD_ELSEWHERE, "camera", "clock", "last_frame_at", "last_sighting_at", "disk_free_bytes", "started_at"];
-  for (const [name, value] of Object.entries(status)) if (!told.includes(name) && value !== null) addFact(facts, name, value);
+  const shown = [...SHOWN_ELSEWHERE, "camera", "clock", "last_frame_at", "last_sighting_at", "disk_free_bytes", "started_at"];
+  for (const [name, value] of Object.entries(status)) if (!shown.includes(name) && value !== null) addFact(facts, name, value);
   return facts;
 }
 
 const bytes = (count) => (count >= 1e9 ? `${telling(count / 1e9)} GB` : `${telling(count / 1e6)} MB`);
 const UNITS = { bytes: (v) => bytes(v), fraction: (v) => `${telling(v * 100)} %`, percent: (v) => `${telling(v)} %`, s: (v) => `${telling(v)} s`, ms: (v) => `${telling(v)} ms`, us: (v) => `${telling(v)} µs`, days: (v) => `${telling(v)} days` };
 
-// Whatever else the service tells about itself: its name says the unit.
+// Every other field of the status: its name ends with the unit.
 function addFact(facts, name, value) {
   if (value === null || (Array.isArray(value) && !value.length)) return;
   if (typeof value === "object" && !Array.isArray(value)) {
@@ -94,7 +102,7 @@ async function refreshSky() {
   fillFacts("sun", {
     Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
     "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px)}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
-    "Last seen at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px)} (${moment(last.time)})` : "not yet",
+    "Last sighting at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px)} (${moment(last.time)})` : "not yet",
   });
 }
 
@@ -109,16 +117,16 @@ async function refreshRecord() {
   const [days, calibrations, events] = await Promise.all([ask("/v1/days?limit=182"), ask("/v1/calibrations?limit=50"), ask("/v1/events?limit=50")]);
   drawCalendar(days.days, known.status?.frame_time);
   fillRows("calibrations", calibrations.calibrations.map((c) => [
-    judged(c.state), moment(c.created_at), telling(c.rmse_px, " px"), telling(c.sky_rms_deg, "°"), moment(c.valid_from), because(c),
+    judged(c.state), moment(c.created_at), telling(c.rmse_px, " px"), telling(c.sky_rms_deg, "°"), moment(c.valid_from), findingsOf(c),
   ]), "None yet: the first one follows the first clear day.");
-  fillRows("events", events.events.map((event) => [moment(event.time), judged(event.severity), event.text]), "Nothing has happened yet.");
+  fillRows("events", events.events.map((event) => [moment(event.time), judged(event.severity), sentences([event.text], event.findings)]), "No events yet.");
 }
 
-function because(calibration) {
+function findingsOf(calibration) {
   const cell = document.createElement("span");
   const link = node("a", calibration.id);
   link.href = `/v1/calibrations/${encodeURIComponent(calibration.id)}`;
-  cell.append(`${calibration.pinned ? "pinned; " : ""}${calibration.reasons.join("; ")} (`, link, ")");
+  cell.append(calibration.pinned ? "pinned; " : "", sentences(calibration.reasons, calibration.findings), " (", link, ")");
   return cell;
 }
 

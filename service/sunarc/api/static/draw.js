@@ -44,6 +44,17 @@ export function judged(word) {
   return made;
 }
 
+// Findings as their sentences; each element carries the code.
+export function sentences(texts, findings) {
+  const all = document.createDocumentFragment();
+  texts.forEach((text, k) => {
+    const one = node("span", text);
+    one.dataset.code = one.title = findings[k].code;
+    all.append(k ? "; " : "", one);
+  });
+  return all;
+}
+
 export function fillRows(id, rows, empty) {
   const body = $(id).tBodies[0];
   body.replaceChildren(...rows.map((cells) => {

@@ -1,22 +1,22 @@
-// The map of 1-sigma: cells over the image, light where sure, dark where not (and the other way round on dark ground).
+// The map of 1-sigma: cells over the image, light where it is small, dark where it is large (reversed on dark ground).
 import { $, element, label, node, path, telling } from "./draw.js";
 import { compass } from "./sky.js";
 
 const SHADES = 6;
 
-export function drawSigma(told, overlay, size) {
-  $("sigma").toggleAttribute("hidden", !told);
-  if (!told) {
+export function drawSigma(map, overlay, size) {
+  $("sigma").toggleAttribute("hidden", !map);
+  if (!map) {
     $("sigma-sum").textContent = "No calibration yet.";
     $("sigma-scale").replaceChildren();
     return;
   }
-  const values = told.sigma_deg.flat().filter((value) => value !== null).sort((a, b) => a - b);
+  const values = map.sigma_deg.flat().filter((value) => value !== null).sort((a, b) => a - b);
   const at = (share) => values[Math.min(values.length - 1, Math.floor(share * values.length))];
   const edges = [...Array(SHADES + 1).keys()].map((k) => (k === SHADES ? values.at(-1) : at(k / SHADES)));
   const shade = (value) => { const k = edges.findIndex((edge, n) => n > 0 && value <= edge); return (k < 1 ? SHADES : k) - 1; };
-  $("sigma-sum").textContent = `1-sigma per axis of view directions, degrees: ${telling(values[0])} at best, ${telling(at(0.5))} in the middle, ${telling(values.at(-1))} at worst.`;
-  draw(told, overlay, size ?? [1, 1], shade);
+  $("sigma-sum").textContent = `1-sigma per axis of view directions, degrees: ${telling(values[0])} at best, median ${telling(at(0.5))}, ${telling(values.at(-1))} at worst.`;
+  draw(map, overlay, size ?? [1, 1], shade);
   $("sigma-scale").replaceChildren(...[...Array(SHADES).keys()].map((k) => {
     const item = node("span", `≤ ${telling(edges[k + 1])}°`);
     const key = element("svg", { viewBox: "0 0 10 10", "aria-hidden": "true" });
@@ -26,13 +26,13 @@ export function drawSigma(told, overlay, size) {
   }));
 }
 
-function draw(told, overlay, [width, height], shade) {
+function draw(map, overlay, [width, height], shade) {
   const plot = $("sigma");
   plot.setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
-  const step = told.x_px[1] - told.x_px[0];
+  const step = map.x_px[1] - map.x_px[0];
   const cells = Array.from({ length: SHADES }, () => "");
-  told.sigma_deg.forEach((row, n) => row.forEach((value, m) => {
-    if (value !== null) cells[shade(value)] += `M${told.x_px[m] - step / 2} ${told.y_px[n] - step / 2}h${step}v${step}h${-step}z`;
+  map.sigma_deg.forEach((row, n) => row.forEach((value, m) => {
+    if (value !== null) cells[shade(value)] += `M${map.x_px[m] - step / 2} ${map.y_px[n] - step / 2}h${step}v${step}h${-step}z`;
   }));
   const parts = cells.map((d, k) => element("path", { class: `shade-${k}`, d }));
   for (const circle of overlay?.zenith_circles ?? []) parts.push(element("path", { class: "over", d: path(circle.pixels) }));
