@@ -111,7 +111,7 @@ def test_faults_of_other_lines_have_stacks_of_their_own_and_the_memory_of_them_i
         for kind in kinds:
             log.record(kind(), request="GET /", now_s=0.0)
     assert sum(bool(record.exc_info) for record in caplog.records) == 300
-    assert len(log._known) == 256
+    assert len(log._kinds) == 256
 
 
 def test_a_fault_is_one_answer_with_the_name_that_the_log_has(

@@ -37,7 +37,7 @@ def test_the_memory_of_clients_is_bounded() -> None:
     allowances = TokenBuckets(per_s=1.0, burst=1)
     for number in range(20_000):
         allowances.take(str(number), 1.0, now_s=0.0)
-    assert len(allowances._left) == 4096
+    assert len(allowances._buckets) == 4096
     assert allowances.take("19999", 1.0, now_s=0.0) > 0.0
 
 

@@ -1,4 +1,4 @@
-"""Places and memory are shared among addresses; who holds the most gives way."""
+"""Slots and memory are shared among addresses; who holds the most gives way."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sunarc.api.compute_slots import Places
+from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import RefusedError
 
@@ -25,11 +25,11 @@ async def settle() -> None:
 
 def test_no_more_are_computed_at_once_than_there_are_places() -> None:
     async def scenario() -> None:
-        places, running, most = Places(3), 0, 0
+        slots, running, most = ComputeSlots(3), 0, 0
 
         async def computing(client: str) -> None:
             nonlocal running, most
-            async with places.place(client):
+            async with slots.slot(client):
                 running += 1
                 most = max(most, running)
                 await asyncio.sleep(0)
@@ -43,10 +43,10 @@ def test_no_more_are_computed_at_once_than_there_are_places() -> None:
 
 def test_addresses_that_wait_take_turns() -> None:
     async def scenario() -> None:
-        places, order, go = Places(1), [], asyncio.Event()
+        slots, order, go = ComputeSlots(1), [], asyncio.Event()
 
         async def computing(client: str) -> None:
-            async with places.place(client):
+            async with slots.slot(client):
                 await go.wait()
                 order.append(client)
 
@@ -61,11 +61,11 @@ def test_addresses_that_wait_take_turns() -> None:
 
 def test_of_an_address_no_more_wait_than_there_are_places_and_another_still_may() -> None:
     async def scenario() -> None:
-        places, go = Places(2), asyncio.Event()
+        slots, go = ComputeSlots(2), asyncio.Event()
 
         async def computing(client: str) -> None:
-            places.require_room(client)
-            async with places.place(client):
+            slots.require_room(client)
+            async with slots.slot(client):
                 await go.wait()
 
         tasks = []
@@ -73,9 +73,9 @@ def test_of_an_address_no_more_wait_than_there_are_places_and_another_still_may(
             tasks.append(asyncio.create_task(computing("a")))
             await settle()
         with pytest.raises(RefusedError) as refused:
-            places.require_room("a")
+            slots.require_room("a")
         assert (refused.value.status, refused.value.headers) == (429, {"retry-after": "1"})
-        places.require_room("b")
+        slots.require_room("b")
         go.set()
         await asyncio.gather(*tasks)
 
@@ -84,10 +84,10 @@ def test_of_an_address_no_more_wait_than_there_are_places_and_another_still_may(
 
 def test_who_goes_away_while_waiting_leaves_no_place_taken() -> None:
     async def scenario() -> None:
-        places = Places(1)
+        slots = ComputeSlots(1)
 
         async def computing() -> None:
-            async with places.place("a"):
+            async with slots.slot("a"):
                 await asyncio.sleep(3600.0)
 
         tasks = [asyncio.create_task(computing()) for _ in range(5)]
@@ -95,7 +95,7 @@ def test_who_goes_away_while_waiting_leaves_no_place_taken() -> None:
         for task in tasks:
             task.cancel()
             await settle()
-        async with places.place("b"):
+        async with slots.slot("b"):
             assert all(task.cancelled() for task in tasks)
 
     run(scenario())

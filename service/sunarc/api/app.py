@@ -15,7 +15,7 @@ from starlette.staticfiles import StaticFiles
 
 import sunarc
 from sunarc.api.arrays import MOST_BYTES_AHEAD
-from sunarc.api.compute_slots import Places
+from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlightCache
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
@@ -78,7 +78,7 @@ def create_app(
     options : limits and the token.
     registry : where Prometheus's numbers are registered; a new one by default.
     """
-    served = ApiContext(
+    context = ApiContext(
         archive=archive,
         sites=DaySites(archive),
         ready=SingleFlightCache(
@@ -95,22 +95,22 @@ def create_app(
         token=read_token(options.token_file, setting="api.token_file"),
     )
     numbers = registry or CollectorRegistry()
-    numbers.register(StatusCollector(served))
+    numbers.register(StatusCollector(context))
     app = FastAPI(title="sunarc", version=sunarc.__version__, docs_url=None, redoc_url=None)
-    _add_camera_routes(app, served)
-    app.include_router(camera_routes(served))
-    app.include_router(health_routes(served, numbers))
+    _add_camera_routes(app, context)
+    app.include_router(camera_routes(context))
+    app.include_router(health_routes(context, numbers))
     _add_dashboard(app)
     faults = FaultLog()
     add_problem_handlers(app, faults)
     describe(app)
-    _add_guards(app, served, faults)
+    _add_guards(app, context, faults)
     return app
 
 
-def _add_guards(app: FastAPI, served: ApiContext, faults: FaultLog) -> None:
+def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
     """Put what every request passes before the application, the innermost first."""
-    options = served.options
+    options = context.options
     app.add_middleware(
         GZipMiddleware,
         minimum_size=_WORTH_COMPRESSING_BYTES,
@@ -126,7 +126,7 @@ def _add_guards(app: FastAPI, served: ApiContext, faults: FaultLog) -> None:
         holdings=Holdings(options.max_large_at_once * (options.max_array_bytes + MOST_BYTES_AHEAD)),
     )
     reading = read_token(options.read_token_file, setting="api.read_token_file")
-    tokens = tuple(token for token in (reading, served.token) if token is not None)
+    tokens = tuple(token for token in (reading, context.token) if token is not None)
     if reading is not None:
         app.add_middleware(ReadTokenMiddleware, tokens=tokens)
     app.add_middleware(RateLimit, per_s=options.requests_per_s, burst=options.burst, tokens=tokens)
@@ -143,20 +143,20 @@ def _add_guards(app: FastAPI, served: ApiContext, faults: FaultLog) -> None:
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 
 
-def _add_camera_routes(app: FastAPI, served: ApiContext) -> None:
+def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
     """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
-    places = Places(served.options.max_large_at_once)
+    slots = ComputeSlots(context.options.max_large_at_once)
     for of_camera in (
-        calibration_routes(served),
-        decision_routes(served),
-        direction_routes(served, places),
-        map_routes(served),
-        geolocation_routes(served, places),
-        sun_routes(served),
-        overlay_routes(served),
-        record_routes(served),
-        day_air_routes(served),
-        refit_routes(served),
+        calibration_routes(context),
+        decision_routes(context),
+        direction_routes(context, slots),
+        map_routes(context),
+        geolocation_routes(context, slots),
+        sun_routes(context),
+        overlay_routes(context),
+        record_routes(context),
+        day_air_routes(context),
+        refit_routes(context),
     ):
         app.include_router(of_camera, prefix=CAMERA_PREFIX)
 

@@ -55,8 +55,8 @@ def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
         raise InputError(field="body", problem=f"holds {kind} of shape {header.shape} in {order} order", remedy=_REMEDY)
     count, width = header.shape
     if width not in columns:
-        wanted = " or ".join(str(number) for number in columns)
-        raise InputError(field="body", problem=f"has {width} columns", remedy=f"give {wanted} columns")
+        widths = " or ".join(str(number) for number in columns)
+        raise InputError(field="body", problem=f"has {width} columns", remedy=f"give {widths} columns")
     require_few(count, most=most, field="body")
     content = memoryview(body)[header.offset :]
     if len(content) != count * width * dtype.itemsize:
@@ -81,7 +81,7 @@ class PartsResponse(Response):
     parts : each makes one.
     length : of all together, bytes.
     media_type, headers : to send along.
-    place : gives each part a place to be made at.
+    slot : gives each part a place to be made at.
     """
 
     def __init__(
@@ -91,9 +91,9 @@ class PartsResponse(Response):
         length: int,
         media_type: str,
         headers: dict[str, str],
-        place: Callable[[], AbstractAsyncContextManager[None]],
+        slot: Callable[[], AbstractAsyncContextManager[None]],
     ) -> None:
-        self._parts, self._place = parts, place
+        self._parts, self._slot = parts, slot
         self.status_code, self.background, self.media_type = 200, None, media_type
         self.init_headers(headers | {"content-length": str(length)})
 
@@ -118,7 +118,7 @@ class PartsResponse(Response):
                 task.cancel()
 
     async def _make(self, part: Callable[[], bytes | memoryview]) -> bytes | memoryview:
-        async with self._place():
+        async with self._slot():
             return await run_in_threadpool(part)
 
 
@@ -163,7 +163,7 @@ def rows_response(
     *,
     width: int,
     headers: dict[str, str],
-    place: Callable[[], AbstractAsyncContextManager[None]],
+    slot: Callable[[], AbstractAsyncContextManager[None]],
 ) -> PartsResponse:
     """Answer rows with rows (n, `width`), as a .npy file that is computed while it is being sent."""
     start = _header(rows.dtype, (rows.shape[0], width))
@@ -177,7 +177,7 @@ def rows_response(
         length=len(start) + rows.shape[0] * width * rows.dtype.itemsize,
         media_type=NPY,
         headers=headers,
-        place=place,
+        slot=slot,
     )
 
 

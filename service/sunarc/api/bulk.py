@@ -18,7 +18,7 @@ from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
-from sunarc.api.compute_slots import Places
+from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
@@ -26,7 +26,7 @@ from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
 from sunarc.calibration import Lookup
 
-Asked = TypeVar("Asked", bound=BaseModel)
+RequestModel = TypeVar("RequestModel", bound=BaseModel)
 
 _JSON = "application/json"
 _SMALL_BYTES = 4096
@@ -40,16 +40,16 @@ class Answering:
 
     Attributes
     ----------
-    served : of the camera that was asked for.
+    context : of the camera that was asked for.
     record : its calibration.
     ready : made ready.
-    moment : that was asked for; now by the frames' time where none was.
+    time : that was asked for; now by the frames' time where none was.
     """
 
-    served: ApiContext
+    context: ApiContext
     record: CalibrationRecord
     ready: Lookup
-    moment: datetime
+    time: datetime
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +62,7 @@ class Computation:
     columns : how many columns the rows may have.
     answer : returns the answer's rows for the request's rows.
     answer_columns : names of the answer's columns.
-    tell : returns the answer's rows as a JSON object.
+    as_json : returns the answer's rows as a JSON object.
     double : answer in double precision whatever the question has.
     """
 
@@ -70,35 +70,35 @@ class Computation:
     columns: tuple[int, ...]
     answer: Callable[[Answering, Rows], Rows]
     answer_columns: tuple[str, ...]
-    tell: Callable[[Answering, Rows], dict[str, Any]]
+    as_json: Callable[[Answering, Rows], dict[str, Any]]
     double: bool = False
 
 
 async def compute(
-    computation: Computation, served: ApiContext, places: Places, request: Request, at: datetime | None
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, at: datetime | None
 ) -> Response:
     """Answer a request in kind: JSON with JSON, .npy with .npy."""
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
     if media_type == NPY:
-        return await _rows(computation, served, places, request, at)
+        return await _rows(computation, context, slots, request, at)
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
         ours_now = at is None and not request.path_params["camera"]
-        if ours_now and served.ready.known(served.record_or_none(None)) is not None:
-            return _json(computation, served, request, body, at)
-        return await run_in_threadpool(_json, computation, served, request, body, at)
+        if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
+            return _json(computation, context, request, body, at)
+        return await run_in_threadpool(_json, computation, context, request, body, at)
     client = client_network(request.scope)
-    places.require_room(client)
-    async with places.place(client):
-        answer = await run_in_threadpool(_json, computation, served, request, body, at)
+    slots.require_room(client)
+    async with slots.slot(client):
+        answer = await run_in_threadpool(_json, computation, context, request, body, at)
     request.state.holding.grow(len(answer.body))
     return answer
 
 
-def read_asked(model: type[Asked], body: bytes) -> Asked:
+def parsed_body(model: type[RequestModel], body: bytes) -> RequestModel:
     """Return what a JSON body asks; RequestValidationError, as FastAPI's own, where it is not of the model."""
     try:
         return model.model_validate_json(body)
@@ -123,10 +123,12 @@ def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
 
 
-def _json(computation: Computation, served: ApiContext, request: Request, body: bytes, at: datetime | None) -> Response:
-    rows = computation.read(body, served.options.max_points)
-    answering = _answering(served, request, at)
-    answer_columns = {"calibration": answering.record.id} | computation.tell(
+def _json(
+    computation: Computation, context: ApiContext, request: Request, body: bytes, at: datetime | None
+) -> Response:
+    rows = computation.read(body, context.options.max_points)
+    answering = _answering(context, request, at)
+    answer_columns = {"calibration": answering.record.id} | computation.as_json(
         answering, computation.answer(answering, rows)
     )
     content = to_json(answer_columns, inf_nan_mode="null")
@@ -134,25 +136,27 @@ def _json(computation: Computation, served: ApiContext, request: Request, body: 
 
 
 async def _rows(
-    computation: Computation, served: ApiContext, places: Places, request: Request, at: datetime | None
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, at: datetime | None
 ) -> Response:
     client = client_network(request.scope)
-    places.require_room(client)
-    rows = read_rows(await request.body(), columns=computation.columns, most=served.options.max_rows)
+    slots.require_room(client)
+    rows = read_rows(await request.body(), columns=computation.columns, most=context.options.max_rows)
     rows = rows.astype(np.float64) if computation.double else rows
     width = len(computation.answer_columns)
     request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
-    answering = await run_in_threadpool(_answering, served, request, at)
+    answering = await run_in_threadpool(_answering, context, request, at)
     return rows_response(
         rows,
         partial(computation.answer, answering),
         width=width,
         headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.answer_columns)},
-        place=partial(places.place, client),
+        slot=partial(slots.slot, client),
     )
 
 
-def _answering(served: ApiContext, request: Request, at: datetime | None) -> Answering:
-    chosen = served.of(request)
-    record = chosen.record(at)
-    return Answering(served=chosen, record=record, ready=chosen.ready.get(record), moment=at or chosen.frame_clock())
+def _answering(context: ApiContext, request: Request, at: datetime | None) -> Answering:
+    selected = context.of(request)
+    record = selected.record(at)
+    return Answering(
+        context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
+    )

@@ -1,4 +1,4 @@
-"""Places for large computations: few at a time, by turns among addresses."""
+"""Slots for large computations: few at a time, by turns among addresses."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from http import HTTPStatus
 from sunarc.api.problems import Fault, RefusedError
 
 
-class Places:
+class ComputeSlots:
     """Lets so many large computations run at once, so that the processors are shared; the others wait.
 
-    A place is taken when all that is computed on is there, and left when the numbers are: not while a request is being
+    A slot is taken when all that is computed on is there, and left when the numbers are: not while a request is being
     sent, nor while its answer is being read. Addresses that wait take turns.
 
     Parameters
@@ -34,8 +34,8 @@ class Places:
             raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
 
     @asynccontextmanager
-    async def place(self, client: str | None) -> AsyncIterator[None]:
-        """Wait for a place, and hold it. On the event loop alone."""
+    async def slot(self, client: str | None) -> AsyncIterator[None]:
+        """Wait for a slot, and hold it. On the event loop alone."""
         await self._take(client)
         try:
             yield
@@ -46,23 +46,23 @@ class Places:
         if self._free:
             self._free -= 1
             return
-        turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.setdefault(client, deque()).append(turn)
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(client, deque()).append(waiter)
         try:
-            await turn
+            await waiter
         except asyncio.CancelledError:
-            if turn.done() and not turn.cancelled():
-                self._leave()  # it was handed a place in the same moment
+            if waiter.done() and not waiter.cancelled():
+                self._leave()  # it was handed a slot in the same moment
             raise
 
     def _leave(self) -> None:
-        """Hand the place to the address whose turn it is."""
+        """Hand the slot to the address whose turn it is."""
         while self._waiting:
-            client, turns = self._waiting.popitem(last=False)
-            turn = turns.popleft()
-            if turns:
-                self._waiting[client] = turns
-            if not turn.done():
-                turn.set_result(None)
+            client, waiters = self._waiting.popitem(last=False)
+            waiter = waiters.popleft()
+            if waiters:
+                self._waiting[client] = waiters
+            if not waiter.done():
+                waiter.set_result(None)
                 return
         self._free += 1

@@ -20,11 +20,11 @@ from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
 
-_MOST_KEPT = 8
+_CACHE_SIZE = 8
 CAMERA_PREFIX = "/v1{camera:of_camera}"
 """Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
 
-Asked = TypeVar("Asked")
+Input = TypeVar("Input")
 Value = TypeVar("Value")
 
 
@@ -43,7 +43,7 @@ class _OfCamera(Convertor[str]):
 register_url_convertor("of_camera", _OfCamera())
 
 
-class SingleFlightCache(Generic[Asked, Value]):
+class SingleFlightCache(Generic[Input, Value]):
     """What was made of what was asked for lately: made once, however many ask at the same time.
 
     Parameters
@@ -53,25 +53,25 @@ class SingleFlightCache(Generic[Asked, Value]):
     most : so many are kept.
     """
 
-    def __init__(self, make: Callable[[Asked], Value], *, key: Callable[[Asked], str], most: int = _MOST_KEPT) -> None:
+    def __init__(self, make: Callable[[Input], Value], *, key: Callable[[Input], str], most: int = _CACHE_SIZE) -> None:
         self._make, self._most, self._key = make, most, key
-        self._turn = threading.Lock()
-        self._kept: OrderedDict[str, Value] = OrderedDict()
+        self._lock = threading.Lock()
+        self._cache: OrderedDict[str, Value] = OrderedDict()
 
-    def known(self, asked: Asked | None) -> Value | None:
+    def cached_value(self, requested: Input | None) -> Value | None:
         """Return what is there already, at once."""
-        return None if asked is None else self._kept.get(self._key(asked))
+        return None if requested is None else self._cache.get(self._key(requested))
 
-    def get(self, asked: Asked) -> Value:
+    def get(self, requested: Input) -> Value:
         """Return what is asked for; it may have to be made."""
-        key = self._key(asked)
-        with self._turn:
-            found = self._kept.get(key)
+        key = self._key(requested)
+        with self._lock:
+            found = self._cache.get(key)
             if found is None:
-                found = self._kept[key] = self._make(asked)
-            self._kept.move_to_end(key)
-            while len(self._kept) > self._most:
-                self._kept.popitem(last=False)
+                found = self._cache[key] = self._make(requested)
+            self._cache.move_to_end(key)
+            while len(self._cache) > self._most:
+                self._cache.popitem(last=False)
             return found
 
 
@@ -85,15 +85,15 @@ class DaySites:
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
-        self._known: dict[str, tuple[int, date, Site]] = {}
+        self._sites: dict[str, tuple[int, date, Site]] = {}
 
     def get(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site in the measured air of a solar day."""
         revision = self._archive.revision()
-        kept = self._known.get(camera)
-        if kept is None or kept[:2] != (revision, day):
-            kept = self._known[camera] = (revision, day, self._archive.site_on(camera, site, day))
-        return kept[2]
+        cached = self._sites.get(camera)
+        if cached is None or cached[:2] != (revision, day):
+            cached = self._sites[camera] = (revision, day, self._archive.site_on(camera, site, day))
+        return cached[2]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,15 +119,15 @@ class ApiContext:
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
-        known = next((camera for camera in self.archive.cameras() if camera.name == name), None)
-        if known is None:
+        record = next((camera for camera in self.archive.cameras() if camera.name == name), None)
+        if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
-        site = Site(latitude=known.latitude, longitude=known.longitude, altitude=known.altitude)
+        site = Site(latitude=record.latitude, longitude=record.longitude, altitude=record.altitude)
         return replace(self, camera=name, site=site, latest_image=lambda: None, request_refit=_refuse_refit)
 
-    def site_at(self, moment: datetime) -> Site:
+    def site_at(self, time: datetime) -> Site:
         """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""
-        return self.site_on(solar_date(moment.timestamp(), longitude=self.site.longitude))
+        return self.site_on(solar_date(time.timestamp(), longitude=self.site.longitude))
 
     def site_on(self, day: date) -> Site:
         """Return the site in the measured air of a solar day, in its own where nothing was measured."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 _log = logging.getLogger(__name__)
 _WINDOW_S = 300.0  # as long as the log's own filter holds repeats back
-_MAX_KNOWN = 256
+_MAX_KINDS = 256
 
 
 @dataclass(slots=True)
-class _Known:
+class _Kind:
     """When a fault was last logged, and how often it has come since."""
 
     logged_at_s: float
@@ -30,7 +30,7 @@ class FaultLog:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._known: OrderedDict[str, _Known] = OrderedDict()
+        self._kinds: OrderedDict[str, _Kind] = OrderedDict()
 
     def record(self, error: BaseException, *, request: str, now_s: float) -> str:
         """Log a fault, or count it; return its name, which the answer and the log share.
@@ -41,27 +41,27 @@ class FaultLog:
         request : method and path.
         now_s : seconds that never jump.
         """
-        name, place = _identify(error)
+        name, location = _identify(error)
         with self._lock:
-            known = self._known.get(name)
-            if known is not None and now_s - known.logged_at_s < _WINDOW_S:
-                known.unlogged += 1
+            kind = self._kinds.get(name)
+            if kind is not None and now_s - kind.logged_at_s < _WINDOW_S:
+                kind.unlogged += 1
                 return name
-            self._known[name] = _Known(now_s)
-            self._known.move_to_end(name)
-            if len(self._known) > _MAX_KNOWN:
-                self._known.popitem(last=False)
-        if known is None:
-            _log.error("fault %s: %s failed at %s", name, request, place, exc_info=error)
+            self._kinds[name] = _Kind(now_s)
+            self._kinds.move_to_end(name)
+            if len(self._kinds) > _MAX_KINDS:
+                self._kinds.popitem(last=False)
+        if kind is None:
+            _log.error("fault %s: %s failed at %s", name, request, location, exc_info=error)
         else:
             again = "fault %s again: %s failed at %s: %s (%d more since it was last logged)"
-            _log.error(again, name, request, place, type(error).__name__, known.unlogged)
+            _log.error(again, name, request, location, type(error).__name__, kind.unlogged)
         return name
 
 
 def _identify(error: BaseException) -> tuple[str, str]:
     """Return a fault's name, and the line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown line"
-    kind = f"{type(error).__module__}.{type(error).__qualname__} {place}"
-    return hashlib.sha256(kind.encode()).hexdigest()[:8], place
+    location = f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown line"
+    identity = f"{type(error).__module__}.{type(error).__qualname__} {location}"
+    return hashlib.sha256(identity.encode()).hexdigest()[:8], location

@@ -232,18 +232,18 @@ def _sends_json(request: Request) -> bool:
 def _http(request: Request, error: Exception) -> JSONResponse:
     if isinstance(error, UnreadError):
         return error.response(request.url.path)
-    known = error if isinstance(error, HTTPException) else HTTPException(500)
-    status, headers = HTTPStatus(known.status_code), known.headers
+    http_error = error if isinstance(error, HTTPException) else HTTPException(500)
+    status, headers = HTTPStatus(http_error.status_code), http_error.headers
     if status == HTTPStatus.METHOD_NOT_ALLOWED and (methods := _methods(request)):
         headers = {"allow": ", ".join(sorted(methods))}
-    return problem_response(status, path=request.url.path, detail=str(known.detail), headers=headers)
+    return problem_response(status, path=request.url.path, detail=str(http_error.detail), headers=headers)
 
 
 def _methods(request: Request) -> set[str]:
     """Return the methods that the described path of a request knows; it may be several routes' together."""
-    asked = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
+    requested_path = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
     described = request.app.openapi()["paths"].items()
-    found = [operations for path, operations in described if compile_path(path)[0].match(asked)]
+    found = [operations for path, operations in described if compile_path(path)[0].match(requested_path)]
     return {method.upper() for operations in found for method in operations}
 
 
@@ -267,13 +267,13 @@ def _ours(request: Request, error: Exception) -> JSONResponse:
 def _fault(error: Mapping[str, Any]) -> Fault:
     kind, message = error["type"], str(error["msg"]).removeprefix("Value error, ")
     return Fault(
-        field="body" if kind == "json_invalid" else _place(error["loc"]),
+        field="body" if kind == "json_invalid" else _location(error["loc"]),
         problem=_PROBLEMS.get(kind, message[:1].lower() + message[1:]),
         remedy=_REMEDIES.get(kind, _REMEDY),
     )
 
 
-def _place(location: Iterable[str | int]) -> str:
+def _location(location: Iterable[str | int]) -> str:
     """Name a place as its sender would: ("body", "pixels", 3, 0) is pixels[3][0]."""
     first, *rest = location
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in rest]

@@ -19,8 +19,8 @@ _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^:\[\]]+)(?::[0-9]{1,5})?")
 
 def host_names(options: ApiOptions) -> frozenset[str]:
     """Return the names that are answered: localhost, the name bound to, the host's own, and those that are set."""
-    own = socket.gethostname()
-    names = ("localhost", options.host, own, own.partition(".")[0], *options.allowed_hosts)
+    host_name = socket.gethostname()
+    names = ("localhost", options.host, host_name, host_name.partition(".")[0], *options.allowed_hosts)
     return frozenset(name.lower().rstrip(".") for name in names if name)
 
 

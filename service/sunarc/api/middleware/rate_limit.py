@@ -37,7 +37,7 @@ class TokenBuckets:
     def __init__(self, *, per_s: float, burst: int) -> None:
         self._per_s = per_s
         self._burst = float(burst)
-        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     def take(self, client: str, price: float, *, now_s: float) -> float:
         """Take from a client's bucket; return the seconds to wait where it holds less than one request, else 0.
@@ -45,20 +45,20 @@ class TokenBuckets:
         A price above what is left makes a debt, which the client waits for: refused for its price, a wrong token
         would be distinguishable from a right one.
         """
-        left = self._filled(client, now_s)
-        enough = left >= 1.0
-        self._left[client] = (left - price if enough else left, now_s)
-        if len(self._left) > _MOST_CLIENTS:
-            self._left.popitem(last=False)
-        return 0.0 if enough else (1.0 - left) / self._per_s
+        tokens = self._filled(client, now_s)
+        enough = tokens >= 1.0
+        self._buckets[client] = (tokens - price if enough else tokens, now_s)
+        if len(self._buckets) > _MOST_CLIENTS:
+            self._buckets.popitem(last=False)
+        return 0.0 if enough else (1.0 - tokens) / self._per_s
 
     def give_back(self, client: str, price: float, *, now_s: float) -> None:
         """Put back what was taken for nothing."""
-        self._left[client] = (min(self._burst, self._filled(client, now_s) + price), now_s)
+        self._buckets[client] = (min(self._burst, self._filled(client, now_s) + price), now_s)
 
     def _filled(self, client: str, now_s: float) -> float:
-        left, at_s = self._left.pop(client, (self._burst, now_s))
-        return min(self._burst, left + (now_s - at_s) * self._per_s)
+        tokens, at_s = self._buckets.pop(client, (self._burst, now_s))
+        return min(self._burst, tokens + (now_s - at_s) * self._per_s)
 
 
 class RateLimit:

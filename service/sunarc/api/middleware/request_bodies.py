@@ -82,7 +82,7 @@ class BodyReader:
             parts.append(part)
             if not message.get("more_body", False):
                 return b"".join(parts)
-            progress.came(len(part))
+            progress.received(len(part))
 
 
 class _Progress:
@@ -95,14 +95,14 @@ class _Progress:
 
     def __init__(self, within_s: float) -> None:
         self._within_s = within_s
-        self._came = 0
+        self._n_received = 0
         self.end_s = asyncio.get_running_loop().time() + within_s
 
-    def came(self, count: int) -> None:
+    def received(self, count: int) -> None:
         """Count bytes; a stretch with enough of them begins anew."""
-        self._came += count
-        if self._came >= self._within_s * MIN_RATE_BYTES_PER_S:
-            self._came, self.end_s = 0, asyncio.get_running_loop().time() + self._within_s
+        self._n_received += count
+        if self._n_received >= self._within_s * MIN_RATE_BYTES_PER_S:
+            self._n_received, self.end_s = 0, asyncio.get_running_loop().time() + self._within_s
 
 
 def _replayed(body: bytes, receive: Receive) -> Receive:

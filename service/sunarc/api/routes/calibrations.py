@@ -44,7 +44,7 @@ _EXPORTED: dict[int | str, dict[str, Any]] = {
 }
 
 
-def calibration_routes(served: ApiContext) -> APIRouter:
+def calibration_routes(context: ApiContext) -> APIRouter:
     """Return the routes that tell calibrations."""
     routes = APIRouter(tags=["calibrations"])
 
@@ -55,14 +55,14 @@ def calibration_routes(served: ApiContext) -> APIRouter:
     def calibration(
         request: Request,
         at: At = None,
-        wanted: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
+        format_: Annotated[Format, Query(alias="format", description="Of the answer (docs/rest.md).")] = "json",
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return the calibration that answers now, or the one that answers for the moment `at`."""
-        record = served.of(request).record(at)
-        return (
-            written.answer(record, if_none_match) if wanted == "json" else _export(record, made, wanted, if_none_match)
-        )
+        record = context.of(request).record(at)
+        if format_ == "json":
+            return written.answer(record, if_none_match)
+        return _export(record, made, format_, if_none_match)
 
     @routes.get("/calibrations", responses=answers(422))
     def calibrations(
@@ -72,15 +72,15 @@ def calibration_routes(served: ApiContext) -> APIRouter:
         cursor: Cursor = None,
     ) -> Calibrations:
         """Return the history, the newest first, refused candidates with their reasons."""
-        chosen, page = served.of(request), page_at(cursor, limit)
-        found = chosen.archive.calibrations(chosen.camera, state=state, until=page.until(None), limit=page.rows)
-        rows, following = page.cut(found, request, time=lambda record: record.created_at)
-        return Calibrations(calibrations=[summary(record) for record in rows], next=following)
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.calibrations(selected.camera, state=state, until=page.until(None), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda record: record.created_at)
+        return Calibrations(calibrations=[summary(record) for record in rows], next=next_)
 
     @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
     def one(request: Request, calibration_id: CalibrationId, if_none_match: IfNoneMatch = None) -> Response:
         """Return one calibration's document, with its evidence."""
-        return tagged(_text(served.of(request).calibration(calibration_id)), if_none_match)
+        return tagged(_text(context.of(request).calibration(calibration_id)), if_none_match)
 
     return routes
 
@@ -147,29 +147,29 @@ def _text(record: CalibrationRecord) -> bytes:
     return json.dumps(record.document, allow_nan=False, separators=(",", ":")).encode()
 
 
-def _exported(wanted: Format, record: CalibrationRecord) -> Exported:
-    return export(record.document, wanted)
+def _exported(format_: Format, record: CalibrationRecord) -> Exported:
+    return export(record.document, format_)
 
 
 def _export(
     record: CalibrationRecord,
     made: dict[Format, SingleFlightCache[CalibrationRecord, Exported]],
-    wanted: Format,
+    format_: Format,
     if_none_match: str | None,
 ) -> Response:
-    tag = f'"{tag_of(record)}-{wanted}"'
+    tag = f'"{tag_of(record)}-{format_}"'
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    exported = made[wanted].get(record)
+    exported = made[format_].get(record)
     headers |= {
-        "content-disposition": f'attachment; filename="{FILE_NAMES[wanted]}"',
+        "content-disposition": f'attachment; filename="{FILE_NAMES[format_]}"',
         "sunarc-fit-error": exported.error,
     }
-    return Response(exported.content, media_type=MEDIA_TYPES[wanted], headers=headers)
+    return Response(exported.content, media_type=MEDIA_TYPES[format_], headers=headers)
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
     """Return whether a client that sent this If-None-Match has what the tag names."""
-    known = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
-    return tag in known or "*" in known
+    tags = {one.strip().removeprefix("W/") for one in (if_none_match or "").split(",")}
+    return tag in tags or "*" in tags

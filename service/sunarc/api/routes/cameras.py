@@ -8,13 +8,13 @@ from sunarc.api.context import ApiContext
 from sunarc.api.schemas.record import Cameras
 
 
-def camera_routes(served: ApiContext) -> APIRouter:
+def camera_routes(context: ApiContext) -> APIRouter:
     """Return the routes that tell which cameras there are."""
     routes = APIRouter(tags=["cameras"])
 
     @routes.get("/v1/cameras")
     def cameras() -> Cameras:
         """Tell the cameras of the archive; every route of one camera also stands under /v1/cameras/{camera}/."""
-        return Cameras(default=served.camera, cameras=list(served.archive.cameras()))
+        return Cameras(default=context.camera, cameras=list(context.archive.cameras()))
 
     return routes

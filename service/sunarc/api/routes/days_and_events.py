@@ -31,7 +31,7 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
 }
 
 
-def record_routes(served: ApiContext) -> APIRouter:
+def record_routes(context: ApiContext) -> APIRouter:
     """Return the routes that tell what was."""
     routes = APIRouter(tags=["record"])
 
@@ -45,10 +45,10 @@ def record_routes(served: ApiContext) -> APIRouter:
         cursor: Cursor = None,
     ) -> Days:
         """Tell the verdicts of the solar days with since <= date < until, the newest first."""
-        chosen, page = served.of(request), page_at(cursor, limit)
-        found = chosen.archive.days(chosen.camera, since=since, until=page.until_date(until), limit=page.rows)
-        rows, following = page.cut(found, request, time=lambda day: day.date)
-        return Days(days=days_out(chosen, rows), next=following)
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.days(selected.camera, since=since, until=page.until_date(until), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda day: day.date)
+        return Days(days=days_out(selected, rows), next=next_)
 
     @routes.get("/events", responses=answers(422))
     def events(
@@ -61,33 +61,33 @@ def record_routes(served: ApiContext) -> APIRouter:
         cursor: Cursor = None,
     ) -> Events:
         """Tell the events with since <= time < until, the newest first."""
-        chosen, page = served.of(request), page_at(cursor, limit)
-        found = chosen.archive.events(
-            chosen.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.events(
+            selected.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
         )
-        rows, following = page.cut(found, request, time=lambda event: event.time)
-        return Events(events=list(rows), next=following)
+        rows, next_ = page.cut(found, request, time=lambda event: event.time)
+        return Events(events=list(rows), next=next_)
 
     @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
     def latest_image(request: Request, if_none_match: IfNoneMatch = None) -> Response:
         """Return the newest composite's preview."""
-        return _image(served.of(request), if_none_match)
+        return _image(context.of(request), if_none_match)
 
     return routes
 
 
-def days_out(served: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
+def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     """Return days, with their measured air where there is one, as an answer."""
     if not days:
         return []
     dates = [day.date for day in days]
-    known = served.archive.day_air(served.camera, since=min(dates), until=max(dates) + timedelta(days=1))
-    air = {one.date: air_out(one) for one in known}
+    measured = context.archive.day_air(context.camera, since=min(dates), until=max(dates) + timedelta(days=1))
+    air = {one.date: air_out(one) for one in measured}
     return [DayWithAir(**asdict(day) | {"findings": day.findings}, air=air.get(day.date)) for day in days]
 
 
-def _image(served: ApiContext, if_none_match: str | None) -> Response:
-    path = served.latest_image()
+def _image(context: ApiContext, if_none_match: str | None) -> Response:
+    path = context.latest_image()
     if path is None:
         raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
     headers = {"etag": f'"{path.stem}"', "cache-control": "no-cache"}

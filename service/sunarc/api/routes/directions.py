@@ -9,8 +9,8 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, body_of, compute, read_asked, row_responses
-from sunarc.api.compute_slots import Places
+from sunarc.api.bulk import Answering, Computation, body_of, compute, parsed_body, row_responses
+from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
@@ -20,7 +20,7 @@ from sunarc.calibration import BACK_PROJECTED, PROJECTED
 from sunarc.sky import direction_from_angles
 
 
-def direction_routes(served: ApiContext, places: Places) -> APIRouter:
+def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
     """Return the routes that compute."""
     routes = APIRouter(tags=["directions"])
     failures = answers(404, 408, 413, 415, 422)
@@ -33,7 +33,7 @@ def direction_routes(served: ApiContext, places: Places) -> APIRouter:
     )
     async def back_project(request: Request, at: At = None) -> Response:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
-        return await compute(_BACK_PROJECTION, served, places, request, at)
+        return await compute(_BACK_PROJECTION, context, slots, request, at)
 
     @routes.post(
         "/project",
@@ -43,43 +43,43 @@ def direction_routes(served: ApiContext, places: Places) -> APIRouter:
     )
     async def project(request: Request, at: At = None) -> Response:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
-        return await compute(_PROJECTION, served, places, request, at)
+        return await compute(_PROJECTION, context, slots, request, at)
 
     return routes
 
 
 def read_pixels(body: bytes, most: int) -> FloatArray:
     """Return the pixels (n, 2) that a JSON body holds."""
-    pixels = read_asked(BackProjectRequest, body).pixels
+    pixels = parsed_body(BackProjectRequest, body).pixels
     require_few(len(pixels), most=most, field="pixels")
     return np.array(pixels, dtype=np.float64).reshape(-1, 2)
 
 
-def known_rows(rows: Rows) -> list[Any]:
+def finite_rows(rows: Rows) -> list[Any]:
     """Return rows as lists, None for one that holds no number."""
     if np.all(np.isfinite(rows)):
         return list(rows.tolist())
-    known = np.all(np.isfinite(rows), axis=1)
-    return [row if finite else None for row, finite in zip(rows.tolist(), known, strict=True)]
+    is_finite = np.all(np.isfinite(rows), axis=1)
+    return [row if finite else None for row, finite in zip(rows.tolist(), is_finite, strict=True)]
 
 
-def _tell_directions(_answering: Answering, rows: Rows) -> dict[str, Any]:
+def _directions_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
     return {
         "zenith_deg": rows[:, 0].tolist(),
         "azimuth_deg": rows[:, 1].tolist(),
-        "direction_enu": known_rows(rows[:, 2:5]),
+        "direction_enu": finite_rows(rows[:, 2:5]),
         "sigma_deg": rows[:, 5].tolist(),
         "inside": (rows[:, 6] == 1.0).tolist(),
     }
 
 
 def _read_directions(body: bytes, most: int) -> FloatArray:
-    asked = read_asked(ProjectRequest, body)
-    if asked.direction_enu is not None:
-        require_few(len(asked.direction_enu), most=most, field="directions")
-        return np.array(asked.direction_enu, dtype=np.float64).reshape(-1, 3)
-    require_few(len(asked.zenith_deg or []), most=most, field="directions")
-    return direction_from_angles(zenith_deg=asked.zenith_deg or [], azimuth_deg=asked.azimuth_deg or [])
+    request = parsed_body(ProjectRequest, body)
+    if request.direction_enu is not None:
+        require_few(len(request.direction_enu), most=most, field="directions")
+        return np.array(request.direction_enu, dtype=np.float64).reshape(-1, 3)
+    require_few(len(request.zenith_deg or []), most=most, field="directions")
+    return direction_from_angles(zenith_deg=request.zenith_deg or [], azimuth_deg=request.azimuth_deg or [])
 
 
 def _back_project(answering: Answering, pixels: Rows) -> Rows:
@@ -92,10 +92,10 @@ def _project(answering: Answering, vectors: Rows) -> Rows:
         return answering.ready.project(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
-def _tell_pixels(_answering: Answering, rows: Rows) -> dict[str, Any]:
-    covariance = [None if row is None else [row[:2], row[1:]] for row in known_rows(rows[:, 3:6])]
+def _pixels_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
+    covariance = [None if row is None else [row[:2], row[1:]] for row in finite_rows(rows[:, 3:6])]
     return {
-        "pixels": known_rows(rows[:, :2]),
+        "pixels": finite_rows(rows[:, :2]),
         "sigma_px": rows[:, 2].tolist(),
         "covariance_px2": covariance,
         "inside": (rows[:, 6] == 1.0).tolist(),
@@ -103,8 +103,8 @@ def _tell_pixels(_answering: Answering, rows: Rows) -> dict[str, Any]:
 
 
 _BACK_PROJECTION = Computation(
-    read=read_pixels, columns=(2,), answer=_back_project, answer_columns=BACK_PROJECTED, tell=_tell_directions
+    read=read_pixels, columns=(2,), answer=_back_project, answer_columns=BACK_PROJECTED, as_json=_directions_json
 )
 _PROJECTION = Computation(
-    read=_read_directions, columns=(3,), answer=_project, answer_columns=PROJECTED, tell=_tell_pixels
+    read=_read_directions, columns=(3,), answer=_project, answer_columns=PROJECTED, as_json=_pixels_json
 )

@@ -20,7 +20,7 @@ from sunarc.api.schemas.calibration import (
 from sunarc.runtime.status import StatusSnapshot
 
 
-def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
+def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter:
     """Return the routes that tell how the service is."""
     routes = APIRouter(tags=["health"])
 
@@ -32,7 +32,7 @@ def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
         """Tell whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
-        snapshot = served.status()
+        snapshot = context.status()
         if snapshot.health == "not_ready":
             return _not_ready(snapshot, request.url.path)
         return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
@@ -40,7 +40,7 @@ def health_routes(served: ApiContext, registry: CollectorRegistry) -> APIRouter:
     @routes.get("/v1/status")
     def status() -> Status:
         """Tell everything at a glance."""
-        return _status(served)
+        return _status(context)
 
     @routes.get(
         "/metrics",
@@ -62,19 +62,19 @@ def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:
     )
 
 
-def _status(served: ApiContext) -> Status:
-    snapshot = served.status()
-    record = served.archive.current_calibration(served.camera)
-    days = days_out(served, served.archive.days(served.camera, limit=1))
-    sizes = {camera.name: [camera.width, camera.height] for camera in served.archive.cameras()}
+def _status(context: ApiContext) -> Status:
+    snapshot = context.status()
+    record = context.archive.current_calibration(context.camera)
+    days = days_out(context, context.archive.days(context.camera, limit=1))
+    sizes = {camera.name: [camera.width, camera.height] for camera in context.archive.cameras()}
     return Status(
         health=snapshot.health,
         reasons=snapshot.reasons,
         findings=snapshot.findings,
         version=snapshot.version,
-        camera_name=served.camera,
+        camera_name=context.camera,
         started_at=snapshot.started_at,
-        frame_time=served.frame_clock(),
+        frame_time=context.frame_clock(),
         workers=snapshot.workers,
         camera=snapshot.camera,
         capture=snapshot.capture,
@@ -85,5 +85,5 @@ def _status(served: ApiContext) -> Status:
         last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),
         last_day=days[0] if days else None,
-        image_size=sizes.get(served.camera),
+        image_size=sizes.get(context.camera),
     )

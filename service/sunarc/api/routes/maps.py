@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 
 import sunarc
 from sunarc.api.arrays import BytesResponse
-from sunarc.api.compute_slots import Places
+from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
@@ -48,46 +48,48 @@ Radius = Annotated[
 ]
 
 
-def map_routes(served: ApiContext) -> APIRouter:
+def map_routes(context: ApiContext) -> APIRouter:
     """Return the route that tells what every pixel sees."""
     routes = APIRouter(tags=["directions"])
-    making, sending = Places(1), Holdings(_MOST_SENT)
-    kept = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
+    making, sending = ComputeSlots(1), Holdings(_MOST_SENT)
+    files = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
 
     @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
     async def back_projection_map(
         request: Request,
         at: At = None,
-        wanted: Annotated[MapFormat, Query(alias="format", description="Of the answer.")] = "netcdf",
+        format_: Annotated[MapFormat, Query(alias="format", description="Of the answer.")] = "netcdf",
         sun_radius_deg: Radius = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
-        chosen, record = await run_in_threadpool(_chosen, served, request, at)
-        sun = None if sun_radius_deg is None else (at or chosen.frame_clock(), sun_radius_deg)
-        site = None if sun is None else await run_in_threadpool(chosen.site_at, sun[0])
-        asked = _Map(served=chosen, record=record, format=wanted, sun=sun, site=site)
-        tag = await run_in_threadpool(_tag, asked)
+        selected, record = await run_in_threadpool(_selected, context, request, at)
+        sun = None if sun_radius_deg is None else (at or selected.frame_clock(), sun_radius_deg)
+        site = None if sun is None else await run_in_threadpool(selected.site_at, sun[0])
+        requested = _Map(context=selected, record=record, format=format_, sun=sun, site=site)
+        tag = await run_in_threadpool(_tag, requested)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
         if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
         client = client_network(request.scope)
-        file = kept.known(asked) or await _made(kept, asked, making, client)
-        return file.sent(MEDIA_TYPES[wanted], headers, sending.open(client), own=sun is not None)
+        file = files.cached_value(requested) or await _made(files, requested, making, client)
+        return file.sent(MEDIA_TYPES[format_], headers, sending.open(client), is_private=sun is not None)
 
     return routes
 
 
-async def _made(kept: SingleFlightCache[_Map, _MapFile], asked: _Map, making: Places, client: str | None) -> _MapFile:
+async def _made(
+    files: SingleFlightCache[_Map, _MapFile], requested: _Map, making: ComputeSlots, client: str | None
+) -> _MapFile:
     """Return a map's file, which may have to be made: one at a time."""
     making.require_room(client)
-    async with making.place(client):
-        return await run_in_threadpool(kept.get, asked)
+    async with making.slot(client):
+        return await run_in_threadpool(files.get, requested)
 
 
-def _chosen(served: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
-    chosen = served.of(request)
-    return chosen, chosen.record(at)
+def _selected(context: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
+    selected = context.of(request)
+    return selected, selected.record(at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,14 +98,14 @@ class _Map:
 
     Attributes
     ----------
-    served : of the camera.
+    context : of the camera.
     record : its calibration.
     format : of the file.
     sun : the moment and the radius in degrees of a mask round the sun; None: without.
     site : in the air of that moment, which refracts the sun; None: without a mask.
     """
 
-    served: ApiContext
+    context: ApiContext
     record: CalibrationRecord
     format: MapFormat
     sun: tuple[datetime, float] | None
@@ -124,32 +126,32 @@ class _MapFile:
             file.flush()
             self._bytes = mmap.mmap(file.fileno(), len(content), access=mmap.ACCESS_READ)
 
-    def sent(self, media_type: str, headers: dict[str, str], holding: Holding, *, own: bool) -> BytesResponse:
+    def sent(self, media_type: str, headers: dict[str, str], holding: Holding, *, is_private: bool) -> BytesResponse:
         """Return the answer that sends it; one that hardly another client asks for counts as held by who reads it."""
-        counted = 1 if own else 0
+        counted = 1 if is_private else 0
         return BytesResponse(self._bytes, media_type=media_type, headers=headers, holding=holding, counted=counted)
 
 
-def _file(asked: _Map) -> _MapFile:
-    found = back_projection_map(asked.served.ready.get(asked.record))
-    masks = _obstructions(asked.served, asked.record, found)
-    if asked.sun is not None and asked.site is not None:
-        masks |= _sun_mask(asked.site, *asked.sun, found)
-    table = map_table(found, asked.record.document, masks=masks)
-    return _MapFile(netcdf_bytes(table) if asked.format == "netcdf" else npz_bytes(table))
+def _file(requested: _Map) -> _MapFile:
+    found = back_projection_map(requested.context.ready.get(requested.record))
+    masks = _obstructions(requested.context, requested.record, found)
+    if requested.sun is not None and requested.site is not None:
+        masks |= _sun_mask(requested.site, *requested.sun, found)
+    table = map_table(found, requested.record.document, masks=masks)
+    return _MapFile(netcdf_bytes(table) if requested.format == "netcdf" else npz_bytes(table))
 
 
-def _tag(asked: _Map) -> str:
+def _tag(requested: _Map) -> str:
     """Return what changes with a map: its calibration, its masks, and what writes it."""
-    served, record = asked.served, asked.record
-    path = served.options.obstruction_mask if record.camera == served.camera else None
+    context, record = requested.context, requested.record
+    path = context.options.obstruction_mask if record.camera == context.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
-    parts = (record.id, sunarc.__version__, asked.format, asked.sun, asked.site, path, changed)
+    parts = (record.id, sunarc.__version__, requested.format, requested.sun, requested.site, path, changed)
     return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
 
 
-def _sun_mask(site: Site, moment: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
-    sun = sun_directions(moment.timestamp(), site).astype(np.float32)
+def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:
+    sun = sun_directions(time.timestamp(), site).astype(np.float32)
     near = found.directions @ sun > math.cos(math.radians(radius_deg))
     attributes = {
         "long_name": "1 within a disc round the sun",
@@ -157,14 +159,14 @@ def _sun_mask(site: Site, moment: datetime, radius_deg: float, found: BackProjec
         "flag_values": np.array([0, 1], dtype=np.uint8),
         "flag_meanings": "away_from_the_sun near_the_sun",
         "radius_deg": radius_deg,
-        "time": moment.isoformat(),
+        "time": time.isoformat(),
     }
     return {"sun_mask": Variable(dimensions=("y", "x"), values=near.astype(np.uint8), attributes=attributes)}
 
 
-def _obstructions(served: ApiContext, record: CalibrationRecord, found: BackProjectionMap) -> dict[str, Variable]:
-    path = served.options.obstruction_mask
-    if path is None or record.camera != served.camera:
+def _obstructions(context: ApiContext, record: CalibrationRecord, found: BackProjectionMap) -> dict[str, Variable]:
+    path = context.options.obstruction_mask
+    if path is None or record.camera != context.camera:
         return {}
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     height, width = found.inside.shape

@@ -45,12 +45,12 @@ class StatusCollector(Collector):
 
     Parameters
     ----------
-    served : its collaborators.
+    context : its collaborators.
     """
 
-    def __init__(self, served: ApiContext) -> None:
-        self._served = served
-        self._stored_step_at = _stored_step_at(served)
+    def __init__(self, context: ApiContext) -> None:
+        self._context = context
+        self._stored_step_at = _stored_step_at(context)
 
     def describe(self) -> Iterator[Metric]:
         """Name nothing beforehand, so that registering asks nobody."""
@@ -58,7 +58,7 @@ class StatusCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Read the board and the archive once."""
-        snapshot = self._served.status()
+        snapshot = self._context.status()
         yield _labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
         yield _labelled(
             "sunarc_health",
@@ -79,7 +79,7 @@ class StatusCollector(Collector):
         yield from self._calibration()
 
     def _calibration(self) -> Iterator[Metric]:
-        record = self._served.archive.current_calibration(self._served.camera)
+        record = self._context.archive.current_calibration(self._context.camera)
         summary_now = None if record is None else summary(record)
         yield _single("sunarc_calibration_present", "1 when a calibration is current.", float(summary_now is not None))
         if summary_now is not None:
@@ -112,9 +112,9 @@ def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:
     )
 
 
-def _stored_step_at(served: ApiContext) -> datetime | None:
+def _stored_step_at(context: ApiContext) -> datetime | None:
     """Return when the frames' clock was last set before the service started, as its events have it."""
-    events = served.archive.events(served.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
+    events = context.archive.events(context.camera, severity="warning", limit=_EVENTS_LOOKED_AT)
     return next((event.time for event in events if event.kind == "clock_step"), None)
 
 

@@ -37,15 +37,15 @@ def _described(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def overlay_routes(served: ApiContext) -> APIRouter:
+def overlay_routes(context: ApiContext) -> APIRouter:
     """Return the routes that help pages draw."""
     routes = APIRouter(tags=["drawing"])
 
     @routes.get("/overlay", responses=_described(Overlay) | answers(422), response_model=Overlay)
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
         """Tell lines to draw over an image: zenith, azimuth, and the sun's paths of today and of the solstices."""
-        chosen = served.of(request)
-        return _sent(_overlay(chosen, at or chosen.frame_clock(), past=at), if_none_match)
+        selected = context.of(request)
+        return _sent(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
 
     @routes.get("/uncertainty", responses=_described(Uncertainty) | answers(404, 422), response_model=Uncertainty)
     def uncertainty(
@@ -55,9 +55,9 @@ def overlay_routes(served: ApiContext) -> APIRouter:
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Tell how sure the calibration is over the image, on a coarse grid."""
-        chosen = served.of(request)
-        record = chosen.record(at)
-        return _sent(_uncertainty(chosen.archive.model(record.id), cells, record.id), if_none_match)
+        selected = context.of(request)
+        record = selected.record(at)
+        return _sent(_uncertainty(selected.archive.model(record.id), cells, record.id), if_none_match)
 
     return routes
 
@@ -66,12 +66,12 @@ def _sent(answer: BaseModel, if_none_match: str | None) -> Response:
     return tagged(answer.model_dump_json().encode(), if_none_match)
 
 
-def _overlay(served: ApiContext, moment: datetime, *, past: datetime | None) -> Overlay:
-    answering = served.calibration_or_none(past)
+def _overlay(context: ApiContext, time: datetime, *, past: datetime | None) -> Overlay:
+    answering = context.calibration_or_none(past)
     camera = None if answering is None else answering[1].camera
-    today = solar_date(moment.timestamp(), longitude=served.site.longitude)
+    today = solar_date(time.timestamp(), longitude=context.site.longitude)
     days = [("today", today), *((name, date(today.year, month, day)) for name, month, day in _SOLSTICES)]
-    paths = [(name, track_of(served, day, step_s=_PATH_STEP_S, past=past)) for name, day in days]
+    paths = [(name, track_of(context, day, step_s=_PATH_STEP_S, past=past)) for name, day in days]
     return Overlay(
         calibration=None if answering is None else answering[0].id,
         image_size=None if camera is None else [camera.width, camera.height],

@@ -18,35 +18,35 @@ from sunarc.errors import NotFoundError
 RefitId = Annotated[str, Path(description="Id of a refit, as the answer to its request has it.", examples=["3f2a9c"])]
 
 
-def refit_routes(served: ApiContext) -> APIRouter:
+def refit_routes(context: ApiContext) -> APIRouter:
     """Return the routes that ask for refits and follow them."""
     routes = APIRouter(tags=["refits"])
 
     @routes.post(
         "/refits",
         status_code=202,
-        dependencies=[Depends(require_write_token(served.token))],
+        dependencies=[Depends(require_write_token(context.token))],
         responses=answers(400, 403, 408, 413, 415, 422),
     )
     def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
         """Ask for a refit with all sightings; the answer says where to follow it. One that waits already is joined."""
-        refit = served.of(request).request_refit((asked or RefitRequest()).reason)
+        refit = context.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
         return refit
 
     @routes.get("/refits", responses=answers(422))
     def refits(request: Request, limit: Annotated[int, row_limit()] = 100, cursor: Cursor = None) -> Refits:
         """Tell the refits, the newest first, those that wait and those that ended."""
-        chosen, page = served.of(request), page_at(cursor, limit)
-        found = chosen.archive.refits(chosen.camera, until=page.until(None), limit=page.rows)
-        rows, following = page.cut(found, request, time=lambda refit: refit.requested_at)
-        return Refits(refits=list(rows), next=following)
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.refits(selected.camera, until=page.until(None), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda refit: refit.requested_at)
+        return Refits(refits=list(rows), next=next_)
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
     def one(request: Request, refit_id: RefitId) -> Refit:
         """Tell how a refit goes, or went."""
-        refit = served.archive.refit(refit_id)
-        if refit.camera != served.of(request).camera:
+        refit = context.archive.refit(refit_id)
+        if refit.camera != context.of(request).camera:
             raise NotFoundError(field="id", problem=f"refit {refit_id} is another camera's", remedy="see /v1/cameras")
         return refit
 

@@ -26,14 +26,14 @@ from sunarc.utc import utc_time
 _HORIZON_DEG = 90.0
 
 
-def sun_routes(served: ApiContext) -> APIRouter:
+def sun_routes(context: ApiContext) -> APIRouter:
     """Return the routes that speak of the sun."""
     routes = APIRouter(tags=["sun"])
 
     @routes.get("/sun", responses=answers(422))
     def sun(request: Request, at: At = None) -> Sun:
         """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
-        return _sun(served.of(request), at or served.frame_clock(), past=at)
+        return _sun(context.of(request), at or context.frame_clock(), past=at)
 
     @routes.get("/sun/track", responses=answers(422))
     def track(
@@ -45,9 +45,9 @@ def sun_routes(served: ApiContext) -> APIRouter:
         step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120,
     ) -> SunTrack:
         """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
-        chosen = served.of(request)
-        day = date or solar_date(served.frame_clock().timestamp(), longitude=chosen.site.longitude)
-        return track_of(chosen, day, step_s=step_s)
+        selected = context.of(request)
+        day = date or solar_date(context.frame_clock().timestamp(), longitude=selected.site.longitude)
+        return track_of(selected, day, step_s=step_s)
 
     @routes.get("/sun-points", responses=answers(422))
     def sun_points(
@@ -63,35 +63,35 @@ def sun_routes(served: ApiContext) -> APIRouter:
         cursor: Cursor = None,
     ) -> SunPoints:
         """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
-        chosen, page = served.of(request), page_at(cursor, limit)
-        found = chosen.archive.sun_points(
-            chosen.camera,
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.sun_points(
+            selected.camera,
             since=since,
             until=page.until(until),
             accepted=accepted,
             newest_first=True,
             limit=page.rows,
         )
-        residual_rows, following = page.cut(found, request, time=lambda point: point.time)
-        return _sun_points(chosen, residual_rows, residuals=residuals, following=following)
+        residual_rows, next_ = page.cut(found, request, time=lambda point: point.time)
+        return _sun_points(selected, residual_rows, residuals=residuals, next_=next_)
 
     return routes
 
 
-def _sun(served: ApiContext, moment: datetime, *, past: datetime | None) -> Sun:
-    site = served.site_at(moment)
-    angles = sun_angles(moment.timestamp(), site)
+def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
+    site = context.site_at(time)
+    angles = sun_angles(time.timestamp(), site)
     direction = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
-    answering = served.calibration_or_none(past)
+    answering = context.calibration_or_none(past)
     pixel, sigma, inside = None, None, False
     if answering is not None:
-        measured = site != served.site
+        measured = site != context.site
         pixels, covariance = sun_with_covariance(answering[1], direction[None], site=site, measured=measured)
         if np.all(np.isfinite(pixels)):
             pixel, sigma = pixels[0].tolist(), float(sigma_px(covariance)[0])
             inside = bool(camera_sees(answering[1].camera, pixels)[0])
     return Sun(
-        time=moment,
+        time=time,
         apparent_zenith=float(angles.apparent_zenith),
         zenith=float(angles.zenith),
         azimuth=float(angles.azimuth),
@@ -103,14 +103,14 @@ def _sun(served: ApiContext, moment: datetime, *, past: datetime | None) -> Sun:
     )
 
 
-def track_of(served: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
+def track_of(context: ApiContext, day: date, *, step_s: int, past: datetime | None = None) -> SunTrack:
     """Return the sun's way through a solar day, by the current calibration or the one of a moment in the `past`."""
-    start, end = day_bounds_unix_s(day, longitude=served.site.longitude)
+    start, end = day_bounds_unix_s(day, longitude=context.site.longitude)
     unix_s = np.arange(math.ceil(start / step_s) * step_s, end, step_s)
-    angles = sun_angles(unix_s, served.site_on(day))
+    angles = sun_angles(unix_s, context.site_on(day))
     up = angles.apparent_zenith <= _HORIZON_DEG
     zenith, azimuth = angles.apparent_zenith[up], angles.azimuth[up]
-    answering = served.calibration_or_none(past)
+    answering = context.calibration_or_none(past)
     if answering is None:
         pixels = np.full((len(zenith), 2), np.nan)
     else:
@@ -125,30 +125,30 @@ def track_of(served: ApiContext, day: date, *, step_s: int, past: datetime | Non
     )
 
 
-def _sun_points(served: ApiContext, found: Sequence[SunPoint], *, residuals: bool, following: str | None) -> SunPoints:
-    answering = served.calibration_or_none(None) if residuals else None
+def _sun_points(context: ApiContext, found: Sequence[SunPoint], *, residuals: bool, next_: str | None) -> SunPoints:
+    answering = context.calibration_or_none(None) if residuals else None
     residual_rows: list[Residual | None] = [None] * len(found)
     if answering is not None:
-        residual_rows = _residuals(answering[1], served, found)
+        residual_rows = _residuals(answering[1], context, found)
     return SunPoints(
         sun_points=[
             SunPointWithResidual(**asdict(point), residual=residual)
             for point, residual in zip(found, residual_rows, strict=True)
         ],
-        next=following,
+        next=next_,
         calibration=None if answering is None else answering[0].id,
     )
 
 
-def _residuals(calibration: Calibration, served: ApiContext, points: Sequence[SunPoint]) -> list[Residual | None]:
+def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[SunPoint]) -> list[Residual | None]:
     """Return what each sighting differs by; None where it has no pixel, or the calibration none for the sun."""
     unix_s = np.array([point.time.timestamp() for point in points])
-    seen = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
-    temperature, pressure = served.archive.air_of(served.camera, points)
-    angles = sun_angles(unix_s, served.site, temperature=temperature, pressure=pressure)
+    observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
+    temperature, pressure = context.archive.air_of(context.camera, points)
+    angles = sun_angles(unix_s, context.site, temperature=temperature, pressure=pressure)
     directions = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
-    off_px = seen - project(calibration.camera, directions)
-    off_deg = np.degrees(angular_distance(unproject(calibration.camera, seen), directions))
+    off_px = observed - project(calibration.camera, directions)
+    off_deg = np.degrees(angular_distance(unproject(calibration.camera, observed), directions))
     return [
         None
         if not np.isfinite(x + y)

@@ -12,14 +12,25 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
 
-from sunarc.api.schemas.parameters import AnsweringId, Answers, Asked, Next, Number, Pair, Pixel, Size, Unit, Vector
+from sunarc.api.schemas.parameters import (
+    AnsweringId,
+    Answers,
+    Body,
+    Next,
+    Number,
+    Pair,
+    Pixel,
+    Size,
+    Unit,
+    Vector,
+)
 from sunarc.api.schemas.record import CalibrationSummary, DayWithAir
 from sunarc.archive import SunPoint
 from sunarc.json_fields import EXAMPLE_TIME, FindingsJson, SolarDate, Time, described
 from sunarc.runtime.status import CameraStatus, CaptureStatus, ClockStatus, DiskStatus, Health, Reason, WorkerStatus
 
 
-class BackProjectRequest(Asked):
+class BackProjectRequest(Body):
     """Pixels whose directions are wanted."""
 
     pixels: list[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
@@ -58,7 +69,7 @@ _TWO_WAYS: tuple[JsonDict, ...] = (
 )
 
 
-class ProjectRequest(Asked):
+class ProjectRequest(Body):
     """Directions whose pixels are wanted: zenith and azimuth (as many of each), or vectors (none of length 0)."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [*_TWO_WAYS]})

@@ -44,13 +44,13 @@ class Page:
         """How many rows to query: those of earlier pages, the page, and one that shows whether there are more."""
         return self.skip + self.limit + 1
 
-    def until(self, wanted: datetime | None) -> datetime | None:
-        """Return the end (exclusive) of the rows to ask for, where the client wants those before `wanted`."""
-        return _sooner(wanted, None if self.last is None else self.last + MICROSECOND)
+    def until(self, requested: datetime | None) -> datetime | None:
+        """Return the end (exclusive) of the rows to ask for, where the client wants those before `requested`."""
+        return _sooner(requested, None if self.last is None else self.last + MICROSECOND)
 
-    def until_date(self, wanted: date | None) -> date | None:
-        """Return the end (exclusive) of the dates to ask for, where the client wants those before `wanted`."""
-        return _sooner(wanted, None if self.last is None else self.last.date() + timedelta(days=1))
+    def until_date(self, requested: date | None) -> date | None:
+        """Return the end (exclusive) of the dates to ask for, where the client wants those before `requested`."""
+        return _sooner(requested, None if self.last is None else self.last.date() + timedelta(days=1))
 
     def cut(
         self, found: Sequence[Row], request: Request, *, time: Callable[[Row], date]
@@ -67,9 +67,9 @@ class Page:
         if len(found) < self.rows:
             return rows, None
         last = time(rows[-1])
-        seen = sum(time(row) == last for row in found[: self.skip + self.limit])
-        asked = [(name, value) for name, value in parse_qsl(request.url.query) if name != "cursor"]
-        return rows, f"{request.url.path}?{urlencode([*asked, ('cursor', _written(last, seen))])}"
+        n_same_time = sum(time(row) == last for row in found[: self.skip + self.limit])
+        query = [(name, value) for name, value in parse_qsl(request.url.query) if name != "cursor"]
+        return rows, f"{request.url.path}?{urlencode([*query, ('cursor', _written(last, n_same_time))])}"
 
 
 def page_at(cursor: str | None, limit: int) -> Page:
@@ -80,13 +80,13 @@ def page_at(cursor: str | None, limit: int) -> Page:
     return Page(last=from_microseconds(int(microseconds)), skip=int(skip), limit=limit)
 
 
-def _written(last: date, seen: int) -> str:
-    moment = last if isinstance(last, datetime) else datetime(last.year, last.month, last.day, tzinfo=UTC)
-    return f"{to_microseconds(moment)}-{min(seen, _MOST_SKIPPED)}"
+def _written(last: date, n_same_time: int) -> str:
+    time = last if isinstance(last, datetime) else datetime(last.year, last.month, last.day, tzinfo=UTC)
+    return f"{to_microseconds(time)}-{min(n_same_time, _MOST_SKIPPED)}"
 
 
-Moment = TypeVar("Moment", bound=date)
+Time = TypeVar("Time", bound=date)
 
 
-def _sooner(a: Moment | None, b: Moment | None) -> Moment | None:
-    return min((moment for moment in (a, b) if moment is not None), default=None)
+def _sooner(a: Time | None, b: Time | None) -> Time | None:
+    return min((time for time in (a, b) if time is not None), default=None)

@@ -42,7 +42,7 @@ Next = Annotated[
 ]
 
 
-class Asked(BaseModel):
+class Body(BaseModel):
     """What is asked; unknown names are refused."""
 
     model_config = ConfigDict(extra="forbid")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.schemas.parameters import Asked, Next, Number
+from sunarc.api.schemas.parameters import Body, Next, Number
 from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit
 from sunarc.json_fields import EXAMPLE_TIME, Findings, Time, described
 from sunarc.sky import PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
@@ -20,7 +20,7 @@ AirTemperature = Annotated[Number, Field(ge=TEMPERATURE_BOUNDS_C[0], le=TEMPERAT
 AirPressure = Annotated[Number, Field(ge=PRESSURE_BOUNDS_HPA[0], le=PRESSURE_BOUNDS_HPA[1])]
 
 
-class DayAirIn(Asked):
+class DayAirIn(Body):
     """The air that was measured on a day; null, or left out, where it was not: the site's annual mean is assumed."""
 
     temperature_c: AirTemperature | None = Field(default=None, description=_TEMPERATURE, examples=[31.5])
@@ -81,7 +81,7 @@ class Calibrations(BaseModel):
     next: Next
 
 
-class Decision(Asked):
+class Decision(Body):
     """What a person decides, and why."""
 
     reason: str = Field(
@@ -109,7 +109,7 @@ class Events(BaseModel):
     next: Next
 
 
-class RefitRequest(Asked):
+class RefitRequest(Body):
     """Why a refit is wanted."""
 
     reason: str = Field(
