@@ -14,13 +14,13 @@ from tests.detection.rendering import FloatArray
 from sunarc.detection import Detection, Expectation, Lens, detect_sun_in_photo, radial_bias_px
 from sunarc.detection.photo.aureole import Halo
 from sunarc.detection.photo.circles import Circle
-from sunarc.detection.photo.ordinary_image import _fault, _light_around, _Seen, _verdict
+from sunarc.detection.photo.ordinary_image import _Blob, _fault, _light_around, _verdict
 from sunarc.detection.values import Verdict
 from sunarc.errors import InputError
 
 HALO = Halo(100.0, 90.0, 0.05, 0.05, 0.9, 0.01, 0.3, 0.6)
 CIRCLES = (Circle(100.4, 90.2, 12.0, 1.0, 0.2), Circle(99.8, 89.9, 13.0, 0.9, 0.2), Circle(100.0, 90.0, 14.0, 0.8, 0.2))
-SEEN = _Seen(CIRCLES, 0.5, HALO)
+SEEN = _Blob(CIRCLES, 0.5, HALO)
 
 
 def glare_image(

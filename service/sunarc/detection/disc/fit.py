@@ -162,14 +162,14 @@ def _solve(problem: Problem, state: State, evaluation: Evaluation) -> tuple[Stat
         diagonal = matrix.ravel()[:: gradient.size + 1]
         diagonal += np.maximum(diagonal, 1e-12) * damping + 1e-12
         step = np.asarray(np.linalg.solve(matrix, gradient), dtype=np.float64)
-        following = _stepped(problem, state, step)
-        tried = evaluate(problem, following)
+        next_state = _stepped(problem, state, step)
+        tried = evaluate(problem, next_state)
         moved, gained = float(np.max(np.abs(step[:2]))), evaluation.cost - tried.cost
         still = moved < _CONVERGED_PX and abs(gained) < settled
         small = still or (moved < 10.0 * _CONVERGED_PX and abs(gained) < 0.01)
         # A step that raises the cost by less than 1e-3 is taken: the weights follow the model, which moves the cost.
         if gained > -1e-3:
-            state, evaluation, damping = following, tried, damping * 0.1
+            state, evaluation, damping = next_state, tried, damping * 0.1
         else:
             damping = max(damping, 1e-5) * 100.0
         if small:  # also after a step that cost a little: the weights follow the model, and their gradient is left out

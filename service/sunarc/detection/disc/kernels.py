@@ -25,7 +25,7 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     moved: Indices,
     scale: FloatArray,
     glare: tuple[float, float, float, float, float],
-    places: tuple[Indices, FloatArray, Indices, FloatArray],
+    pixels: tuple[Indices, FloatArray, Indices, FloatArray],
     flux: FloatArray,
     background: FloatArray,
     around: FloatArray,
@@ -41,7 +41,7 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     planes : (k, binning rows, binning columns) the disc of unit flux, first its value, on the sensor's pixels.
     moved, scale : the planes that are derivatives by the free nonlinear parameters, and what each is multiplied by.
     glare : u and v are (a dx - b dy, c dy - b dx) and dx, dy are what a pixel is off (x, y): a, b, c, x, y.
-    places : of the pixels used flat position, counts, colour, and offset (n, 2).
+    pixels : of the pixels used flat position, counts, colour, and offset (n, 2).
     flux, background : one per colour. around : the background's slope in x and y, smear of the columns, glare.
     noise : read noise in counts, electrons per count.
     by_counts : take the variance that the counts tell, not the model.
@@ -52,7 +52,7 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     Twice the negative log likelihood, residual (n,), weight (n,) and Jacobian (n, p), its columns the free nonlinear
     parameters, flux and background of each colour, slope in x and y, smear and glare.
     """
-    pixel, counts, colour, offset = places
+    pixel, counts, colour, offset = pixels
     a, b, c, x, y = glare
     columns, share = planes.shape[2] // binning, 1.0 / binning**2
     nonlinear, colours = moved.size, flux.size
@@ -64,25 +64,25 @@ def compared(  # noqa: PLR0917 - compiled functions take positions
     jacobian = np.zeros((pixel.size, first + 4))
     residual, weight, misfit = np.empty(pixel.size), np.empty(pixel.size), 0.0
     for i in range(pixel.size):
-        own, (j, k) = colour[i], divmod(pixel[i], columns)
+        channel, (j, k) = colour[i], divmod(pixel[i], columns)
         dx, dy = offset[i, 0] - x, offset[i, 1] - y
         u, v = a * dx - b * dy, c * dy - b * dx
         jacobian[i, first], jacobian[i, first + 1] = offset[i, 0], offset[i, 1]
         jacobian[i, first + 2], jacobian[i, first + 3] = smear[k], 1.0 / (1.0 + u * u + v * v)
-        beside, model, unclipped = background[own], 0.0, 0.0
+        beside, model, unclipped = background[channel], 0.0, 0.0
         for m in range(4):
             beside += around[m] * jacobian[i, first + m]
         for row in range(j * binning, (j + 1) * binning):
             for column in range(k * binning, (k + 1) * binning):
-                value = flux[own] * planes[0, row, column] + beside
+                value = flux[channel] * planes[0, row, column] + beside
                 if value >= clip:  # more light changes nothing
                     model += clip * share
                     continue
                 model, unclipped = model + value * share, unclipped + share
                 for m in range(nonlinear):
-                    jacobian[i, m] += share * flux[own] * scale[m] * planes[moved[m], row, column]
-                jacobian[i, nonlinear + own] += share * planes[0, row, column]
-        jacobian[i, nonlinear + colours + own] = unclipped
+                    jacobian[i, m] += share * flux[channel] * scale[m] * planes[moved[m], row, column]
+                jacobian[i, nonlinear + channel] += share * planes[0, row, column]
+        jacobian[i, nonlinear + colours + channel] = unclipped
         for m in range(4):
             jacobian[i, first + m] *= unclipped
         variance = noise[0] ** 2 + max(counts[i] if by_counts else model, 0.0) / noise[1]

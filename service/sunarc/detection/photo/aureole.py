@@ -52,7 +52,7 @@ class Halo(NamedTuple):
 class _Pixels(NamedTuple):
     """Places (n, 2) and light (n,) of the pixels that take part."""
 
-    place: FloatArray
+    position: FloatArray
     light: FloatArray
 
 
@@ -106,13 +106,13 @@ def _around(light: FloatArray, state: FloatArray, reach: float) -> _Pixels | Non
 def _ringed(pixels: _Pixels, state: FloatArray, inner: float, *, cut: float) -> _Rings | None:
     """Sort the pixels into rings of equal distance, and say how far each is from its ring's light."""
     shape = np.array([[1.0 + state[2], state[3]], [state[3], 1.0 - state[2]]])
-    offset = pixels.place - state[:2]
-    turned = offset @ shape
-    distance = np.sqrt(np.maximum(np.sum(turned * offset, axis=1), 1e-9))
+    offset = pixels.position - state[:2]
+    transformed = offset @ shape
+    distance = np.sqrt(np.maximum(np.sum(transformed * offset, axis=1), 1e-9))
     inside = (distance > inner) & (distance < _OUTER * inner)
     if np.count_nonzero(inside) < _LEAST_PIXELS:
         return None
-    offset, turned, distance, value = offset[inside], turned[inside], distance[inside], pixels.light[inside]
+    offset, transformed, distance, value = offset[inside], transformed[inside], distance[inside], pixels.light[inside]
     # Rings of equal ratio: the glare falls by a power of the distance.
     edges = inner * (_OUTER ** (np.arange(_RINGS + 1) / _RINGS))
     ring = np.clip(np.searchsorted(edges, distance) - 1, 0, _RINGS - 1)
@@ -130,8 +130,8 @@ def _ringed(pixels: _Pixels, state: FloatArray, inner: float, *, cut: float) -> 
     residual = flat - np.interp(distance, middle, profile)
     jacobian = np.column_stack(
         [
-            -slope * turned[:, 0] / distance,
-            -slope * turned[:, 1] / distance,
+            -slope * transformed[:, 0] / distance,
+            -slope * transformed[:, 1] / distance,
             slope * (offset[:, 0] ** 2 - offset[:, 1] ** 2) / (2.0 * distance),
             slope * offset[:, 0] * offset[:, 1] / distance,
             offset[:, 0] / inner,
@@ -162,9 +162,9 @@ def _normal(rings: _Rings, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     residual = rings.residual - offset[rings.ring]
     matrix, gradient = np.zeros((_SECTORS, 6, 6)), np.zeros((_SECTORS, 6))
     for k in range(_SECTORS):
-        own = rings.sector == k
-        weighted = jacobian[own] * rings.weight[own, None]
-        matrix[k], gradient[k] = weighted.T @ jacobian[own], weighted.T @ residual[own]
+        in_sector = rings.sector == k
+        weighted = jacobian[in_sector] * rings.weight[in_sector, None]
+        matrix[k], gradient[k] = weighted.T @ jacobian[in_sector], weighted.T @ residual[in_sector]
     # The prior on the ellipse has a fiftieth of the pixels' weight: a short arc cannot trade shape for position.
     prior = np.zeros(6)
     prior[2:4] = _SHAPE_SIGMA**-2 * rings.weight.size / 50.0
@@ -180,14 +180,14 @@ def _step(rings: _Rings, state: FloatArray) -> FloatArray:
 
 def _summary(rings: _Rings, state: FloatArray) -> Halo:
     matrix, gradient = _normal(rings, state)
-    whole, slope = matrix.sum(axis=0) + 1e-9 * np.eye(6), gradient.sum(axis=0)
-    left_out = np.stack([np.linalg.solve(whole - m, slope - g) for m, g in zip(matrix, gradient, strict=True)])
-    spread = left_out[:, :2] - left_out[:, :2].mean(axis=0)
+    total, slope = matrix.sum(axis=0) + 1e-9 * np.eye(6), gradient.sum(axis=0)
+    estimates = np.stack([np.linalg.solve(total - m, slope - g) for m, g in zip(matrix, gradient, strict=True)])
+    spread = estimates[:, :2] - estimates[:, :2].mean(axis=0)
     variance = (_SECTORS - 1.0) / _SECTORS * float(np.sum(spread**2)) / 2.0
     used = np.bincount(rings.sector, rings.weight > 0.0, _SECTORS)
-    held = np.bincount(rings.sector, minlength=_SECTORS)
-    mean_held = max(float(held.mean()), 1.0)
-    follows = (used > 0.6 * held) & (held > 0.3 * mean_held)
+    available = np.bincount(rings.sector, minlength=_SECTORS)
+    mean_available = max(float(available.mean()), 1.0)
+    follows = (used > 0.6 * available) & (available > 0.3 * mean_available)
     fall = float(rings.profile[0] - rings.profile[-1])
     scatter = mad_sigma(rings.residual)
     squeeze = math.hypot(float(state[2]), float(state[3]))

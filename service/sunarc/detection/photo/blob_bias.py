@@ -38,19 +38,19 @@ def radial_bias_px(lens: Lens, *, angle: float, blob_radius: float) -> float:
 
     The image of the blob's rim is taken as a polygon; its centroid is compared with the image of its centre.
     """
-    turn = np.linspace(0.0, 2.0 * math.pi, 721)[:-1]
+    angle_around = np.linspace(0.0, 2.0 * math.pi, 721)[:-1]
     sine, cosine = math.sin(blob_radius), math.cos(blob_radius)
-    along = math.sin(angle) * cosine + math.cos(angle) * sine * np.cos(turn)
-    across = sine * np.sin(turn)
-    upward = math.cos(angle) * cosine - math.sin(angle) * sine * np.cos(turn)
+    along = math.sin(angle) * cosine + math.cos(angle) * sine * np.cos(angle_around)
+    across = sine * np.sin(angle_around)
+    upward = math.cos(angle) * cosine - math.sin(angle) * sine * np.cos(angle_around)
     horizontal = np.hypot(along, across)
     radius = lens.radius_px(np.arctan2(horizontal, upward))
     safe = np.maximum(horizontal, 1e-300)
     x, y = radius * along / safe, radius * across / safe
-    following_x, following_y = np.roll(x, -1), np.roll(y, -1)
+    next_x, next_y = np.roll(x, -1), np.roll(y, -1)
     # The shoelace formula: exact for the polygon, and 720 corners are 1e-5 of a circle's area off.
-    cross = x * following_y - following_x * y
-    centroid = float(np.sum((x + following_x) * cross) / (3.0 * np.sum(cross)))
+    cross = x * next_y - next_x * y
+    centroid = float(np.sum((x + next_x) * cross) / (3.0 * np.sum(cross)))
     return centroid - float(lens.radius_px(np.array([angle]))[0])
 
 

@@ -112,8 +112,8 @@ def forstner(value: Plane, *, sigma: float, within: tuple[slice, slice] | None =
     return (x, y) if within is None else (x + within[1].start, y + within[0].start)
 
 
-def _blur(length: int, places: slice, size: int, sigma: float) -> Plane:
+def _blur(length: int, part: slice, size: int, sigma: float) -> Plane:
     """Return the matrix (places, length) that blurs a row of this length, and keeps some places only."""
     kernel = np.asarray(cv2.getGaussianKernel(size, sigma, cv2.CV_32F)).ravel()
-    tap = np.arange(length) - np.arange(places.start, places.stop)[:, None] + size // 2
+    tap = np.arange(length) - np.arange(part.start, part.stop)[:, None] + size // 2
     return np.where((tap >= 0) & (tap < size), kernel[np.clip(tap, 0, size - 1)], np.float32(0.0))

@@ -60,12 +60,12 @@ def _inscribed(mask: NDArray[np.uint8], distance: FloatArray, near: tuple[float,
     if count < 2:
         return None
     x, y = (min(max(round(v), 0), size - 1) for v, size in zip(near, mask.shape[::-1], strict=True))
-    own = labels[y, x]
-    if own == 0:
+    label = labels[y, x]
+    if label == 0:
         rows, columns = np.nonzero(mask)
         nearest = int(np.argmin((rows - near[1]) ** 2 + (columns - near[0]) ** 2))
-        own = labels[rows[nearest], columns[nearest]]
-    inside = np.where(labels == own, distance, 0.0)
+        label = labels[rows[nearest], columns[nearest]]
+    inside = np.where(labels == label, distance, 0.0)
     row, column = divmod(int(np.argmax(inside)), mask.shape[1])
     return Circle(float(column), float(row), float(inside[row, column]), 0.0, 0.0)
 
@@ -73,11 +73,11 @@ def _inscribed(mask: NDArray[np.uint8], distance: FloatArray, near: tuple[float,
 def _outline(mask: NDArray[np.uint8], start: Circle) -> FloatArray:
     """Return the (n, 2) outline points of the region around the start, half a pixel outside its last pixels."""
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    held = [c for c in contours if cv2.pointPolygonTest(c, (start.x, start.y), measureDist=False) >= 0]
-    if not held:
+    around = [c for c in contours if cv2.pointPolygonTest(c, (start.x, start.y), measureDist=False) >= 0]
+    if not around:
         return np.zeros((0, 2))
     # Of an outline and the holes in it, the innermost one around the start is the region's own.
-    points = min(held, key=cv2.contourArea)[:, 0, :].astype(np.float64)
+    points = min(around, key=cv2.contourArea)[:, 0, :].astype(np.float64)
     height, width = mask.shape
     # Points on the border are the image's outline, not the region's.
     inner = (points > 0).all(axis=1) & (points[:, 0] < width - 1) & (points[:, 1] < height - 1)

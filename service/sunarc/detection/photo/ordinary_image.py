@@ -18,7 +18,7 @@ from sunarc.findings import Finding
 
 _LEVELS = (0.995, 0.98, 0.96, 0.93, 0.90, 0.86)
 _SEEDS = 40
-_LOOKED_AT = 5
+_MAX_CANDIDATES = 5
 _LEAST_SHARE = 0.3  # of a circle's angles at which a level set's outline follows it
 _LEAST_SEED_PX = 3.0
 _HALOS = 4
@@ -54,7 +54,7 @@ _MAX_APPARENT_ZENITH_DEG = 89.6
 """A lower sun is below the horizon: at 89.6 degrees the whole disc (radius 0.27 degrees) is still above it."""
 
 
-class _Seen(NamedTuple):
+class _Blob(NamedTuple):
     """The level circles of one blob, highest level first, and the light around it: a reflection has none."""
 
     circles: tuple[Circle, ...]
@@ -122,21 +122,21 @@ def detect_sun_in_photo(
         return _none("hidden", Finding("image_dark", {"peak": peak}), exposure_us, peak)
     if float(np.median(planes.counts[::8, ::8])) >= _ALL_WHITE * full_scale:
         return _none("saturated", Finding("image_saturated"), exposure_us, peak)
-    seen = _best_blob(planes, peak, expectation)
-    estimates = _estimates(planes, seen, zenith, robust=robust)
-    if seen is None or estimates is None:
+    blob = _best_blob(planes, peak, expectation)
+    estimates = _estimates(planes, blob, zenith, robust=robust)
+    if blob is None or estimates is None:
         return _none("hidden", Finding("no_round_region"), exposure_us, peak)
-    verdict = _verdict(seen, expectation)
-    return _detection(seen, estimates, verdict, planes, robust=robust, lens=lens, exposure_us=exposure_us)
+    verdict = _verdict(blob, expectation)
+    return _detection(blob, estimates, verdict, planes, robust=robust, lens=lens, exposure_us=exposure_us)
 
 
-def _estimates(planes: Planes, seen: _Seen | None, zenith: float | None, *, robust: bool) -> Estimates | None:
+def _estimates(planes: Planes, blob: _Blob | None, zenith: float | None, *, robust: bool) -> Estimates | None:
     """Return the paper's estimators' answers; where something else may be brighter, from the blob's surroundings."""
-    if seen is None or not robust:
+    if blob is None or not robust:
         return locate(planes, apparent_zenith=zenith)
-    half = math.ceil(3.0 * seen.radius) + 8
-    x0, y0 = (max(0, round(value) - half) for value in seen.center)
-    rows, columns = slice(y0, round(seen.center[1]) + half + 1), slice(x0, round(seen.center[0]) + half + 1)
+    half = math.ceil(3.0 * blob.radius) + 8
+    x0, y0 = (max(0, round(value) - half) for value in blob.center)
+    rows, columns = slice(y0, round(blob.center[1]) + half + 1), slice(x0, round(blob.center[0]) + half + 1)
     found = locate(planes.part(rows, columns), apparent_zenith=zenith)
     return None if found is None else found.shifted(x0, y0)
 
@@ -152,7 +152,7 @@ def _none(verdict: Verdict, finding: Finding, exposure_us: float | None, peak: f
     )
 
 
-def _best_blob(planes: Planes, peak: float, expectation: Expectation | None) -> _Seen | None:
+def _best_blob(planes: Planes, peak: float, expectation: Expectation | None) -> _Blob | None:
     """Return the roundest of the brightest regions; with an expectation only those around it count."""
     grey = planes.grey()
     top = float(grey.max())
@@ -163,28 +163,28 @@ def _best_blob(planes: Planes, peak: float, expectation: Expectation | None) -> 
     if expectation is not None:
         reach = 5.0 * expectation.uncertainty_px + largest
         seeds = [s for s in seeds if math.hypot(s.x - expectation.x_px, s.y - expectation.y_px) < reach]
-    seen = sorted((_Seen((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
-        -_LOOKED_AT:
+    blob = sorted((_Blob((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
+        -_MAX_CANDIDATES:
     ]
-    outlined = [found for one in seen if (found := _circles(grey, top, one.circles[0])) is not None]
+    outlined = [found for one in blob if (found := _circles(grey, top, one.circles[0])) is not None]
     tones = _GAMMA if planes.full_scale == _EIGHT_BITS else 1.0
-    best = sorted(seen + outlined, key=lambda each: each.score)[-_HALOS:]
+    best = sorted(blob + outlined, key=lambda each: each.score)[-_HALOS:]
     with_light = [each._replace(halo=_halo_of(grey, top, each, tones)) for each in best]
     return max(with_light, key=lambda each: each.score, default=None)
 
 
-def _halo_of(grey: Plane, top: float, seen: _Seen, tones: float) -> Halo | None:
+def _halo_of(grey: Plane, top: float, blob: _Blob, tones: float) -> Halo | None:
     """Return what the linear light around a blob is symmetric about."""
-    x, y = seen.center
-    half = math.ceil(4.0 * seen.radius) + 16
+    x, y = blob.center
+    half = math.ceil(4.0 * blob.radius) + 16
     x0, y0 = max(0, round(x) - half), max(0, round(y) - half)
     part = grey[y0 : round(y) + half + 1, x0 : round(x) + half + 1]
     light = np.clip(part.astype(np.float64) / top, 0.0, 1.0) ** tones
-    found = halo_about(light, center=(x - x0, y - y0), radius=seen.circles[0].radius)
+    found = halo_about(light, center=(x - x0, y - y0), radius=blob.circles[0].radius)
     return None if found is None else found._replace(x=found.x + x0, y=found.y + y0)
 
 
-def _circles(grey: Plane, top: float, seed: Circle) -> _Seen | None:
+def _circles(grey: Plane, top: float, seed: Circle) -> _Blob | None:
     """Return the level circles around a point that look like circles at all."""
     largest = _MAX_RADIUS_FRACTION * min(grey.shape)
     half = math.ceil(2.5 * largest)
@@ -197,7 +197,7 @@ def _circles(grey: Plane, top: float, seed: Circle) -> _Seen | None:
             continue
         near = (circle.x, circle.y)
         circles.append(circle._replace(x=circle.x + x0, y=circle.y + y0))
-    return _Seen(tuple(circles), _light_around(grey, circles[0])) if len(circles) >= 2 else None
+    return _Blob(tuple(circles), _light_around(grey, circles[0])) if len(circles) >= 2 else None
 
 
 def _light_around(grey: Plane, circle: Circle) -> float:
@@ -211,16 +211,16 @@ def _light_around(grey: Plane, circle: Circle) -> float:
     return float(np.median(ring)) if ring.size else 0.0
 
 
-def _verdict(seen: _Seen, expectation: Expectation | None) -> tuple[Verdict, Finding]:
-    x, y = seen.center
+def _verdict(blob: _Blob, expectation: Expectation | None) -> tuple[Verdict, Finding]:
+    x, y = blob.center
     if expectation is not None:
         distance = math.hypot(x - expectation.x_px, y - expectation.y_px)
         if distance > 5.0 * expectation.uncertainty_px + 2.0:
             return "reflection", Finding("blob_displaced", {"distance_px": distance})
-    if seen.halo is None:
+    if blob.halo is None:
         return "partly_covered", Finding("blob_light_hidden")
-    clear = Finding("blob_found", {"diameter_px": 2.0 * seen.radius, "scatter": seen.halo.scatter})
-    return _fault(seen.halo, seen.spread_px) or ("clear", clear)
+    clear = Finding("blob_found", {"diameter_px": 2.0 * blob.radius, "scatter": blob.halo.scatter})
+    return _fault(blob.halo, blob.spread_px) or ("clear", clear)
 
 
 def _fault(halo: Halo, spread_px: float) -> tuple[Verdict, Finding] | None:
@@ -240,7 +240,7 @@ def _fault(halo: Halo, spread_px: float) -> tuple[Verdict, Finding] | None:
 
 
 def _detection(
-    seen: _Seen,
+    blob: _Blob,
     estimates: Estimates,
     verdict: tuple[Verdict, Finding],
     planes: Planes,
@@ -249,7 +249,7 @@ def _detection(
     lens: Lens | None,
     exposure_us: float | None,
 ) -> Detection:
-    x, y = seen.center if robust else estimates.position
+    x, y = blob.center if robust else estimates.position
     return Detection(
         method="paper",
         accepted=verdict[0] == "clear",
@@ -257,13 +257,13 @@ def _detection(
         findings=(verdict[1],),
         x_px=x,
         y_px=y,
-        sigma_px=math.hypot(_SIGMA_PX, min(seen.spread_px, seen.radius), _LARGE * seen.radius),
+        sigma_px=math.hypot(_SIGMA_PX, min(blob.spread_px, blob.radius), _LARGE * blob.radius),
         peak_fraction=float(planes.counts.max()) / planes.full_scale,
         background_fraction=float(np.median(planes.counts[::16, ::16])) / planes.full_scale,
-        radius_px=seen.radius,
-        ellipticity=None if seen.halo is None else seen.halo.ellipticity,
+        radius_px=blob.radius,
+        ellipticity=None if blob.halo is None else blob.halo.ellipticity,
         saturated_px=int(np.count_nonzero(planes.counts >= 0.995 * planes.full_scale)),
         spread_px=estimates.spread_px,
-        radial_bias_px=None if lens is None else bias_at(lens, x_px=x, y_px=y, radius_px=seen.radius),
+        radial_bias_px=None if lens is None else bias_at(lens, x_px=x, y_px=y, radius_px=blob.radius),
         exposure_us=exposure_us,
     )
