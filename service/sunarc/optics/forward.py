@@ -63,9 +63,9 @@ def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
 
 def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return pixels (n, 2) and derivatives by the parameters (n, 2, 23) of directions (n, 3); rows are 0 beyond."""
-    rotation, turn = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
+    rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels, rows = pixels_and_rows_of(*_lens(camera), rotation, turn, directions)
+    pixels, rows = pixels_and_rows_of(*_lens(camera), rotation, jacobian, directions)
     return pixels, rows
 
 

@@ -84,9 +84,9 @@ def _angle_of_radius(camera: Camera, radius: FloatArray) -> FloatArray:
     theta = np.interp(radius, distorted_radius(camera, grid), grid)
     for _ in range(_ITERATIONS):
         change = (distorted_radius(camera, theta) - radius) / radius_slope(camera, theta)
-        following = np.clip(theta - change, 0.0, limit)
-        moved = np.abs(following - theta)
-        theta = following
+        next_theta = np.clip(theta - change, 0.0, limit)
+        moved = np.abs(next_theta - theta)
+        theta = next_theta
         if not np.any(moved > _TOLERANCE):
             break
     beyond = radius > distorted_radius(camera, np.asarray(limit)) * (1.0 + 1e-12)

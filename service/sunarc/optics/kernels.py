@@ -83,12 +83,12 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     mirror: float,
     max_angle: float,
     rotation: FloatArray,
-    turn: FloatArray,
+    jacobian: FloatArray,
     directions: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return pixels (n, 2) and their derivatives by the 23 parameters (n, 2, 23): `project_with_jacobian`.
 
-    `turn` is the right Jacobian of the rotation vector. Beyond the largest angle pixels are NaN, derivatives 0.
+    `jacobian` is the right Jacobian of the rotation vector. Beyond the largest angle pixels are NaN, derivatives 0.
     """
     n = directions.shape[0]
     pixels = np.empty((n, 2))
@@ -101,7 +101,7 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
             continue
         _lens_rows(vector, mirror, shape, pixels[i], rows[i])
         _vector_rows(vector, mirror, shape, x, y, z, rows[i])
-        _pose_rows(rotation, turn, directions[i], rows[i])
+        _pose_rows(rotation, jacobian, directions[i], rows[i])
     return pixels, rows
 
 
@@ -198,7 +198,7 @@ def _vector_rows(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, row: FloatArray) -> None:
+def _pose_rows(rotation: FloatArray, jacobian: FloatArray, direction: FloatArray, row: FloatArray) -> None:
     """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
     e, north, up = direction[0], direction[1], direction[2]
     for c in range(2):
@@ -208,7 +208,7 @@ def _pose_rows(rotation: FloatArray, turn: FloatArray, direction: FloatArray, ro
         wz = vx * rotation[0, 2] + vy * rotation[1, 2] + vz * rotation[2, 2]
         mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
         for a in range(3):
-            row[c, _ROTATION + a] = mx * turn[0, a] + my * turn[1, a] + mz * turn[2, a]
+            row[c, _ROTATION + a] = mx * jacobian[0, a] + my * jacobian[1, a] + mz * jacobian[2, a]
 
 
 class InverseConstants(NamedTuple):
@@ -291,9 +291,9 @@ def directions_of(  # noqa: PLR0917 - one loop, compiled; functions take positio
             if radius[k] > constants.exact_from:
                 result[i, 0], coarse = np.inf, True
                 continue
-            place = radius[k] * constants.per_radius
-            piece = np.uint64(min(place, last))
-            s = place - piece
+            position = radius[k] * constants.per_radius
+            piece = np.uint64(min(position, last))
+            s = position - piece
             scale = table[piece, 0] + s * (table[piece, 1] + s * (table[piece, 2] + s * table[piece, 3]))
             z = table[piece, 4] + s * (table[piece, 5] + s * (table[piece, 6] + s * table[piece, 7]))
             result[i, 0] = scale * (xe * x[k] + ye * y[k]) + ze * z
