@@ -119,21 +119,21 @@ def _beyond_full_scale(pair: _Pair) -> float | None:
     level = int(_SATURATED * pair.full_scale)
     if pair.histogram[level:].sum() < _MUCH_SATURATED * pair.long.size:
         return None
-    seen = np.sort(pair.short[_thinned(np.flatnonzero(pair.long >= level))].astype(np.float64))
-    seen = seen[seen.size // 10 : seen.size // 2]  # without the sun and its surroundings
+    levels = np.sort(pair.short[_thinned(np.flatnonzero(pair.long >= level))].astype(np.float64))
+    levels = levels[levels.size // 10 : levels.size // 2]  # without the sun and its surroundings
     black_long, black_short = float(pair.long[pair.dark].mean()), float(pair.short[pair.dark].mean())
     if black_long > _CEILING * pair.full_scale:
         black_long = black_short = 0.0
     expected = (_SATURATED * pair.full_scale - black_long) * pair.ratio
-    light = (float(seen.mean()) - black_short) / expected
+    light = (float(levels.mean()) - black_short) / expected
     return light if light < 1.0 / _SATURATED_TOLERANCE - pair.floor / expected else None
 
 
 def _brightest(pair: _Pair) -> IntArray:
     """Return where the longer exposure is brightest without being near saturation."""
     ceiling = int(_CEILING * pair.full_scale)
-    wanted = max(_LEAST_BRIGHT_PX, pair.long.size // 2000)
-    level = ceiling - 1 - int(np.searchsorted(np.cumsum(pair.histogram[:ceiling][::-1]), wanted))
+    n_brightest = max(_LEAST_BRIGHT_PX, pair.long.size // 2000)
+    level = ceiling - 1 - int(np.searchsorted(np.cumsum(pair.histogram[:ceiling][::-1]), n_brightest))
     return _thinned(np.flatnonzero((pair.long >= max(level, 0)) & (pair.long < ceiling)))
 
 
@@ -156,5 +156,5 @@ def _trimmed(values: Image) -> _Level:
     """Return the mean without the extremes."""
     ordered: FloatArray = np.sort(values).astype(np.float64)
     cut = int(_TRIM * ordered.size)
-    kept = ordered[cut : ordered.size - cut]
-    return _Level(mean=float(kept.mean()), error=float(kept.std() / np.sqrt(kept.size)))
+    trimmed = ordered[cut : ordered.size - cut]
+    return _Level(mean=float(trimmed.mean()), error=float(trimmed.std() / np.sqrt(trimmed.size)))

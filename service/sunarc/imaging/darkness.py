@@ -22,7 +22,7 @@ def is_dark(image: Image, *, full_scale: int) -> bool:
     down, across = image.shape[0] // _BLOCK_PX, image.shape[1] // _BLOCK_PX
     if down * across < 4:
         return False
-    whole = image[: down * _BLOCK_PX, : across * _BLOCK_PX]
-    means = whole.reshape(down, _BLOCK_PX, across, _BLOCK_PX).mean(axis=(1, 3), dtype=np.float32) / full_scale
+    blocks = image[: down * _BLOCK_PX, : across * _BLOCK_PX]
+    means = blocks.reshape(down, _BLOCK_PX, across, _BLOCK_PX).mean(axis=(1, 3), dtype=np.float32) / full_scale
     low, middle, high = np.percentile(means, (2.0, 50.0, 95.0))
     return bool(middle <= _PEDESTAL and high - low <= _FLAT and float(means.max()) - middle <= _SPOT)

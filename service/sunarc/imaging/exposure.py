@@ -108,14 +108,14 @@ def first_sun_exposures(options: SunExposureOptions, bounds: ExposureBounds) -> 
 
 
 def next_sun_exposures(
-    state: SunExposureState, look: SunLook, *, options: SunExposureOptions, bounds: ExposureBounds
+    state: SunExposureState, result: SunLook, *, options: SunExposureOptions, bounds: ExposureBounds
 ) -> SunExposureState:
     """Return the next cycle's sun exposures.
 
     Parameters
     ----------
     state : of the last cycle.
-    look : what its exposures showed.
+    result : what its exposures showed.
     options, bounds : the aim, and the camera's limits.
 
     Returns
@@ -124,63 +124,63 @@ def next_sun_exposures(
     back, and behind a veil, where the shorter one is ready for the moment when it is gone. Without a neutral filter the
     shortest exposure stays saturated; that counts as steady, for the fit leaves saturated pixels out.
     """
-    peaks = [peak for peak in look.peaks if _finite_positive(peak.exposure_us) and _finite_positive(peak.fraction)]
-    state = replace(state, cycles_spoiled=_count_spoiled(state, look, peaks))
+    peaks = [peak for peak in result.peaks if _finite_positive(peak.exposure_us) and _finite_positive(peak.fraction)]
+    state = replace(state, cycles_spoiled=_count_spoiled(state, result, peaks))
     if not peaks:
-        return _without_sun(state, look, options, bounds)
-    wanted = _wanted_us(peaks, options, bounds)
+        return _without_sun(state, result, options, bounds)
+    target_us = _target_us(peaks, options, bounds)
     if len(state.exposures_us) == 1 and _any_good(peaks, options, bounds, exposure_us=state.exposures_us[0]):
-        wanted = state.exposures_us[0]
+        target_us = state.exposures_us[0]
     steady = state.cycles_steady + 1 if _any_good(peaks, options, bounds) else 0
     best = _best(peaks, options)
-    level = best.fraction / best.exposure_us / _transmission(look)
-    settled = steady >= _STEADY_AFTER and look.apparent_zenith < _LOW_SUN_ZENITH_DEG
+    level = best.fraction / best.exposure_us / _transmission(result)
+    settled = steady >= _STEADY_AFTER and result.apparent_zenith < _LOW_SUN_ZENITH_DEG
     return SunExposureState(
-        exposures_us=_beside_the_clear(wanted, look, options, bounds, settled=settled),
+        exposures_us=_beside_the_clear(target_us, result, options, bounds, settled=settled),
         cycles_steady=steady,
         cycles_spoiled=state.cycles_spoiled,
         level_above_air=level,
     )
 
 
-def _count_spoiled(state: SunExposureState, look: SunLook, peaks: Sequence[Peak]) -> int:
+def _count_spoiled(state: SunExposureState, result: SunLook, peaks: Sequence[Peak]) -> int:
     """Clouds tell nothing; a sun that was seen ends the count."""
-    if look.spoiled:
+    if result.spoiled:
         return state.cycles_spoiled + 1
     return 0 if peaks else state.cycles_spoiled
 
 
 def _without_sun(
-    state: SunExposureState, look: SunLook, options: SunExposureOptions, bounds: ExposureBounds
+    state: SunExposureState, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds
 ) -> SunExposureState:
     """Keep the exposures for a while, then wait for the sun with those of a clear sky at its present height."""
     lost = state.cycles_lost + 1
     if lost < LOST_AFTER:
         return replace(state, cycles_lost=lost, cycles_steady=0)
-    clear = _clear_us(state, look, options)
+    clear = _clear_us(state, result, options)
     sought = options.first_us if clear is None else clear
     return replace(state, exposures_us=_bracket(sought, bounds), cycles_lost=lost, cycles_steady=0)
 
 
 def _beside_the_clear(
-    wanted: float, look: SunLook, options: SunExposureOptions, bounds: ExposureBounds, *, settled: bool
+    target_us: float, result: SunLook, options: SunExposureOptions, bounds: ExposureBounds, *, settled: bool
 ) -> tuple[float, ...]:
     """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
-    clear = _aim(options) / look.clear_level_per_us if look.clear_level_per_us > 0.0 else math.inf
+    clear = _aim(options) / result.clear_level_per_us if result.clear_level_per_us > 0.0 else math.inf
     unveiled = _within(clear, bounds)
-    if unveiled * _BRACKET_RATIO < wanted:
-        return (unveiled, wanted)
-    return (wanted,) if settled else _bracket(wanted, bounds)
+    if unveiled * _BRACKET_RATIO < target_us:
+        return (unveiled, target_us)
+    return (target_us,) if settled else _bracket(target_us, bounds)
 
 
-def _clear_us(state: SunExposureState, look: SunLook, options: SunExposureOptions) -> float | None:
-    level = look.clear_level_per_us or state.level_above_air * _transmission(look)
+def _clear_us(state: SunExposureState, result: SunLook, options: SunExposureOptions) -> float | None:
+    level = result.clear_level_per_us or state.level_above_air * _transmission(result)
     return _aim(options) / level if level > 0.0 else None
 
 
-def _transmission(look: SunLook) -> float:
+def _transmission(result: SunLook) -> float:
     """Return a clear sky's transmission at the sun's height, below 88 degrees that of 88: for a first guess only."""
-    return clear_transmission(min(look.apparent_zenith, 88.0))
+    return clear_transmission(min(result.apparent_zenith, 88.0))
 
 
 def _finite_positive(value: float) -> bool:
@@ -196,7 +196,7 @@ def _best(peaks: Sequence[Peak], options: SunExposureOptions) -> Peak:
     return min(peaks, key=lambda peak: (peak.fraction > 1.0, abs(math.log(peak.fraction / _aim(options)))))
 
 
-def _wanted_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
+def _target_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: ExposureBounds) -> float:
     """Return the exposure that brings the peak to the middle of the band, judged from the best exposed frame."""
     best = _best(peaks, options)
     change = min(max(_aim(options) / best.fraction, 1.0 / _MAX_CHANGE), _MAX_CHANGE)
