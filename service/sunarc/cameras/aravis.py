@@ -31,7 +31,7 @@ from sunarc.cameras.features import (
     temperature_c,
 )
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
-from sunarc.cameras.link import WANTED_BUFFER_BYTES, Link, link_to
+from sunarc.cameras.link import PREFERRED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.timestamps import utc_of_timestamp
@@ -87,7 +87,7 @@ class AravisCamera:
         self._simulated = False
         self.link: Link | None = None
         self._previous_id: int | None = None
-        self._in_doubt = False
+        self._is_suspect = False
 
     @property
     def info(self) -> CameraInfo:
@@ -122,20 +122,20 @@ class AravisCamera:
         info = self.info
         self._require_control()
         with self._translated("exposing"):
-            if self._in_doubt:
+            if self._is_suspect:
                 self._resynchronise()
-            self._in_doubt = True
+            self._is_suspect = True
             actual_us = self._control.set(self._camera, exposure_us)
             self._flush()
             triggered_at = self._clock.now()
             self._camera.software_trigger()
             frame = self._pop(info, actual_us, triggered_at)
-            self._in_doubt = False
+            self._is_suspect = False
         return frame
 
     def distrust(self) -> None:
         """Begin the next exposure with a stopped and emptied camera."""
-        self._in_doubt = True
+        self._is_suspect = True
 
     def check(self) -> CameraCondition:
         """Ask for every pinned setting (see `SkyCamera`)."""
@@ -215,7 +215,9 @@ class AravisCamera:
         if self._stream is None:
             raise CameraLostError(f"the camera at {options.address} gives no stream")
         if self._camera.is_gv_device():
-            self._stream.set_property("socket-buffer-size", WANTED_BUFFER_BYTES)  # up to net.core.rmem_max is granted
+            self._stream.set_property(
+                "socket-buffer-size", PREFERRED_BUFFER_BYTES
+            )  # up to net.core.rmem_max is granted
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
             self._tell_link(payload)
         for _ in range(_BUFFERS):
@@ -239,7 +241,7 @@ class AravisCamera:
         self._camera.software_trigger()
         buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
         if buffer is None:
-            self._in_doubt = True
+            self._is_suspect = True
         else:
             self._stream.push_buffer(buffer)
 
@@ -310,12 +312,12 @@ class AravisCamera:
     @contextmanager
     def _translated(self, doing: str) -> Iterator[None]:
         """Turn the library's errors into ours: a command that stays unanswered means that the camera is gone."""
-        gone = self._aravis.DeviceError
+        missing = self._aravis.DeviceError
         try:
             yield
         except self._glib.Error as error:
             quark = self._aravis.device_error_quark()
-            codes = (gone.TIMEOUT, gone.NOT_CONNECTED, gone.NOT_CONTROLLER, gone.NOT_FOUND)
+            codes = (missing.TIMEOUT, missing.NOT_CONNECTED, missing.NOT_CONTROLLER, missing.NOT_FOUND)
             if self._lost.is_set() or any(error.matches(quark, code) for code in codes):
                 raise CameraLostError(f"{doing}: no answer ({error.message}); check power and network") from error
             raise CameraError(f"{doing}: {error.message}") from error

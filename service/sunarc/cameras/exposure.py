@@ -35,10 +35,10 @@ class ExposureControl:
 
     def within(self, exposure_us: float) -> float:
         """Return the nearest exposure that the camera can take."""
-        kept = min(max(exposure_us, self.minimum_us), self.maximum_us)
+        clipped = min(max(exposure_us, self.minimum_us), self.maximum_us)
         if self.step_us <= 0.0:
-            return kept
-        stepped = self.minimum_us + round((kept - self.minimum_us) / self.step_us) * self.step_us
+            return clipped
+        stepped = self.minimum_us + round((clipped - self.minimum_us) / self.step_us) * self.step_us
         return stepped if stepped <= self.maximum_us else stepped - self.step_us
 
     def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types

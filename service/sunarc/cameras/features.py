@@ -100,7 +100,7 @@ def pin_settings(camera: Any, options: AravisOptions) -> tuple[Pin, ...]:  # noq
     _set_region(camera, options.region)
     pins += _set_levels(camera, options)
     camera.set_trigger("Software")  # after everything that deals with the frame rate, which would undo it
-    pins += [held(camera, name) for name in _NEUTRAL_UNKNOWN if has(camera, name)]
+    pins += [read_pin(camera, name) for name in _NEUTRAL_UNKNOWN if has(camera, name)]
     return (*pins, *(_hold(camera, name, kind) for name, kind in _AS_THEY_ARE if has(camera, name)))
 
 
@@ -123,7 +123,7 @@ def first(camera: Any, names: tuple[str, ...]) -> str | None:  # noqa: ANN401 - 
     return next((name for name in names if has(camera, name)), None)
 
 
-def held(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no types
+def read_pin(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no types
     """Return a feature with the value that it has, of whichever kind it is."""
     kinds: tuple[Kind, ...] = ("float", "integer", "boolean", "string")
     for kind in kinds[:-1]:
@@ -285,17 +285,17 @@ def _largest_region(camera: Any) -> tuple[int, int]:  # noqa: ANN401 - a GObject
 
 def _set_levels(camera: Any, options: AravisOptions) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
     """Pin gain and black level: decibels where the camera knows them, otherwise its lowest gain."""
-    for names, wanted in ((GAIN, options.gain_db), (BLACK_LEVEL, options.black_level)):
+    for names, requested in ((GAIN, options.gain_db), (BLACK_LEVEL, options.black_level)):
         name = first(camera, names)
         if name is None:
             continue
-        present = held(camera, name)
+        present = read_pin(camera, name)
         is_float = present.kind == "float"
         low, high = camera.get_float_bounds(name) if is_float else camera.get_integer_bounds(name)
         if names is GAIN and name != "Gain":
-            wanted = float(low)  # noqa: PLW2901 - raw steps are not decibels
-        if wanted is None:
+            requested = float(low)  # noqa: PLW2901 - raw steps are not decibels
+        if requested is None:
             yield present
         else:
-            value = min(max(wanted, low), high)
+            value = min(max(requested, low), high)
             yield write_or_keep(camera, name, present.kind, value if is_float else round(value))

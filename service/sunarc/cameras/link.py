@@ -7,7 +7,7 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-WANTED_BUFFER_BYTES = 32 << 20
+PREFERRED_BUFFER_BYTES = 32 << 20
 
 _IP_MTU = 14  # linux/in.h
 _CAP_NET_RAW = 13  # linux/capability.h
@@ -48,20 +48,20 @@ class Link:
     @property
     def complaints(self) -> tuple[str, ...]:
         """What will lose packets, each with its remedy."""
-        said = []
+        complaints = []
         if self.mtu is not None and self.packet_bytes > self.mtu:
-            said.append(
+            complaints.append(
                 f"packets of {self.packet_bytes} bytes do not fit the network's MTU of {self.mtu}; set "
                 f"camera.packet_size = {self.mtu - self.mtu % 4}, or a larger MTU all the way from the camera"
             )
         limit = self.buffer_limit_bytes
         if not self.packet_socket and limit < 2 * self.frame_bytes:
-            wanted = max(WANTED_BUFFER_BYTES, 1 << (2 * self.frame_bytes - 1).bit_length())
-            said.append(
+            preferred = max(PREFERRED_BUFFER_BYTES, 1 << (2 * self.frame_bytes - 1).bit_length())
+            complaints.append(
                 f"a socket may buffer {_mb(limit)} and a frame has {_mb(self.frame_bytes)}: packets are lost when the "
-                f"host is busy; run: sysctl -w net.core.rmem_max={wanted}, or give the service CAP_NET_RAW"
+                f"host is busy; run: sysctl -w net.core.rmem_max={preferred}, or give the service CAP_NET_RAW"
             )
-        return tuple(said)
+        return tuple(complaints)
 
 
 def link_to(address: str, *, packet_bytes: int, frame_bytes: int, packet_socket: bool) -> Link:
