@@ -18,7 +18,7 @@ from sunarc.errors import OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.simulation import ImagerOptions, Scene, genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request
-from sunarc.simulation.imager import _DARK_US, _IMAGES_KEPT, _Imager, _write_truth
+from sunarc.simulation.imager import _DARK_US, _MAX_IMAGES, _Imager, _write_truth
 
 START = datetime(2013, 5, 13, 17, tzinfo=UTC)
 START_NS = round(START.timestamp()) * 10**9
@@ -190,7 +190,7 @@ def test_what_was_not_sent_before_cannot_be_repeated(bench: Bench) -> None:
 
 
 def test_the_images_of_the_oldest_requests_are_forgotten(bench: Bench) -> None:
-    bench.exposures(*range(10, 10 + _IMAGES_KEPT + 1))
+    bench.exposures(*range(10, 10 + _MAX_IMAGES + 1))
     bench.registers.write(genicam.REPEAT_FRAME, 1)
     before = len(bench.scene.asked)
     bench.frame(11)

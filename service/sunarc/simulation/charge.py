@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from sunarc.detection import Bayer
 from sunarc.jit import njit
 
-_SEEN_BY = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most sensitive colour's
+_TRANSMISSION = {"R": 0.6, "G": 1.0, "B": 0.7}  # of white light, of the most sensitive colour's
 
 
 def behind_mosaic(light: NDArray[np.float32], bayer: Bayer, *, first: tuple[int, int]) -> None:
     """Dim each pixel as its colour filter does; `first` is the sensor's column and row of the first pixel."""
     for k, letter in enumerate(bayer):
         row, column = (k // 2 - first[1]) % 2, (k % 2 - first[0]) % 2
-        light[row::2, column::2] *= _SEEN_BY[letter]
+        light[row::2, column::2] *= _TRANSMISSION[letter]
 
 
 @njit(nogil=True)
@@ -34,10 +34,10 @@ def run_over(light: NDArray[np.float32], most: float, share: float) -> None:
             carried = 0.0
             for step in range(height):
                 row = step if way == 0 else height - 1 - step
-                here = light[row, column]
-                if here > most:
-                    carried += 0.5 * share * (here - most)
+                level = light[row, column]
+                if level > most:
+                    carried += 0.5 * share * (level - most)
                 elif carried > 0.0:
-                    taken = min(carried, most - here)
-                    light[row, column] = here + taken
-                    carried -= taken
+                    added = min(carried, most - level)
+                    light[row, column] = level + added
+                    carried -= added

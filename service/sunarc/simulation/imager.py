@@ -37,8 +37,8 @@ _log = logging.getLogger(__name__)
 
 _PR_SET_PDEATHSIG = 1
 _TEMPERATURE_C = 21.5
-_LOOK_AT_ORDERS_S = 0.05
-_IMAGES_KEPT = 8
+_ORDERS_POLL_S = 0.05
+_MAX_IMAGES = 8
 """Images that can be repeated: those of a cycle."""
 _DARK_US = 1e-6
 """Exposure, µs, in which even the sun leaves no count: a closed dome."""
@@ -131,7 +131,7 @@ def run_imager(
             _write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
         _log.info("simulated imager at %s, %s, speed %g", options.address, options.start.isoformat(), options.speed)
         running(camera)
-        while not clock.wait(stop, _LOOK_AT_ORDERS_S):
+        while not clock.wait(stop, _ORDERS_POLL_S):
             imager.obey()
 
 
@@ -201,7 +201,7 @@ class _Imager:
         """Keep an image to be repeated; of the oldest requests none is kept."""
         self._last_images.pop(request, None)
         self._last_images[request] = image
-        while len(self._last_images) > _IMAGES_KEPT:
+        while len(self._last_images) > _MAX_IMAGES:
             del self._last_images[next(iter(self._last_images))]
 
     def _repeated(self, request: Request) -> Image | None:
@@ -222,15 +222,15 @@ class _Imager:
             self._camera.write(genicam.DROP_CONTROL, 0)
             self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
 
-    def _light_us(self, stated_us: float) -> float:
+    def _light_us(self, exposure_us: float) -> float:
         """Return how long the frame is exposed: what it states, unless a fault is asked for."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
         if self._camera.read(genicam.BLACK):
             return _DARK_US
         stale = bool(self._camera.read(genicam.STALE_EXPOSURE)) and self._previous_exposure_us > 0.0
-        light_us = self._previous_exposure_us if stale else stated_us * percent / 100.0
-        self._previous_exposure_us = stated_us
+        light_us = self._previous_exposure_us if stale else exposure_us * percent / 100.0
+        self._previous_exposure_us = exposure_us
         return light_us
 
     def _binned(self, render: Callable[..., Image], region: tuple[int, int, int, int]) -> Image:

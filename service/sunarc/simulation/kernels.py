@@ -71,11 +71,11 @@ def sky_light(  # noqa: PLR0917 - numba takes arguments by position
                 continue
             east, north, up = field[row, column, 0], field[row, column, 1], field[row, column, 2]
             dx, dy, dz = east - sun[0], north - sun[1], up - sun[2]
-            apart = dx * dx + dy * dy + dz * dz  # the chord's square, exact also close to the sun
-            near, wide = apart + core, apart + far
+            chord2 = dx * dx + dy * dy + dz * dz  # the chord's square, exact also close to the sun
+            near, wide = chord2 + core, chord2 + far
             halo = np.float32(0.0)
             if sees > np.float32(0.0):
-                low, cosine = one - up, one - half * apart
+                low, cosine = one - up, one - half * chord2
                 light = zenith * (one + steep * low * low * low) * (base + swing * cosine * cosine)
                 if cloudy:
                     through = transmittance_towards(layer, offset_x, offset_y, east, north, up)

@@ -124,8 +124,8 @@ class Scene:
         if bump is None or unix_s < bump.at.timestamp():
             return None
         if self._bumped is None:
-            turned = bumped_camera(self.camera, bump)
-            self._bumped = Scene(turned, self.site, options=replace(self.options, bump=None), sensor=self.sensor)
+            rotated = bumped_camera(self.camera, bump)
+            self._bumped = Scene(rotated, self.site, options=replace(self.options, bump=None), sensor=self.sensor)
         return self._bumped
 
     def weather(self, unix_s: float) -> Weather:
@@ -140,8 +140,8 @@ class Scene:
         points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return 0.0
-        seen = self._seen(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
-        return float(np.average(seen, weights=points.weight_px))
+        transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
+        return float(np.average(transmittance, weights=points.weight_px))
 
     def _gathered(
         self, unix_s: float, region: Region, exposure_us: float, bayer: Bayer | None
@@ -180,11 +180,11 @@ class Scene:
         points = disc_points(self.camera, sun, limb_darkening=self.options.limb_darkening)
         if points is None:
             return [], 0.0
-        seen = self._seen(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
-        share = float(np.average(seen, weights=points.weight_px))
+        transmittance = self._transmittance(points.direction_enu, layer) * self._uncovered(points.direction_enu, sun)
+        share = float(np.average(transmittance, weights=points.weight_px))
         if share <= 0.0:
             return [], 0.0
-        weight = points.weight_px * seen * self._disc_rate(sun[2])
+        weight = points.weight_px * transmittance * self._disc_rate(sun[2])
         stamps = [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
         if self.options.ghost_strength > 0.0:
             opposite = 2.0 * np.array(self.camera.principal_point_px) - points.pixel
@@ -200,10 +200,12 @@ class Scene:
         points = disc_points(self.camera, direction, limb_darkening=0.0)
         if points is None:
             return []
-        weight = points.weight_px * self._seen(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
+        weight = (
+            points.weight_px * self._transmittance(points.direction_enu, layer) * self._disc_rate(direction[2]) * _MOON
+        )
         return [stamp_of(points.pixel, weight, sigma_px=self.options.psf_sigma_px)]
 
-    def _seen(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
+    def _transmittance(self, direction_enu: FloatArray, layer: CloudLayer) -> FloatArray:
         through = np.array([transmittance_towards(*layer, *ray) for ray in direction_enu.astype(np.float32)])
         return np.where(is_blocked(direction_enu, self.options.obstructions), 0.0, through)
 
