@@ -8,7 +8,7 @@ import pytest
 from sunarc.calibration.model.options import Method
 from sunarc.optics import project_with_jacobian
 from sunarc.simulation import true_camera
-from sunarc.studies.bound import cramer_rao_bound, known_beforehand
+from sunarc.studies.bound import cramer_rao_bound, prior_of
 from sunarc.studies.trials import Trial, run_trials, synthetic_arc
 
 TRUTH = true_camera(0)
@@ -26,7 +26,7 @@ def test_the_paper_s_bound_on_the_arc_is_that_of_17_free_parameters() -> None:
 
 
 def test_the_paper_s_constraints_hold_skew_aspect_and_c1() -> None:
-    basis, precision = known_beforehand(TRUTH, method="paper")
+    basis, precision = prior_of(TRUTH, method="paper")
     assert basis.shape == (23, 17)
     assert not np.any(precision)
     assert np.allclose(basis[0], basis[1], atol=1e-12)
@@ -46,7 +46,7 @@ def test_the_priors_make_the_bound_smaller_and_less_than_proportional() -> None:
 def test_the_bound_s_covariance_is_that_of_the_normal_equations() -> None:
     """The same by the textbook's inverse, where it is well enough conditioned: with the priors."""
     arc, sigma = synthetic_arc(), 0.5
-    basis, precision = known_beforehand(TRUTH, method="robust")
+    basis, precision = prior_of(TRUTH, method="robust")
     rows = project_with_jacobian(TRUTH, arc.directions)[1].reshape(-1, 23) @ basis
     covariance = basis @ np.linalg.inv(rows.T @ rows / sigma**2 + np.diag(precision)) @ basis.T
     bound = cramer_rao_bound(TRUTH, arc.directions, method="robust", sigma_px=sigma)

@@ -85,7 +85,7 @@ def test_a_sheet_has_its_size_and_room_for_labels() -> None:
     key(axes)
     assert axes.get_legend() is None  # nothing was drawn with a label
     axes.plot([0.0], [0.0], label="a")
-    key(axes, place="upper left")
+    key(axes, location="upper left")
     assert axes.get_legend() is not None
 
 

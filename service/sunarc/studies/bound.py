@@ -34,7 +34,7 @@ def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, 
     """
     if sigma_px <= 0.0:
         return np.zeros(len(QUANTITIES))
-    basis, precision = known_beforehand(camera, method=method)
+    basis, precision = prior_of(camera, method=method)
     on_arc = _rows(camera, directions) @ basis
     root = _covariance_root(np.concatenate([on_arc / sigma_px, np.diag(np.sqrt(precision))]))
     spread = np.linalg.norm(basis @ root, axis=-1)
@@ -43,7 +43,7 @@ def cramer_rao_bound(camera: Camera, directions: FloatArray, *, method: Method, 
     return np.array([_rms(on_arc @ root), _rms(on_sky @ root), *parameters])
 
 
-def known_beforehand(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
+def prior_of(camera: Camera, *, method: Method) -> tuple[FloatArray, FloatArray]:
     """Return B (23, m) and the diagonal of Λ (m,)."""
     return _constraints(camera) if method == "paper" else _priors(camera)
 
@@ -52,12 +52,12 @@ def _constraints(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return the directions in which c1 and c2 (skew 0, one focal length) let the parameters move, and no priors."""
     theta = np.linspace(0.0, _RIGHT_ANGLE, 181)
     powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
-    held = np.zeros((3, len(PARAMETER_NAMES)))
-    held[0, RADIAL] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
-    held[1, FOCAL_LENGTH] = 1.0, -1.0
-    held[2, Param.SKEW_PX] = 1.0
+    constraints = np.zeros((3, len(PARAMETER_NAMES)))
+    constraints[0, RADIAL] = np.trapezoid(ideal_radius(camera.projection, theta)[:, None] * powers, theta, axis=0)
+    constraints[1, FOCAL_LENGTH] = 1.0, -1.0
+    constraints[2, Param.SKEW_PX] = 1.0
     basis = np.zeros((len(PARAMETER_NAMES), _FREE.size - 3))
-    basis[_FREE] = null_space(held[:, _FREE])
+    basis[_FREE] = null_space(constraints[:, _FREE])
     return basis, np.zeros(basis.shape[1])
 
 

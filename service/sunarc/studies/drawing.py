@@ -15,7 +15,7 @@ BLUE, VERMILLION, GREEN, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#
 LETTERING_PT = 10.0
 TITLE_PT = 12.0
 
-Place = Literal["best", "upper left", "upper right", "lower left", "lower right"]
+Location = Literal["best", "upper left", "upper right", "lower left", "lower right"]
 
 _DPI = 100
 
@@ -38,10 +38,10 @@ def letter(axes: Axes, *, x: str, y: str, title: str = "") -> None:
         axes.set_title(title, fontsize=TITLE_PT, loc="left")
 
 
-def key(axes: Axes, *, place: Place = "best", columns: int = 1) -> None:
+def key(axes: Axes, *, location: Location = "best", columns: int = 1) -> None:
     """Draw the key of what was drawn with a label, if anything was."""
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc=place, ncols=columns, fontsize=LETTERING_PT - 1.0, framealpha=0.9, markerscale=1.6)
+        axes.legend(loc=location, ncols=columns, fontsize=LETTERING_PT - 1.0, framealpha=0.9, markerscale=1.6)
 
 
 def save_png(figure: Figure, path: Path) -> Path:

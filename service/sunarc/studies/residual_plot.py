@@ -41,7 +41,7 @@ def residual_figure(calibration: Calibration, residuals: Residuals) -> Figure:
         letter(panels[f"deg_{name}"], x=label, y="angle between seen and true sun (°)")
     for panel in (panels["px_t"], panels["deg_t"]):
         _count_in_time(panel)
-        key(panel, place="upper left", columns=2)
+        key(panel, location="upper left", columns=2)
     _draw_arrows(panels["map"], calibration.camera, residuals)
     figure.suptitle(_headline(calibration), fontsize=TITLE_PT)
     return figure
@@ -91,10 +91,10 @@ def _limit(size: FloatArray, used: BoolArray) -> float:
 def _draw_rejected(axes: Axes, across: FloatArray, off: FloatArray, limit: float, *, mark: str, label: str) -> None:
     """Draw rejected sightings; those beyond the panel stand on its edge."""
     if off.size:
-        held = np.clip(off, -0.97 * limit, 0.97 * limit)
-        beyond = int(np.sum(held != off))
+        clipped = np.clip(off, -0.97 * limit, 0.97 * limit)
+        beyond = int(np.sum(clipped != off))
         label_text = f"{label} ({beyond} beyond the edge)" if beyond else label
-        axes.plot(across, held, mark, ms=5, color=VERMILLION, label=label_text, zorder=3)
+        axes.plot(across, clipped, mark, ms=5, color=VERMILLION, label=label_text, zorder=3)
 
 
 def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
@@ -102,7 +102,7 @@ def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
     unit = _nice(float(np.sqrt(np.mean(square)))) if square.size else 1.0
     per_px = _ARROW * camera.width / unit
     _outline(axes, camera)
-    for belongs, name, colour, place in (
+    for belongs, name, colour, height in (
         (~residuals.used, "rejected", VERMILLION, 0.5),
         (residuals.used, "used", BLUE, 0.04),
     ):
@@ -115,7 +115,7 @@ def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
         )  # fmt: skip
         if rows.size:
             label = f"{unit:g} px, {name} ({rows.size} of {int(belongs.sum())} drawn)"
-            axes.quiverkey(arrows, place, 1.025, unit, label, labelpos="E", fontproperties={"size": LETTERING_PT})
+            axes.quiverkey(arrows, height, 1.025, unit, label, labelpos="E", fontproperties={"size": LETTERING_PT})
     axes.set_xlim(-0.5, camera.width - 0.5)
     axes.set_ylim(camera.height - 0.5, -0.5)
     axes.set_aspect("equal")

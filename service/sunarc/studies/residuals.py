@@ -43,22 +43,22 @@ def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
     """Return the residuals of sightings, each against the pose of its epoch."""
     times = np.where(np.isfinite(points.unix_s), points.unix_s, 0.0)
     directions = sun_directions(times, calibration.site)
-    predicted, looked_at = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)
+    predicted, detected = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)
     for epoch, pose in enumerate(calibration.poses):
-        camera, mine = replace(calibration.camera, rotation_cam_enu=pose), points.epoch == epoch
-        predicted[mine] = project(camera, directions[mine])
-        looked_at[mine] = unproject(camera, points.pixels[mine])
+        camera, in_epoch = replace(calibration.camera, rotation_cam_enu=pose), points.epoch == epoch
+        predicted[in_epoch] = project(camera, directions[in_epoch])
+        detected[in_epoch] = unproject(camera, points.pixels[in_epoch])
     zenith, azimuth = angles_from_direction(directions)
     offset = points.pixels - predicted
-    known = np.all(np.isfinite(offset), axis=-1) & np.isfinite(points.unix_s) & (zenith < 91.0)
+    valid = np.all(np.isfinite(offset), axis=-1) & np.isfinite(points.unix_s) & (zenith < 91.0)
     return Residuals(
-        unix_s=points.unix_s[known],
-        pixels=points.pixels[known],
-        offset_px=offset[known],
-        offset_deg=np.degrees(angular_distance(looked_at[known], directions[known])),
-        apparent_zenith_deg=zenith[known],
-        azimuth_deg=azimuth[known],
-        used=_used(calibration, points, offset)[known],
+        unix_s=points.unix_s[valid],
+        pixels=points.pixels[valid],
+        offset_px=offset[valid],
+        offset_deg=np.degrees(angular_distance(detected[valid], directions[valid])),
+        apparent_zenith_deg=zenith[valid],
+        azimuth_deg=azimuth[valid],
+        used=_used(calibration, points, offset)[valid],
     )
 
 
@@ -66,9 +66,9 @@ def _used(calibration: Calibration, points: SunPoints, offset: FloatArray) -> Bo
     """Return which sightings the fit used; of one made from other sightings, the nearest that are as many."""
     if calibration.used is not None and calibration.used.size == len(points):
         return calibration.used
-    stated = np.isfinite(points.sigma_px) & (points.sigma_px > 0.0)
-    typical = float(np.median(points.sigma_px[stated])) if np.any(stated) else 1.0
-    distance = np.linalg.norm(offset, axis=-1) / np.where(stated, points.sigma_px, typical)
+    has_sigma = np.isfinite(points.sigma_px) & (points.sigma_px > 0.0)
+    typical = float(np.median(points.sigma_px[has_sigma])) if np.any(has_sigma) else 1.0
+    distance = np.linalg.norm(offset, axis=-1) / np.where(has_sigma, points.sigma_px, typical)
     used = np.zeros(distance.size, dtype=bool)
     used[np.argsort(distance, kind="stable")[: calibration.evidence.n_used]] = True
     return np.asarray(used & np.isfinite(distance))

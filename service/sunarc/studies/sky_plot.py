@@ -67,19 +67,19 @@ def _compass(axes: PolarAxes) -> None:
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     names = {0: "N 0°", 90: "E 90°", 180: "S 180°", 270: "W 270°"}
-    turns = list(range(0, 360, 30))
-    axes.set_thetagrids(turns, [names.get(a, f"{a}°") for a in turns], fontsize=LETTERING_PT + 1.0)
+    azimuths = list(range(0, 360, 30))
+    axes.set_thetagrids(azimuths, [names.get(a, f"{a}°") for a in azimuths], fontsize=LETTERING_PT + 1.0)
     axes.tick_params(axis="x", pad=8.0)
     axes.set_rlim(0.0, 90.0)
     axes.set_rgrids([30, 60, 90], ["30°", "60°", "90°"], angle=15.0, fontsize=LETTERING_PT - 1.0, color=INK)
     axes.grid(visible=True, color="#FFFFFF", linewidth=0.6, alpha=0.5)
 
 
-def _draw_sigma(figure: Figure, axes: PolarAxes, turn: FloatArray, zenith: FloatArray, sigma: FloatArray) -> None:
+def _draw_sigma(figure: Figure, axes: PolarAxes, azimuth: FloatArray, zenith: FloatArray, sigma: FloatArray) -> None:
     low, high = float(np.nanmin(sigma)), float(np.nanmax(sigma))
     scale = LogNorm(low, high) if low > 0.0 and high > 3.0 * low else Normalize(0.0, high)
     shown = np.ma.masked_invalid(sigma)
-    colours = axes.pcolormesh(turn, zenith, shown, cmap="cividis", norm=scale, shading="gouraud", zorder=0)
+    colours = axes.pcolormesh(azimuth, zenith, shown, cmap="cividis", norm=scale, shading="gouraud", zorder=0)
     bar = figure.colorbar(colours, ax=axes, shrink=0.75, pad=0.08, format="%.3g")
     bar.set_label("1-sigma per axis (°)", fontsize=LETTERING_PT + 1.0)
     bar.ax.tick_params(labelsize=LETTERING_PT, which="both")
@@ -87,7 +87,7 @@ def _draw_sigma(figure: Figure, axes: PolarAxes, turn: FloatArray, zenith: Float
     bar.set_ticks(levels or [high])
     bar.ax.minorticks_off()
     if levels:
-        lines = axes.contour(turn, zenith, shown, levels=levels, colors="#FFFFFF", linewidths=1.0)
+        lines = axes.contour(azimuth, zenith, shown, levels=levels, colors="#FFFFFF", linewidths=1.0)
         rim: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground=INK)]
         lines.set_path_effects(rim)
         for label in axes.clabel(lines, fmt="%.3g°", fontsize=LETTERING_PT):

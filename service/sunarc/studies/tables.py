@@ -60,8 +60,8 @@ def study_tables(
 
 def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, SunPoints]:
     """Return the arcs of a case and the sightings of them: as many as the paper had, with as much noise (SD_m)."""
-    whole = arcs(true_camera(0), case.days)
-    arc = whole.select(np.sort(rng.choice(len(whole), case.n_points, replace=False)))
+    complete = arcs(true_camera(0), case.days)
+    arc = complete.select(np.sort(rng.choice(len(complete), case.n_points, replace=False)))
     if case.cloud_share > 0.0:
         noise = cloud_noise(rng, len(arc), core_px=_CORE_PX, share=case.cloud_share, sd_px=case.sd_m_px)
     else:

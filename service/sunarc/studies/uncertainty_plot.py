@@ -36,7 +36,7 @@ def rmse_figure(study: Uncertainty) -> Figure:
     label = "true error of the calibration, RMSE (px)"
     letter(on_arc, x=_NOISE, y=label, title="on the arc (Eq. 28, Fig. 4)")
     letter(on_sky, x=_NOISE, y=label, title="over the whole sky")
-    key(on_arc, place="upper left", columns=2)
+    key(on_arc, location="upper left", columns=2)
     figure.suptitle(_headline(study), fontsize=TITLE_PT)
     return figure
 
@@ -50,7 +50,7 @@ def parameter_figure(study: Uncertainty) -> Figure:
         for number, axes in enumerate(row):
             _draw_parameter(axes, study, method, number + 2)
             letter(axes, x=_NOISE, y=f"{names[number]} − truth (px)", title=f"{names[number]}, {method} method")
-        key(row[0], place="lower left")
+        key(row[0], location="lower left")
     figure.suptitle(_headline(study), fontsize=TITLE_PT)
     return figure
 
