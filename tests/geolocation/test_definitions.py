@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from sunarc.geolocation import Located, clouds, place_of, shadows
+from sunarc.geolocation import Located, clouds, geodetic_position, shadows
 from sunarc.geolocation.ellipsoid import ECCENTRICITY2, SEMI_MAJOR_M, _frame
 from sunarc.sky import Site, direction_from_angles
 
@@ -53,14 +53,14 @@ def test_places_go_to_proj_and_back() -> None:
     rng = np.random.default_rng(1)
     for site in PLACES:
         enu = rng.normal(0.0, [60e3, 60e3, 5e3], (30, 3))
-        place = place_of(enu, site)
+        geodetic = geodetic_position(enu, site)
         axes, origin = _frame(site)
-        theirs = (geocentric(place.latitude, place.longitude, place.altitude) - origin) @ axes.T
+        theirs = (geocentric(geodetic.latitude, geodetic.longitude, geodetic.altitude) - origin) @ axes.T
         np.testing.assert_allclose(theirs, enu, atol=1e-5)
-        above = geocentric(place.latitude, place.longitude, place.altitude + 100.0)
-        below = geocentric(place.latitude, place.longitude, place.altitude)
-        np.testing.assert_allclose(place.up, (above - below) / 100.0 @ axes.T, atol=1e-9)
-        assert np.all(np.abs(place.longitude) <= 180.0)
+        above = geocentric(geodetic.latitude, geodetic.longitude, geodetic.altitude + 100.0)
+        below = geocentric(geodetic.latitude, geodetic.longitude, geodetic.altitude)
+        np.testing.assert_allclose(geodetic.up, (above - below) / 100.0 @ axes.T, atol=1e-9)
+        assert np.all(np.abs(geodetic.longitude) <= 180.0)
 
 
 def test_a_point_100_km_off_on_the_tangent_plane_stands_784_m_up() -> None:
@@ -68,7 +68,7 @@ def test_a_point_100_km_off_on_the_tangent_plane_stands_784_m_up() -> None:
     sine2 = math.sin(math.radians(SITE.latitude)) ** 2
     across = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY2 * sine2)
     along = across * (1.0 - ECCENTRICITY2) / (1.0 - ECCENTRICITY2 * sine2)
-    found = place_of(np.array([[1e5, 0.0, 0.0], [0.0, 1e5, 0.0]]), SITE).altitude - SITE.altitude
+    found = geodetic_position(np.array([[1e5, 0.0, 0.0], [0.0, 1e5, 0.0]]), SITE).altitude - SITE.altitude
     np.testing.assert_allclose(found, [1e10 / 2.0 / across, 1e10 / 2.0 / along], rtol=1e-3)
 
 
@@ -80,8 +80,8 @@ def test_on_a_flat_earth_the_cloud_stands_at_height_times_tangent() -> None:
     np.testing.assert_allclose(found.position_m[0, :2], flat, atol=0.01)
     assert found.position_m[0, 2] == pytest.approx(100.0, abs=0.01)
     metres_per_degree = math.radians(1.0) * SEMI_MAJOR_M
-    assert (found.place.latitude[0] - SITE.latitude) * metres_per_degree == pytest.approx(flat[1], rel=0.01)
-    eastward = (found.place.longitude[0] - SITE.longitude) * metres_per_degree
+    assert (found.geodetic.latitude[0] - SITE.latitude) * metres_per_degree == pytest.approx(flat[1], rel=0.01)
+    eastward = (found.geodetic.longitude[0] - SITE.longitude) * metres_per_degree
     assert eastward * math.cos(math.radians(SITE.latitude)) == pytest.approx(flat[0], rel=0.01)
 
 
@@ -92,14 +92,14 @@ def test_on_a_flat_earth_the_shadow_lies_the_sun_s_tangent_further() -> None:
     flat = cloud.position_m[0, :2] - 100.0 * sun[:2] / sun[2]
     found = shadows(cloud, sun, SITE)
     np.testing.assert_allclose(found.position_m[0], [*flat, 0.0], atol=0.01)
-    assert found.place.altitude[0] == pytest.approx(SITE.altitude, abs=1e-6)
+    assert found.geodetic.altitude[0] == pytest.approx(SITE.altitude, abs=1e-6)
 
 
 def test_heights_may_differ_from_cloud_to_cloud() -> None:
     directions = direction_from_angles(zenith_deg=[0.0, 70.0, 85.0], azimuth_deg=[0.0, 10.0, 200.0])
     heights = np.array([500.0, 3000.0, 11_000.0])
     many = clouds(directions, height_m=heights, covariance=np.zeros((3, 3, 3)), site=SITE)
-    np.testing.assert_allclose(many.place.altitude, SITE.altitude + heights, atol=1e-6)
+    np.testing.assert_allclose(many.geodetic.altitude, SITE.altitude + heights, atol=1e-6)
     for i, height in enumerate(heights):
         one = clouds(directions[i : i + 1], height_m=height, covariance=NONE, site=SITE)
         np.testing.assert_allclose(one.position_m[0], many.position_m[i], atol=1e-6)
@@ -137,7 +137,7 @@ def test_the_covariances_are_those_of_the_difference_quotients(zenith_deg: float
     for found, jacobian in zip((cloud, shadows(cloud, sun, SITE)), jacobians, strict=True):
         expected = jacobian @ covariance @ jacobian.T
         np.testing.assert_allclose(found.covariance_m2[0], expected, atol=2e-4 * np.abs(expected).max())
-        up = found.place.up[0]  # a cloud and a shadow slide along their surfaces
+        up = found.geodetic.up[0]  # a cloud and a shadow slide along their surfaces
         assert abs(float(up @ found.covariance_m2[0] @ up)) < 1e-9 * float(np.trace(expected))
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from pyproj import Geod, Transformer
 
-from sunarc.geolocation import Located, clouds, place_of, shadows
+from sunarc.geolocation import Located, clouds, geodetic_position, shadows
 from sunarc.sky import Site, direction_from_angles
 
 FloatArray = NDArray[np.float64]
@@ -25,10 +25,10 @@ def geocentric(latitude: FloatArray, longitude: FloatArray, altitude: FloatArray
 @pytest.mark.parametrize("site", SITES)
 def test_places_are_projs_own(site: Site) -> None:
     enu = SKY * 70_000.0
-    place = place_of(enu, site)
+    geodetic = geodetic_position(enu, site)
     here = f"+proj=topocentric +ellps=WGS84 +lat_0={site.latitude} +lon_0={site.longitude} +h_0={site.altitude}"
     pipeline = f"+proj=pipeline +step +proj=cart +ellps=WGS84 +step {here}"
-    theirs = Transformer.from_pipeline(pipeline).transform(place.longitude, place.latitude, place.altitude)
+    theirs = Transformer.from_pipeline(pipeline).transform(geodetic.longitude, geodetic.latitude, geodetic.altitude)
     np.testing.assert_allclose(np.stack(theirs, axis=-1), enu, atol=1e-5)
 
 
@@ -36,10 +36,10 @@ def test_places_are_projs_own(site: Site) -> None:
 @pytest.mark.parametrize("height_m", [300.0, 12_000.0])
 def test_a_cloud_lies_on_its_ray_and_at_its_height(site: Site, height_m: float) -> None:
     found = clouds(SKY, height_m=height_m, covariance=SURE, site=site)
-    np.testing.assert_allclose(found.place.altitude, site.altitude + height_m, atol=1e-4)
+    np.testing.assert_allclose(found.geodetic.altitude, site.altitude + height_m, atol=1e-4)
     np.testing.assert_allclose(np.cross(found.position_m, SKY), 0.0, atol=1e-6)
     first = geocentric(*(np.array([v]) for v in (site.latitude, site.longitude, site.altitude)))
-    there = geocentric(found.place.latitude, found.place.longitude, found.place.altitude)
+    there = geocentric(found.geodetic.latitude, found.geodetic.longitude, found.geodetic.altitude)
     np.testing.assert_allclose(
         np.linalg.norm(there - first, axis=-1), np.linalg.norm(found.position_m, axis=-1), atol=1e-3
     )
@@ -55,7 +55,7 @@ def test_overhead_is_overhead_and_near_the_zenith_the_earth_is_flat() -> None:
 def test_the_distance_on_the_ground_is_the_geodesic() -> None:
     found = clouds(SKY[16:24], height_m=1000.0, covariance=SURE[16:24], site=SITE)
     azimuth, _, distance = Geod(ellps="WGS84").inv(
-        np.full(8, SITE.longitude), np.full(8, SITE.latitude), found.place.longitude, found.place.latitude
+        np.full(8, SITE.longitude), np.full(8, SITE.latitude), found.geodetic.longitude, found.geodetic.latitude
     )
     np.testing.assert_allclose(distance, 1000.0 * np.tan(np.radians(60.0)), rtol=1e-3)
     np.testing.assert_allclose(azimuth % 360.0, np.arange(0.0, 360.0, 45.0), atol=0.01)
@@ -65,7 +65,7 @@ def test_a_shadow_falls_away_from_the_sun() -> None:
     cloud = clouds(SKY[:1], height_m=2000.0, covariance=SURE[:1], site=SITE)
     found = shadows(cloud, direction_from_angles(zenith_deg=45.0, azimuth_deg=180.0), SITE)
     np.testing.assert_allclose(found.position_m, [[0.0, 2000.0, 0.0]], atol=1.0)
-    np.testing.assert_allclose(found.place.altitude, SITE.altitude, atol=1e-4)
+    np.testing.assert_allclose(found.geodetic.altitude, SITE.altitude, atol=1e-4)
     above = clouds(
         direction_from_angles(zenith_deg=[45.0], azimuth_deg=[180.0]), height_m=1.0, covariance=SURE[:1], site=SITE
     )
@@ -78,7 +78,7 @@ def test_with_the_sun_down_there_is_no_shadow(zenith_deg: float) -> None:
     cloud = clouds(SKY, height_m=2000.0, covariance=SURE, site=SITE)
     found = shadows(cloud, direction_from_angles(zenith_deg=zenith_deg, azimuth_deg=180.0), SITE)
     assert np.all(np.isnan(found.position_m))
-    assert np.all(np.isnan(found.place.latitude))
+    assert np.all(np.isnan(found.geodetic.latitude))
 
 
 def test_sunlight_past_a_cloud_may_miss_the_earth() -> None:

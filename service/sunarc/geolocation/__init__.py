@@ -3,7 +3,7 @@
 `ellipsoid` WGS 84 · `locate` from directions and a height.
 """
 
-from sunarc.geolocation.ellipsoid import Place, place_of
+from sunarc.geolocation.ellipsoid import GeodeticPosition, geodetic_position
 from sunarc.geolocation.locate import Located, clouds, shadows
 
-__all__ = ["Located", "Place", "clouds", "place_of", "shadows"]
+__all__ = ["GeodeticPosition", "Located", "clouds", "geodetic_position", "shadows"]

@@ -20,7 +20,7 @@ ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
 _ROUNDS = 4
 
 
-class Place(NamedTuple):
+class GeodeticPosition(NamedTuple):
     """Latitude and longitude in degrees, altitude in metres, each (n,); `up` (n, 3) is the vertical there.
 
     `up` is in the site's east-north-up.
@@ -32,7 +32,7 @@ class Place(NamedTuple):
     up: FloatArray
 
 
-def place_of(position_m: FloatArray, site: Site) -> Place:
+def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
     """Return the places of points (n, 3), metres east, north and up of a site."""
     axes, origin = _frame(site)
     x, y, z = np.moveaxis(position_m @ axes + origin, -1, 0)
@@ -45,7 +45,7 @@ def place_of(position_m: FloatArray, site: Site) -> Place:
     sine, cosine, longitude = np.sin(latitude), np.cos(latitude), np.arctan2(y, x)
     altitude = across * cosine + (z + ECCENTRICITY2 * radius * sine) * sine - radius
     up = np.stack([cosine * np.cos(longitude), cosine * np.sin(longitude), sine], axis=-1) @ axes.T
-    return Place(np.degrees(latitude), np.degrees(longitude), altitude, up)
+    return GeodeticPosition(np.degrees(latitude), np.degrees(longitude), altitude, up)
 
 
 def _frame(site: Site) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, Place, place_of
+from sunarc.geolocation.ellipsoid import SEMI_MAJOR_M, GeodeticPosition, geodetic_position
 from sunarc.sky import Site
 
 _ROUNDS = 5
@@ -27,12 +27,12 @@ class Located:
     Attributes
     ----------
     position_m : (n, 3) metres east, north and up of the site; up falls with distance as the Earth curves away.
-    place : latitude, longitude, altitude.
+    geodetic : latitude, longitude, altitude.
     covariance_m2 : (n, 3, 3) of the position, from the uncertainty of the view direction alone.
     """
 
     position_m: FloatArray
-    place: Place
+    geodetic: GeodeticPosition
     covariance_m2: FloatArray
 
 
@@ -73,38 +73,38 @@ def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:
     valid = np.full(len(cloud.position_m), sun[2] > _LEVEL)[:, None]
     ray = np.where(valid, -sun, np.nan)
     target = np.full(len(cloud.position_m), site.altitude)
-    length, place = _meet(cloud.position_m, ray, target, site)
-    moved = _flattened(ray, place.up)
+    length, geodetic = _meet(cloud.position_m, ray, target, site)
+    moved = _flattened(ray, geodetic.up)
     return Located(
         position_m=cloud.position_m + length[:, None] * ray,
-        place=place,
+        geodetic=geodetic,
         covariance_m2=moved @ cloud.covariance_m2 @ np.swapaxes(moved, -1, -2),
     )
 
 
 def _through(start: FloatArray, ray: FloatArray, altitude: FloatArray, covariance: FloatArray, site: Site) -> Located:
-    length, place = _meet(start, ray, altitude, site)
-    moved = length[:, None, None] * _flattened(ray, place.up)
+    length, geodetic = _meet(start, ray, altitude, site)
+    moved = length[:, None, None] * _flattened(ray, geodetic.up)
     return Located(
         position_m=start + length[:, None] * ray,
-        place=place,
+        geodetic=geodetic,
         covariance_m2=moved @ covariance @ np.swapaxes(moved, -1, -2),
     )
 
 
-def _meet(start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site) -> tuple[FloatArray, Place]:
+def _meet(start: FloatArray, ray: FloatArray, altitude: FloatArray, site: Site) -> tuple[FloatArray, GeodeticPosition]:
     """Return how long rays are until they meet the surface of an altitude, and where: a sphere first, then Newton."""
-    begin = place_of(start, site)
+    begin = geodetic_position(start, site)
     rise = np.sum(ray * begin.up, axis=-1)
     inner, outer = SEMI_MAJOR_M + begin.altitude, SEMI_MAJOR_M + altitude
     with np.errstate(invalid="ignore"):
         root = np.sqrt((inner * rise) ** 2 + (outer - inner) * (outer + inner))
     length = np.where(rise > 0.0, 1.0, -1.0) * root - inner * rise
-    place = begin
+    geodetic = begin
     for _ in range(_ROUNDS):
-        place = place_of(start + length[:, None] * ray, site)
-        length = length - (place.altitude - altitude) / np.sum(ray * place.up, axis=-1)
-    return length, place_of(start + length[:, None] * ray, site)
+        geodetic = geodetic_position(start + length[:, None] * ray, site)
+        length = length - (geodetic.altitude - altitude) / np.sum(ray * geodetic.up, axis=-1)
+    return length, geodetic_position(start + length[:, None] * ray, site)
 
 
 def _flattened(ray: FloatArray, up: FloatArray) -> FloatArray:

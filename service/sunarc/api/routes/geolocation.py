@@ -76,7 +76,7 @@ def _locate(answering: Answering, points: Rows) -> Rows:
 def _row(found: Located) -> FloatArray:
     spread = found.covariance_m2
     sigma = np.sqrt(0.5 * (spread[:, 0, 0] + spread[:, 1, 1]))
-    position = found.place
+    position = found.geodetic
     columns = (
         position.latitude,
         position.longitude,
