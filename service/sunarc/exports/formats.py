@@ -58,7 +58,7 @@ class Exported:
     beside: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def export(document: Mapping[str, Any], wanted: Format) -> Exported:
+def export(document: Mapping[str, Any], form: Format) -> Exported:
     """Return a calibration document in another format.
 
     Raises
@@ -67,7 +67,7 @@ def export(document: Mapping[str, Any], wanted: Format) -> Exported:
         The document is none.
     """
     calibration = from_document(document)
-    match wanted:
+    match form:
         case "json":
             return Exported(content=json.dumps(document).encode(), error="is the calibration itself")
         case "opencv":
@@ -82,17 +82,17 @@ def export(document: Mapping[str, Any], wanted: Format) -> Exported:
             return Exported(content=cameramodel(model, calibration.camera, notes=notes), error=str(model.error))
         case "netcdf" | "npz":
             table, error = calibration_table(calibration, document)
-            return Exported(content=_file(wanted)(table), error=f"between the pixels of the grid, {error}")
+            return Exported(content=_file(form)(table), error=f"between the pixels of the grid, {error}")
 
 
-def export_map(document: Mapping[str, Any], wanted: MapFormat) -> bytes:
+def export_map(document: Mapping[str, Any], form: MapFormat) -> bytes:
     """Return the map of what every pixel of a calibration sees."""
     found = back_projection_map(lookup(from_document(document)))
-    return _file(wanted)(map_table(found, document, masks={}))
+    return _file(form)(map_table(found, document, masks={}))
 
 
-def _file(wanted: MapFormat) -> Callable[[Table], bytes]:
-    return netcdf_bytes if wanted == "netcdf" else npz_bytes
+def _file(form: MapFormat) -> Callable[[Table], bytes]:
+    return netcdf_bytes if form == "netcdf" else npz_bytes
 
 
 def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:

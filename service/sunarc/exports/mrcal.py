@@ -49,11 +49,11 @@ def splined_model(camera: Camera) -> SplinedModel:
     center = np.array([camera.width - 1.0 - x0 if camera.mirrored else x0, y0])
     u = 2.0 * sky.rays[:, :2] / (1.0 + sky.rays[:, 2:])
     design = _design(u, knots_per_u)
-    wanted = (sky.pixels - center) / focal - u
+    displacement = (sky.pixels - center) / focal - u
     bending = _bending()
     # Control points beyond the image have no data: the third differences continue the surface smoothly.
     normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
-    control = spsolve(normal, design.T @ wanted)
+    control = spsolve(normal, design.T @ displacement)
     row_column = (u + design @ control) * focal + center
     return SplinedModel(
         name=f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={_KNOTS}_Ny={_KNOTS}_fov_x_deg={fov_deg}",
@@ -65,13 +65,13 @@ def splined_model(camera: Camera) -> SplinedModel:
 def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> bytes:
     """Return mrcal's file; its reference frame is east-north-up."""
     listed = ", ".join(f"{value:.10g}" for value in model.intrinsics)
-    turn = ", ".join(f"{value:.12f}" for value in camera.rotation_cam_enu)
+    rotation = ", ".join(f"{value:.12f}" for value in camera.rotation_cam_enu)
     return (
         "".join(f"# {note}\n" for note in notes)
         + "{\n"
         + f"    'lensmodel':  '{model.name}',\n\n"
         + "    # rotation vector and translation from east-north-up to the camera\n"
-        + f"    'extrinsics': [ {turn}, 0, 0, 0 ],\n\n"
+        + f"    'extrinsics': [ {rotation}, 0, 0, 0 ],\n\n"
         + f"    'intrinsics': [ {listed} ],\n\n"
         + f"    'imagersize': [ {camera.width}, {camera.height} ]\n"
         + "}\n"
@@ -81,9 +81,9 @@ def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> byt
 def _design(u: FloatArray, knots_per_u: float) -> csr_array:
     """Return (n, knots²): the weight of every control point, the row of the image slowest."""
     # Four knots carry each place; just below the last but one, so that the fourth exists.
-    place = np.clip(u * knots_per_u + (_KNOTS - 1) / 2.0, 1.0, _KNOTS - 2.0 - 1e-9)
-    node = np.floor(place).astype(np.int64)
-    s = place - node
+    position = np.clip(u * knots_per_u + (_KNOTS - 1) / 2.0, 1.0, _KNOTS - 2.0 - 1e-9)
+    node = np.floor(position).astype(np.int64)
+    s = position - node
     weights = (
         np.stack(
             [(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, -3.0 * s**3 + 3.0 * s**2 + 3.0 * s + 1.0, s**3], axis=-1

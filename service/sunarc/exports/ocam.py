@@ -73,12 +73,12 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     # Readers of the cubic form ignore the affine part in places, so that it has to stay the identity.
     free[2:4] = not cubic
     rays = sky.rays @ frame.T
-    wanted = sky.pixels[:, ::-1]
+    row_column_of_rays = sky.pixels[:, ::-1]
 
     def misfit(moving: FloatArray) -> FloatArray:
         parameters = start.copy()
         parameters[free] = moving
-        return np.asarray(_forward(parameters, rays, sign) - wanted).ravel()
+        return np.asarray(_forward(parameters, rays, sign) - row_column_of_rays).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
@@ -120,8 +120,8 @@ def calib_results(model: OcamModel, *, width: int, height: int, notes: list[str]
     ]  # fmt: skip
     text = "\n".join(f"#{title}\n\n{values}\n" for title, values in blocks)
     rotation = "; ".join(" ".join(f"{value:.12f}" for value in line) for line in model.rotation)
-    said = [*notes, f"R from east-north-up to (down the image, right, into the camera): {rotation}"]
-    return (text + "\n" + "".join(f"# {line}\n" for line in said)).encode()
+    comments = [*notes, f"R from east-north-up to (down the image, right, into the camera): {rotation}"]
+    return (text + "\n" + "".join(f"# {line}\n" for line in comments)).encode()
 
 
 def _affine(parameters: FloatArray, sign: float) -> FloatArray:

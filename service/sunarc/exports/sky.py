@@ -60,18 +60,18 @@ def sky_of(camera: Camera, *, within: float) -> Sky:
     rays = np.stack([rays[:, 0] * across, rays[:, 1] * across, cosine], axis=-1)
     directions = rays @ rotation_matrix(camera.rotation_cam_enu)
     pixels = project(camera, directions)
-    seen = camera_sees(camera, pixels)
-    return Sky(within=limit, rays=rays[seen], directions=directions[seen], pixels=pixels[seen])
+    inside = camera_sees(camera, pixels)
+    return Sky(within=limit, rays=rays[inside], directions=directions[inside], pixels=pixels[inside])
 
 
 def fit_error(camera: Camera, sky: Sky, pixels: FloatArray) -> FitError:
     """Return how far another model's pixels (n, 2) for a sky are from ours; NaN where it has none is left out."""
-    known = np.all(np.isfinite(pixels), axis=-1)
-    off = (pixels - sky.pixels)[known]
-    angle = np.linalg.solve(local_stretch(camera, sky.directions[known]), off[..., None])[..., 0]
+    valid = np.all(np.isfinite(pixels), axis=-1)
+    off = (pixels - sky.pixels)[valid]
+    angle = np.linalg.solve(local_stretch(camera, sky.directions[valid]), off[..., None])[..., 0]
     off_px, off_deg = np.linalg.norm(off, axis=-1), np.degrees(np.linalg.norm(angle, axis=-1))
     # The error is stated up to the first direction for which the other model has no pixel.
-    unknown = np.arccos(np.clip(sky.rays[~known, 2], -1.0, 1.0))
+    unknown = np.arccos(np.clip(sky.rays[~valid, 2], -1.0, 1.0))
     return FitError(
         rms_px=float(np.sqrt(np.mean(off_px**2))),
         max_px=float(np.max(off_px)),

@@ -79,8 +79,8 @@ def _content(values: NDArray[Any]) -> dict[str, Any]:
 
 def npz_bytes(table: Table) -> bytes:
     """Return an npz file: the arrays by name, and `attributes`, a JSON text of all that is said of them."""
-    said = {"attributes": dict(table.attributes)} | {n: dict(v.attributes) for n, v in table.variables.items()}
-    text = json.dumps(said, default=lambda value: value.tolist())
+    described = {"attributes": dict(table.attributes)} | {n: dict(v.attributes) for n, v in table.variables.items()}
+    text = json.dumps(described, default=lambda value: value.tolist())
     target = io.BytesIO()
     arrays = {name: variable.values for name, variable in table.variables.items()}
     np.savez(target, allow_pickle=False, attributes=np.array(text), **arrays)
@@ -107,11 +107,11 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
     grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
     # The grid is that of the service's own table, so that a file and the API give the same directions.
-    looked_up = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
-    error = _bilinear_error(camera, x, y, np.asarray(looked_up[..., 2:5], dtype=np.float64))
+    directions = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
+    error = _bilinear_error(camera, x, y, np.asarray(directions[..., 2:5], dtype=np.float64))
     names = np.array(calibration.parameter_names)
     variables = _axes(x, y) | {"camera": _camera(document)}
-    variables |= _views(looked_up[..., 0], looked_up[..., 1], looked_up[..., 2:5], looked_up[..., 5])
+    variables |= _views(directions[..., 0], directions[..., 1], directions[..., 2:5], directions[..., 5])
     variables |= {
         "parameter_name": Variable(
             dimensions=("parameter",), values=names, attributes={"long_name": "fitted parameter of a row"}
@@ -162,8 +162,8 @@ def _views(
     zenith: NDArray[Any], azimuth: NDArray[Any], directions: NDArray[Any], sigma: NDArray[Any]
 ) -> dict[str, Variable]:
     def view(values: NDArray[Any], units: str, meaning: str, *more: str, **attributes: str) -> Variable:
-        said = {"units": units, "long_name": meaning, "camera_model": "camera", **attributes}
-        return Variable(dimensions=("y", "x", *more), values=values, attributes=said)
+        described = {"units": units, "long_name": meaning, "camera_model": "camera", **attributes}
+        return Variable(dimensions=("y", "x", *more), values=values, attributes=described)
 
     return {
         "zenith": view(zenith, "degree", "apparent zenith angle of the view direction", ancillary_variables="sigma"),
