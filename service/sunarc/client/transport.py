@@ -66,14 +66,14 @@ class Transport:
         )
         for attempt in range(self._retries + 1):
             try:
-                return self._asked(request)
+                return self._answer(request)
             except ImagerError as error:
                 if attempt == self._retries or error.status not in (None, *_AGAIN):
                     raise
                 time.sleep(_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
         raise AssertionError("unreachable")
 
-    def _asked(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
+    def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:
             with urllib.request.urlopen(request, timeout=self._timeout_s) as answer:  # noqa: S310 - http and https alone
                 return answer.read(), answer.headers
@@ -96,6 +96,6 @@ def _refusal(error: urllib.error.HTTPError) -> ImagerError:
 
 
 def _wait_s(error: ImagerError, attempt: int) -> float:
-    stated = str(error.problem.get("retry_after_s") or "")
-    wait_s = float(stated) if stated.isdecimal() else _FIRST_WAIT_S * 2.0**attempt
+    retry_after = str(error.problem.get("retry_after_s") or "")
+    wait_s = float(retry_after) if retry_after.isdecimal() else _FIRST_WAIT_S * 2.0**attempt
     return min(wait_s, _LONGEST_WAIT_S)
