@@ -215,9 +215,8 @@ class AravisCamera:
         if self._stream is None:
             raise CameraLostError(f"the camera at {options.address} gives no stream")
         if self._camera.is_gv_device():
-            self._stream.set_property(
-                "socket-buffer-size", PREFERRED_BUFFER_BYTES
-            )  # up to net.core.rmem_max is granted
+            # granted up to net.core.rmem_max
+            self._stream.set_property("socket-buffer-size", PREFERRED_BUFFER_BYTES)
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.FIXED)
             self._tell_link(payload)
         for _ in range(_BUFFERS):

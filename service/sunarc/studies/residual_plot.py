@@ -102,7 +102,7 @@ def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
     unit = _nice(float(np.sqrt(np.mean(square)))) if square.size else 1.0
     per_px = _ARROW * camera.width / unit
     _outline(axes, camera)
-    for belongs, name, colour, height in (
+    for belongs, name, colour, key_x in (
         (~residuals.used, "rejected", VERMILLION, 0.5),
         (residuals.used, "used", BLUE, 0.04),
     ):
@@ -115,7 +115,7 @@ def _draw_arrows(axes: Axes, camera: Camera, residuals: Residuals) -> None:
         )  # fmt: skip
         if rows.size:
             label = f"{unit:g} px, {name} ({rows.size} of {int(belongs.sum())} drawn)"
-            axes.quiverkey(arrows, height, 1.025, unit, label, labelpos="E", fontproperties={"size": LETTERING_PT})
+            axes.quiverkey(arrows, key_x, 1.025, unit, label, labelpos="E", fontproperties={"size": LETTERING_PT})
     axes.set_xlim(-0.5, camera.width - 0.5)
     axes.set_ylim(camera.height - 0.5, -0.5)
     axes.set_aspect("equal")

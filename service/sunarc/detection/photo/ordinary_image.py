@@ -163,12 +163,12 @@ def _best_blob(planes: Planes, peak: float, expectation: Expectation | None) -> 
     if expectation is not None:
         reach = 5.0 * expectation.uncertainty_px + largest
         seeds = [s for s in seeds if math.hypot(s.x - expectation.x_px, s.y - expectation.y_px) < reach]
-    blob = sorted((_Blob((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
+    seeded = sorted((_Blob((seed,), _light_around(grey, seed)) for seed in seeds), key=lambda one: one.score)[
         -_MAX_CANDIDATES:
     ]
-    outlined = [found for one in blob if (found := _circles(grey, top, one.circles[0])) is not None]
+    outlined = [found for one in seeded if (found := _circles(grey, top, one.circles[0])) is not None]
     tones = _GAMMA if planes.full_scale == _EIGHT_BITS else 1.0
-    best = sorted(blob + outlined, key=lambda each: each.score)[-_HALOS:]
+    best = sorted(seeded + outlined, key=lambda each: each.score)[-_HALOS:]
     with_light = [each._replace(halo=_halo_of(grey, top, each, tones)) for each in best]
     return max(with_light, key=lambda each: each.score, default=None)
 
