@@ -167,18 +167,25 @@ def _detected(mutant: Mutant, tests: list[str], copy: Path) -> bool:
     target = copy / "sunarc" / mutant.file
     original = target.read_text("utf-8")
     target.write_text(mutated(original, mutant.site), "utf-8")
-    process = _WARM.Process(target=_run_tests, args=(str(copy), tests))
     try:
-        process.start()
-        process.join(_SECONDS_AT_MOST)
-        if process.exitcode is None:
-            process.kill()
-            process.join()
-        if process.exitcode in _NOTHING_RAN:
-            raise RuntimeError(f"{mutant.file}:{mutant.site.line}: none of {tests} ran; make the file of --lines anew")
-        return process.exitcode != 0
+        code = _exit_code(copy, tests)
     finally:
         target.write_text(original, "utf-8")
+    # A change that a test module cannot be imported with leaves no test to be found, and so is detected.
+    if code in _NOTHING_RAN and _exit_code(copy, tests) in _NOTHING_RAN:
+        raise RuntimeError(f"{mutant.file}:{mutant.site.line}: none of {tests} ran; make the file of --lines anew")
+    return code != 0
+
+
+def _exit_code(copy: Path, tests: list[str]) -> int | None:
+    """Return pytest's exit code of tests on the package in a folder; negative where it took too long."""
+    process = _WARM.Process(target=_run_tests, args=(str(copy), tests))
+    process.start()
+    process.join(_SECONDS_AT_MOST)
+    if process.exitcode is None:
+        process.kill()
+        process.join()
+    return process.exitcode
 
 
 def _run_tests(copy: str, tests: list[str]) -> None:

@@ -142,8 +142,8 @@ class Expectation:
 
     def __post_init__(self) -> None:
         """Refuse numbers that are not finite."""
-        stretch = self.stretch_px_per_rad or ((1.0, 0.0), (0.0, 1.0))
-        numbers = (self.x_px, self.y_px, self.uncertainty_px, *stretch[0], *stretch[1])
+        stretch = [number for row in self.stretch_px_per_rad or () for number in row]
+        numbers = (self.x_px, self.y_px, self.uncertainty_px, *stretch)
         if not all(math.isfinite(number) for number in numbers) or self.uncertainty_px < 0.0:
             raise InputError(
                 field="expectation", problem="not finite", remedy="leave the prediction out where there is none"

@@ -186,8 +186,7 @@ def _summary(rings: _Rings, state: FloatArray) -> Halo:
     variance = (_SECTORS - 1.0) / _SECTORS * float(np.sum(spread**2)) / 2.0
     used = np.bincount(rings.sector, rings.weight > 0.0, _SECTORS)
     available = np.bincount(rings.sector, minlength=_SECTORS)
-    mean_available = max(float(available.mean()), 1.0)
-    follows = (used > 0.6 * available) & (available > 0.3 * mean_available)
+    follows = (used > 0.6 * available) & (available > 0.3 * available.mean())
     fall = float(rings.profile[0] - rings.profile[-1])
     scatter = mad_sigma(rings.residual)
     squeeze = math.hypot(float(state[2]), float(state[3]))
