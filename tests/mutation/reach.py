@@ -42,8 +42,9 @@ def _innermost(tree: ast.Module, line: int) -> ast.FunctionDef | None:
 def _statement(function: ast.FunctionDef, line: int) -> tuple[int, int]:
     """Return the first and last line of the simple statement that holds a line; of a default, the first statement's."""
     body = [one for one in function.body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))]
-    if line < function.body[0].lineno:
-        return body[0].lineno, body[0].lineno
+    if line < function.body[0].lineno or not body:  # a stub has no statement: nothing that runs
+        first = body[0].lineno if body else function.lineno
+        return first, first
     inside = [
         node
         for node in ast.walk(function)

@@ -7,9 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.detection.rendering import FloatArray, Image, Scene, disc_image, equisolid_stretch, read_out, render
+from tests.detection.rendering import (
+    SOLAR_RADIUS,
+    FloatArray,
+    Image,
+    Scene,
+    disc_image,
+    equisolid_stretch,
+    read_out,
+    render,
+)
 
 from sunarc.detection import Detection, DiscOptions, Expectation, Sensor, detect_sun
+from sunarc.detection.disc import detect
 from sunarc.detection.values import Verdict
 from sunarc.errors import InputError
 
@@ -223,3 +233,41 @@ def test_half_a_disc_is_not_accepted_and_a_grazed_one_not_misplaced() -> None:
     assert (half.verdict, half.accepted) == ("partly_covered", False)
     grazed = detected(render(scene, np.random.default_rng(5), covered(0.99)), expectation=PREDICTED)
     assert not grazed.accepted or abs((grazed.x_px or 0.0) - 24.0) < 0.03
+
+
+def test_a_faint_disc_is_refused_with_its_share_of_the_clear_sun() -> None:
+    found = detected(expectation=replace(PREDICTED, clear_peak_fraction=1e5))
+    assert (found.accepted, found.verdict) == (False, "hidden")
+    (finding,) = found.findings
+    assert finding.code == "disc_below_clear_sun"
+    assert finding.data["share"] == pytest.approx((found.peak_fraction or 0.0) / 1e5)
+
+
+def test_an_unpredicted_faint_disc_is_refused_with_its_level_per_microsecond() -> None:
+    found = detected(exposure_us=1e6)
+    (finding,) = found.findings
+    assert finding.code == "disc_below_faintest"
+    assert finding.data["level"] == pytest.approx((found.peak_fraction or 0.0) / 1e6)
+
+
+@pytest.mark.parametrize("uncertainty_px", [1.0, 4.0])
+def test_the_search_reaches_two_pixels_five_sigmas_and_the_discs_diameter(
+    monkeypatch: pytest.MonkeyPatch, uncertainty_px: float
+) -> None:
+    reaches: list[float] = []
+
+    def search(reach: float, *_: object, **__: object) -> Detection:
+        reaches.append(reach)
+        return Detection(method="disc", accepted=False, verdict="hidden", findings=())
+
+    def dark(*_: object, reach_px: float, **__: object) -> None:
+        reaches.append(reach_px)
+
+    monkeypatch.setattr(detect, "_search_near", search)
+    monkeypatch.setattr(detect, "obstruction", dark)
+    expectation = replace(PREDICTED, uncertainty_px=uncertainty_px)
+    detected(expectation=expectation)
+    radius = np.linalg.svd(np.array(STRETCH) * SOLAR_RADIUS, compute_uv=False).max()
+    assert reaches == pytest.approx(
+        [2.0 + 5.0 * uncertainty_px + 2.0 * radius, 2.0 * radius + 2.0 * uncertainty_px], rel=1e-6
+    )

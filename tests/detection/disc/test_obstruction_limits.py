@@ -69,3 +69,15 @@ def test_an_image_without_a_whole_tile_tells_nothing(shape: tuple[int, int]) -> 
 
 def test_surroundings_beyond_the_image_tell_nothing() -> None:
     assert not obstructed(sky(level=200.0, here=20.0), replace(PREDICTED, x_px=400.0))
+
+
+@pytest.mark.parametrize(("bright_rows", "expected"), [(26, False), (40, True)])
+def test_without_read_noise_the_rounding_of_counts_is_the_noise(bright_rows: int, *, expected: bool) -> None:
+    """Of 9 dark px 6 sigmas are 6 · 0.3 / 3 = 0.6 counts; the sky has 26 / 64 = 0.41 or 40 / 64 = 0.63 counts."""
+    image = np.zeros((256, 256), dtype=np.uint16)
+    for first in range(0, 256, 64):
+        image[:, first : first + bright_rows] = 1
+    image[125:132, 125:132] = 0
+    sensor = replace(SENSOR, read_noise_e=0.0, black_level=0.0)
+    found = obstruction(image, sensor=sensor, expectation=PREDICTED, reach_px=1.0)
+    assert (found is not None) == expected

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import sqrtm
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.search import brightest_spots, measure_spot, semi_axes, symmetric_root
+from sunarc.detection.disc.search import _moments, brightest_spots, measure_spot, semi_axes, symmetric_root
 from sunarc.robust_statistics import median_of
 
 
@@ -116,3 +116,24 @@ def test_the_symmetric_root_is_scipys(matrix: FloatArray) -> None:
 @pytest.mark.parametrize("matrix", [np.diag([2.0, -3.0]), np.array([[2.9, 0.4], [0.4, 2.5]]), np.zeros((2, 2))])
 def test_semi_axes_are_the_singular_values(matrix: FloatArray) -> None:
     assert semi_axes(matrix) == pytest.approx(tuple(np.linalg.svd(matrix, compute_uv=False)[::-1]))
+
+
+def test_moments_are_those_of_what_exceeds_half_the_level() -> None:
+    mean = np.zeros((9, 11))
+    mean[3:6, 4:8] = [[60.0, 80.0, 100.0, 70.0], [90.0, 100.0, 95.0, 55.0], [20.0, 65.0, 85.0, 45.0]]
+    rows, columns = np.nonzero(mean > 50.0)
+    weight = mean[rows, columns] - 50.0
+    x, y = (float(np.average(axis, weights=weight)) for axis in (columns, rows))
+    found = _moments(mean, x0=100.5, y0=200.5)
+    assert (found.x, found.y, found.level, found.background) == pytest.approx((x + 100.5, y + 200.5, 100.0, 0.0))
+    covariance = [
+        [np.mean((a - p) * (b - q)) for b, q in ((columns, x), (rows, y))] for a, p in ((columns, x), (rows, y))
+    ]
+    expected = np.real(sqrtm(4.0 * np.array(covariance) + 1e-3 * np.eye(2)))
+    assert np.asarray(found.axes) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_spot_of_one_pixel_has_the_least_axes() -> None:
+    mean = np.zeros((9, 11))
+    mean[4, 5] = 100.0
+    assert _moments(mean, x0=0.0, y0=0.0).semi_axes == pytest.approx((math.sqrt(1e-3), math.sqrt(1e-3)))

@@ -165,3 +165,29 @@ def test_a_disc_at_the_edge_is_the_part_of_a_whole_one() -> None:
 @pytest.mark.parametrize(("x", "y"), [(-20.0, 9.0), (9.0, -20.0), (60.0, 9.0), (9.0, 60.0)])
 def test_a_disc_beyond_the_window_is_dark(x: float, y: float) -> None:
     assert not rendered(x=x, y=y).any()
+
+
+def test_a_source_is_dark_beyond_five_point_spreads_and_half_a_pixel() -> None:
+    point = Sources(np.zeros((1, 2)), np.ones(1), 1.0)
+    row = rendered(x=20.45, y=3.0, psf=1.0, sources=point, shape=(7, 42))[template.VALUE][3]
+    assert np.flatnonzero(row).tolist() == list(range(15, 26))  # |i - 20.45| <= 5.5
+
+
+@pytest.mark.parametrize("radius_px", [0.1, 0.7, 2.7, 6.0])
+def test_sources_of_a_ring_are_as_few_as_their_distance_allows_and_six_at_least(radius_px: float) -> None:
+    u, v = disc_sources(radius_px=radius_px, psf_px=0.7, limb_darkening=0.6).positions.T
+    in_psf = math.ceil(8.0 * radius_px / 0.7) / 8.0
+    radii, counts = np.unique(np.round(np.hypot(u, v), 9), return_counts=True)
+    around = 2.0 * math.pi * radii * in_psf
+    assert np.all(around / counts <= 1.1 + 1e-9)
+    assert np.all((counts == 6) | (around / (counts - 1) > 1.1))
+    assert counts.min() == 6
+
+
+def test_every_other_ring_is_turned_by_half_a_step() -> None:
+    u, v = SOURCES.positions.T
+    ring = np.unique(np.round(np.hypot(u, v), 9), return_inverse=True)[1].ravel()
+    for k in range(ring.max() + 1):
+        angle = np.sort(np.mod(np.arctan2(v, u)[ring == k] + 1e-9, 2.0 * math.pi))
+        step = 2.0 * math.pi / angle.size
+        assert angle == pytest.approx(step * (np.arange(angle.size) + 0.5 * (k % 2)), abs=1e-6)

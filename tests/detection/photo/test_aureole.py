@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.aureole import Halo, halo_about
+from sunarc.detection.photo.aureole import Halo, _normal, _Rings, _weights, halo_about
 
 SIZE, RADIUS = 160, 14.0
 
@@ -132,3 +132,55 @@ def test_a_sun_at_the_border_has_the_light_of_one_side(x: float) -> None:
 
 def test_a_few_pixels_tell_nothing() -> None:
     assert halo_about(np.full((12, 12), 0.5), center=(6.0, 6.0), radius=2.0) is None
+
+
+def rings_of(residual: FloatArray, jacobian: FloatArray, weight: FloatArray, *, sectors: int = 24) -> _Rings:
+    ring = np.arange(residual.size) % 12
+    return _Rings(ring, (np.arange(residual.size) // 12) % sectors, residual, jacobian, weight, np.ones(12))
+
+
+def test_without_a_gradient_only_the_prior_on_the_shape_is_left() -> None:
+    state = np.array([80.0, 80.0, 0.1, -0.2, 0.0, 0.0])
+    rings = rings_of(np.zeros(600), np.zeros((600, 6)), np.ones(600))
+    matrix, gradient = _normal(rings, state)
+    precision = 16.0 * 600 / 50.0  # 1 / 0.25², at a fiftieth of the pixels' weight
+    assert matrix.sum(axis=0) == pytest.approx(np.diag([0.0, 0.0, precision, precision, 0.0, 0.0]))
+    assert gradient.sum(axis=0) == pytest.approx([0.0, 0.0, -0.1 * precision, 0.2 * precision, 0.0, 0.0])
+    assert matrix.shape == (24, 6, 6)
+
+
+def test_the_normal_equations_have_the_level_of_each_ring_free() -> None:
+    rng = np.random.default_rng(3)
+    jacobian, residual, weight = rng.normal(size=(600, 6)), rng.normal(size=600), rng.uniform(0.1, 1.0, 600)
+    rings = rings_of(residual, jacobian, weight)
+    matrix, gradient = _normal(rings, np.zeros(6))
+    levels = np.eye(12)[rings.ring]
+    design = np.hstack([jacobian, levels])
+    prior = np.diag([0.0, 0.0, 192.0, 192.0, 0.0, 0.0] + [0.0] * 12)
+    whole = design.T @ (design * weight[:, None]) + prior
+    step = np.linalg.solve(whole, design.T @ (weight * residual))[:6]  # all unknowns at once
+    assert np.linalg.solve(matrix.sum(axis=0), gradient.sum(axis=0)) == pytest.approx(step, rel=1e-9)
+
+
+def test_the_weights_are_tukeys_over_the_spread_of_a_ring_below_its_profile() -> None:
+    ring = np.repeat(np.arange(12), 50)
+    residual = np.random.default_rng(4).normal(0.0, 0.02, 600)
+    weight = _weights(residual, ring, 4.0)
+    own = residual[ring == 5]
+    scale = -2.1 * np.median(own[own < 0.0])
+    expected = np.where(np.abs(own) < 4.0 * scale, (1.0 - (own / (4.0 * scale)) ** 2) ** 2, 0.0) / scale**2
+    assert weight[ring == 5] == pytest.approx(expected)
+
+
+def test_a_ring_without_noise_has_the_scatter_of_8_bits() -> None:
+    assert _weights(np.zeros(600), np.repeat(np.arange(12), 50), 4.0) == pytest.approx(1.0)  # nothing is below
+    residual = np.tile([1e-6, -1e-6], 300)
+    assert _weights(residual, np.repeat(np.arange(12), 50), 4.0) == pytest.approx(0.004**-2, rel=1e-5)
+
+
+@pytest.mark.parametrize("hidden", [6, 12])
+def test_the_share_is_that_of_the_sectors_with_light(hidden: int) -> None:
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    sector = np.floor((np.arctan2(rows - 80.0, columns - 80.0) / (2.0 * math.pi) + 0.5) * 24.0)
+    light = np.where((sector < hidden) & (np.hypot(rows - 80.0, columns - 80.0) > RADIUS), 0.0, glare())
+    assert found_in(light).share == pytest.approx(1.0 - hidden / 24.0, abs=1.01 / 24.0)

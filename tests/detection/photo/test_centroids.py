@@ -159,3 +159,14 @@ def test_forstner_among_some_places_is_the_same_as_in_all() -> None:
     x, y = forstner(value, sigma=5.0, within=beside)
     assert 80.0 <= x < 110.0
     assert 0.0 <= y < 20.0
+
+
+@pytest.mark.parametrize(("below", "tied"), [(1e-6, True), (4e-6, False)])
+def test_places_as_high_to_two_millionths_are_averaged(below: float, *, tied: bool) -> None:
+    response = np.zeros((20, 30), dtype=np.float64)
+    response[4, 6], response[10, 12] = 1.0, 1.0 - below
+    assert peak_of(response) == ((9.0, 7.0) if tied else (6.0, 4.0))  # type: ignore[arg-type]
+
+
+def test_a_dark_response_has_its_middle_as_the_peak() -> None:
+    assert peak_of(np.zeros((5, 9), dtype=np.float32)) == (4.0, 2.0)

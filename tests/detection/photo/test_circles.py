@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.circles import Circle, _fitted, level_circle
+from sunarc.detection.photo.circles import Circle, _fitted, _inscribed, _opened, _outline, level_circle
 
 START = Circle(48.0, 52.0, 18.0, 0.0, 0.0)
 
@@ -135,3 +136,46 @@ def test_too_small_a_region_has_no_circle(radius: float) -> None:
 
 def test_a_plane_that_is_dark_has_no_circle() -> None:
     assert level_circle(np.ones((40, 40), np.float32), level=2.0, near=(20.0, 20.0)) is None
+
+
+@pytest.mark.parametrize(("off", "followed"), [(1.9, True), (2.1, False), (5.0, False)])
+def test_points_within_two_pixels_follow_a_small_circle(off: float, *, followed: bool) -> None:
+    points = ring(50.0, 50.0, 10.0)
+    points[:8] = ring(50.0, 50.0, 10.0 + off)[:8]
+    share = _fitted(points, Circle(50.0, 50.0, 10.0, 0.0, 0.0)).share
+    assert (share > 0.97) == followed
+
+
+def test_the_inscribed_circle_is_the_largest_within_the_region_at_the_point() -> None:
+    mask = (disc(40.0, 30.0, 12.0) + disc(80.0, 80.0, 15.0) >= 0.5).astype(np.uint8)
+    distance = np.asarray(cv2.distanceTransform(mask, cv2.DIST_L2, 5), dtype=np.float64)
+    found = _inscribed(mask, distance, (42.0, 33.0))
+    assert found == Circle(40.0, 30.0, distance[30, 40], 0.0, 0.0)
+    assert distance[30, 40] == distance[:60, :60].max()
+
+
+def test_without_a_region_there_is_no_inscribed_circle() -> None:
+    assert _inscribed(np.zeros((9, 9), np.uint8), np.zeros((9, 9)), (4.0, 4.0)) is None
+
+
+def test_the_outline_is_the_innermost_that_holds_the_start() -> None:
+    """A ring around a disc: OpenCV lists both outlines of the ring and that of the disc within it."""
+    far = np.hypot(*(np.mgrid[:100, :100] - 50.0))
+    mask = ((far < 10.0) | ((far > 20.0) & (far < 30.0))).astype(np.uint8)
+    points = _outline(mask, Circle(50.0, 50.0, 9.0, 0.0, 0.0))
+    assert np.all(np.hypot(*(points - 50.0).T) < 10.5)
+
+
+def test_outline_points_on_the_border_of_the_image_are_left_out() -> None:
+    points = _outline(np.ones((12, 15), np.uint8), Circle(7.0, 6.0, 5.0, 0.0, 0.0))
+    assert len(points) == 0
+    mask = np.zeros((12, 15), np.uint8)
+    mask[1:11, 1:14] = 1
+    assert len(_outline(mask, Circle(7.0, 6.0, 5.0, 0.0, 0.0))) == 2 * (10 + 13) - 4
+
+
+@pytest.mark.parametrize(("width", "kept"), [(7, False), (9, True)])
+def test_opening_cuts_off_what_is_thinner_than_the_disc(width: int, *, kept: bool) -> None:
+    mask = np.zeros((60, 60), np.uint8)
+    mask[30 : 30 + width, 5:55] = 1
+    assert bool(_opened(mask, radius=4.2).any()) == kept

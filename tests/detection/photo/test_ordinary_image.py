@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection import Detection, Expectation, Lens, detect_sun_in_photo, radial_bias_px
-from sunarc.detection.photo.aureole import Halo
+from sunarc.detection.photo.aureole import Halo, halo_about
 from sunarc.detection.photo.circles import Circle
-from sunarc.detection.photo.ordinary_image import _Blob, _fault, _light_around, _verdict
+from sunarc.detection.photo.ordinary_image import _Blob, _fault, _halo_of, _light_around, _verdict
 from sunarc.detection.values import Verdict
 from sunarc.errors import InputError
 
@@ -210,3 +210,35 @@ def test_the_order_of_the_colours_does_not_matter() -> None:
     one, other = found_in(colour), found_in(np.ascontiguousarray(colour[..., ::-1]))
     assert (one.x_px, one.y_px) == pytest.approx((other.x_px, other.y_px), abs=1e-3)
     assert one.verdict == other.verdict
+
+
+@pytest.mark.parametrize("circle", [(60.3, 44.8, 9.0), (3.2, 70.1, 8.0), (95.0, 2.0, 12.5), (50.0, 40.0, 3.4)])
+def test_the_light_around_is_that_of_the_whole_ring_within_the_image(
+    circle: tuple[float, float, float],
+) -> None:
+    grey = np.random.default_rng(7).uniform(0.0, 1.0, (80, 100)).astype(np.float32)
+    rows, columns = np.mgrid[:80, :100]
+    far = np.hypot(columns - circle[0], rows - circle[1])
+    ring = grey[(far > 1.5 * circle[2]) & (far < 2.5 * circle[2])]
+    assert _light_around(grey, Circle(*circle, 1.0, 0.0)) == pytest.approx(float(np.median(ring)))
+
+
+@pytest.mark.parametrize("radius", [4.0, 9.0])
+def test_the_light_around_a_blob_is_taken_from_all_that_the_rings_reach(radius: float) -> None:
+    grey = glare_image(radius=radius).astype(np.float32)
+    seen = _Blob((Circle(100.0, 90.0, radius, 1.0, 0.0),), 0.5)
+    found = _halo_of(grey, 4095.0, seen, 1.0)
+    whole = halo_about(grey.astype(np.float64) / 4095.0, center=(100.0, 90.0), radius=radius)
+    assert found is not None
+    assert whole is not None
+    assert tuple(found) == pytest.approx(tuple(whole), rel=1e-6, abs=1e-9)
+
+
+def test_tones_are_made_linear_before_the_light_is_measured() -> None:
+    grey = glare_image().astype(np.float32)
+    seen = _Blob((Circle(100.0, 90.0, 9.0, 1.0, 0.0),), 0.5)
+    toned = (4095.0 * (grey / 4095.0) ** (1.0 / 2.2)).astype(np.float32)
+    linear, corrected = _halo_of(grey, 4095.0, seen, 1.0), _halo_of(toned, 4095.0, seen, 2.2)
+    assert linear is not None
+    assert corrected is not None
+    assert corrected.edge == pytest.approx(linear.edge, rel=1e-4)

@@ -12,7 +12,10 @@ from tests.detection.photographs import sky
 from tests.detection.rendering import FloatArray, Image
 
 from sunarc.detection import Estimates, Lens, locate, planes_of, radial_bias_px
-from sunarc.detection.photo.centroids import gaussian_sigma_px, kernels, smear_column
+from sunarc.detection.photo import urquhart2016
+from sunarc.detection.photo.blob import Blob
+from sunarc.detection.photo.centroids import gaussian_sigma_px, kernels, smear_column, sun_blob
+from sunarc.detection.photo.urquhart2016 import Planes
 from sunarc.errors import InputError
 
 ALPHA_PX = 601.32
@@ -186,3 +189,20 @@ def test_a_blob_at_the_corner_is_found() -> None:
     assert literal is not None
     assert fast.position == pytest.approx((6.0, 9.0), abs=4.0)  # half of it is outside
     assert fast.position == pytest.approx(literal.position, abs=0.5)
+
+
+def test_the_fast_path_has_half_a_kernel_around_the_blob(monkeypatch: pytest.MonkeyPatch) -> None:
+    reaches: list[int] = []
+    around = urquhart2016._around
+
+    def noted(planes: Planes, blob: Blob, reach: int) -> tuple[slice, slice]:
+        reaches.append(reach)
+        return around(planes, blob, reach)
+
+    monkeypatch.setattr(urquhart2016, "_around", noted)
+    planes = planes_of(sky(x=212.0, y=251.0, radius=12.0), full_scale=4095)
+    locate(planes, apparent_zenith=math.radians(20.0))
+    blob = sun_blob(planes.counts)
+    assert blob is not None
+    (first, *_) = kernels(diameter=blob.diameter, sigma=gaussian_sigma_px(math.radians(20.0)))
+    assert reaches == [(first.shape[0] - 1) // 2]
