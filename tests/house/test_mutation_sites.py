@@ -85,6 +85,10 @@ def near(x, cut=4.0):
     ):
         return x + 1
     return cut
+
+
+def stub(x=2.0):
+    \"\"\"Do nothing.\"\"\"
 """
 
 
@@ -95,6 +99,7 @@ def near(x, cut=4.0):
         (5, {7}),  # a default: the function's first statement
         (8, {7, 8, 9}),  # a condition over several lines: without what it guards
         (10, {10}),
+        (14, {14}),  # a default of a function without a statement
     ],
 )
 def test_a_change_matters_where_its_statement_or_its_name_is_used(
