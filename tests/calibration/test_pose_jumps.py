@@ -14,7 +14,7 @@ from tests.fixtures.calibration import filtered_sightings, small_camera, stated_
 from sunarc.calibration import pose_change_points as module
 from sunarc.calibration import pose_step_search as search
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.pose.error_model import turned
+from sunarc.calibration.pose.error_model import rotated
 from sunarc.calibration.pose_change_points import best_row
 from sunarc.optics import project
 
@@ -115,7 +115,7 @@ def test_the_same_hours_of_two_days_differ_by_the_move() -> None:
 @pytest.mark.parametrize("row", [25, 40, 55])
 def test_the_row_of_a_step_is_found_by_the_cameras_of_either_side(row: int) -> None:
     camera = small_camera()
-    after = turned(camera, np.radians([0.5, 0.3, 0.0]))
+    after = rotated(camera, np.radians([0.5, 0.3, 0.0]))
     usable = _usable(60.0 * np.arange(80.0))
     late = np.arange(80)[:, None] >= row
     pixels = np.where(late, project(after, usable.directions), project(camera, usable.directions)) + _noise(80)
@@ -151,9 +151,9 @@ def test_places_are_about_the_largest_jump_and_none_without() -> None:
     turns = rng.normal(0.0, 0.003, (30, 3))
     turns[12:, 2] += 0.4
     daily = search._Daily(np.arange(100, 130), turns)
-    assert search._places(daily) == [(100 + 12 - 3, 100 + 12 + 2)]
-    assert search._places(search._Daily(np.arange(30), rng.normal(0.0, 0.003, (30, 3)))) == []
-    assert search._places(search._Daily(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == []
+    assert search._spans(daily) == [(100 + 12 - 3, 100 + 12 + 2)]
+    assert search._spans(search._Daily(np.arange(30), rng.normal(0.0, 0.003, (30, 3)))) == []
+    assert search._spans(search._Daily(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == []
 
 
 def test_steps_that_overlap_one_another_count_once() -> None:

@@ -14,7 +14,7 @@ from tests.fixtures.calibration import filtered_sightings, small_camera, sun_arc
 
 from sunarc.calibration import pose_step_evidence as module
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.pose.error_model import turned
+from sunarc.calibration.pose.error_model import rotated
 from sunarc.calibration.pose_step_evidence import Amplitudes, Episode, log_bayes_factor
 from sunarc.optics import project
 
@@ -31,11 +31,11 @@ def _usable(pixels: FloatArray, directions: FloatArray) -> FilteredSightings:
 def _factor(turn: FloatArray, *, drift: FloatArray | None = None, seed: int = 1) -> float:
     """Return the Bayes factor of a step at the middle, the residuals about the true cameras."""
     camera, directions = small_camera(), sun_arc(N)
-    after = turned(camera, turn)
+    after = rotated(camera, turn)
     late = np.arange(N)[:, None] >= ROW
     pixels = np.where(late, project(after, directions), project(camera, directions))
     pixels = pixels + np.random.default_rng(seed).normal(0.0, 0.1, (N, 2)) + (0.0 if drift is None else drift)
-    one = pixels - project(turned(camera, 0.5 * turn), directions)
+    one = pixels - project(rotated(camera, 0.5 * turn), directions)
     two = pixels - np.where(late, project(after, directions), project(camera, directions))
     size = max(float(np.linalg.norm(turn)), math.radians(0.02))
     return log_bayes_factor(ROW, _usable(pixels, directions), one=(camera, one), two=(after, two), turn_rad=size)
@@ -71,7 +71,7 @@ def rows() -> module._Rows:
 def test_the_rows_have_the_scale_and_the_side_of_their_sightings(rows: module._Rows) -> None:
     assert rows.sigma_px == pytest.approx(0.1, rel=0.2)
     assert rows.after.tolist() == [False] * ROW + [True] * (N - ROW)
-    np.testing.assert_allclose(rows.apart_s[0, :3], [0.0, 600.0, 1200.0])
+    np.testing.assert_allclose(rows.separation_s[0, :3], [0.0, 600.0, 1200.0])
     # correlation times of 1.5, 5 and 15 usual steps
     np.testing.assert_allclose([one[0, 1] for one in rows.autoregressive], np.exp([-1 / 1.5, -1 / 5, -1 / 15]))
     assert np.median(rows.variance) == pytest.approx(1.0)

@@ -25,7 +25,7 @@ _AMBIGUOUS = 3.0
 """Half squares by which one hand must be the more plausible one."""
 
 
-class _Chosen(NamedTuple):
+class _Start(NamedTuple):
     cameras: list[Camera]
     handedness: Handedness
 
@@ -59,38 +59,38 @@ def calibrate(
     """
     if min(image_size) < 16:
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
-    chosen = CalibrationOptions() if options is None else options
+    effective = CalibrationOptions() if options is None else options
     if start is not None:
-        chosen = replace(chosen, projection=start.projection)
+        effective = replace(effective, projection=start.projection)
     usable = filter_sightings(points, site=site)
     job = Job(
-        points=points, usable=usable, site=site, image_size=image_size, options=chosen, circle=circle, start=start
+        points=points, usable=usable, site=site, image_size=image_size, options=effective, circle=circle, start=start
     )
     problems = before_fit(usable)
     if problems:
         return refused(job, problems)
-    seen = observations(usable)
-    picked = _choose_hand(seen, job, start)
+    observed = observations(usable)
+    picked = _choose_hand(observed, job, start)
     if picked is None:
         return refused(job, (Finding("no_camera_fits"),))
-    return calibration_from_fit(_fitted(job, seen, picked.cameras), job, picked.handedness)
+    return calibration_from_fit(_fitted(job, observed, picked.cameras), job, picked.handedness)
 
 
-def _fitted(job: Job, seen: Observations, cameras: list[Camera]) -> Fitted:
+def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted:
     """Return the fit by the method that was asked for."""
     options = job.options
     if options.method == "paper":
-        return fit_as_paper(seen, job.usable, cameras, options=options)
-    problem = single_problem(seen, cameras[0], options, job.circle, n_epochs=len(cameras))
-    fit = fit_robustly(problem, seen, job.usable, problem.unknowns(cameras), options=options)
+        return fit_as_paper(observed, job.usable, cameras, options=options)
+    problem = single_problem(observed, cameras[0], options, job.circle, n_epochs=len(cameras))
+    fit = fit_robustly(problem, observed, job.usable, problem.unknowns(cameras), options=options)
     return robust_outcome(fit, job.usable, options)
 
 
 def _choose_hand(
-    seen: Observations,
+    observed: Observations,
     job: Job,
     start: Camera | None,
-) -> _Chosen | None:
+) -> _Start | None:
     """Return the start for the handedness that is set, or for the more plausible of both."""
     options = job.options
     both: tuple[Mirrored, Mirrored] = ("no", "yes")
@@ -100,7 +100,7 @@ def _choose_hand(
         hand_options = replace(options, mirrored=hand)
         from_start = None if start is None or start.mirrored != (hand == "yes") else start
         cameras, cost = first_cameras(
-            seen, image_size=job.image_size, options=hand_options, circle=job.circle, start=from_start
+            observed, image_size=job.image_size, options=hand_options, circle=job.circle, start=from_start
         )
         found.append((cost, hand_options, cameras))
     found.sort(key=lambda item: item[0])
@@ -108,4 +108,4 @@ def _choose_hand(
     if not math.isfinite(cost):
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return _Chosen(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))
+    return _Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))

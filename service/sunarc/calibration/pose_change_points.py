@@ -84,13 +84,13 @@ def calibrate_moved(
     ----------
     points, site, image_size, options, circle, start : as `calibrate` takes them.
     """
-    chosen = CalibrationOptions() if options is None else options
+    effective = CalibrationOptions() if options is None else options
 
     def fit(given: SunPoints, begin: Camera | None) -> Calibration:
-        return calibrate(given, site=site, image_size=image_size, options=chosen, circle=circle, start=begin)
+        return calibrate(given, site=site, image_size=image_size, options=effective, circle=circle, start=begin)
 
     solved = fit(points, start)
-    if np.any(points.epoch != points.epoch[:1]) or chosen.method != "robust":
+    if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust":
         return Moved(solved, points)
     usable = filter_sightings(points, site=site)
     for _ in range(_MOST):
@@ -140,10 +140,10 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightin
 def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Camera, fit: _Fit) -> Moved | None:
     """Return the fit with a move just before a row, or before one of the next ones where the two poses say so."""
     for _ in range(2):
-        apart = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
-        if _too_short(apart.epoch[usable.index], usable):
+        parted = replace(points, epoch=points.epoch + (points.unix_s >= usable.unix_s[row]))
+        if _too_short(parted.epoch[usable.index], usable):
             return None
-        fitted = fit(apart, begin)
+        fitted = fit(parted, begin)
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
@@ -152,7 +152,7 @@ def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Ca
         if better == row:
             break
         row = better
-    return Moved(fitted, apart)
+    return Moved(fitted, parted)
 
 
 def _too_short(epoch: IntArray, usable: FilteredSightings) -> bool:
@@ -182,8 +182,8 @@ def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
     """Return observed minus predicted, (n, 2) px; what the camera cannot see is far off."""
     predicted = np.full(usable.pixels.shape, np.nan)
     for epoch, pose in enumerate(solved.poses):
-        mine = usable.epoch == epoch
-        predicted[mine] = project_fast(replace(solved.camera, rotation_cam_enu=pose), usable.directions[mine])
+        in_epoch = usable.epoch == epoch
+        predicted[in_epoch] = project_fast(replace(solved.camera, rotation_cam_enu=pose), usable.directions[in_epoch])
     return finite(usable.pixels - predicted)
 
 
@@ -204,8 +204,8 @@ def _jumps(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     usual = float(np.median(jump)) / _MEDIAN_DISTANCE
     first, last = np.arange(jump.size), np.arange(jump.size) + 2 * _SIDE - 1
     run = usable.day * (1 + int(usable.epoch.max())) + usable.epoch
-    whole = (run[first] == run[last]) & (time[last] - time[first] <= _LONGEST_S)
-    score = np.where(whole, jump / np.maximum(_JUMP_PER_SIGMA * scatter, max(usual, _FLOOR_PX)), 0.0)
+    complete = (run[first] == run[last]) & (time[last] - time[first] <= _LONGEST_S)
+    score = np.where(complete, jump / np.maximum(_JUMP_PER_SIGMA * scatter, max(usual, _FLOOR_PX)), 0.0)
     found: list[_Parted] = []
     while len(found) < _JUMPS_TRIED and score.max() > _JUMP_SIGMAS:
         best = int(np.argmax(score))
@@ -219,16 +219,16 @@ def _misses(residual: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatAr
 
     Both have one slope. With it the smaller of the 1-sigmas per axis about the two, px.
     """
-    seen = np.moveaxis(sliding_window_view(residual, _SIDE, axis=0), -1, 1)
+    windows = np.moveaxis(sliding_window_view(residual, _SIDE, axis=0), -1, 1)
     at = sliding_window_view(time, _SIDE)
     half = _SIDE // 2
     # the median of slopes between halves (Theil 1950, Sen 1968): outliers do not tilt the line
-    slope = np.median((seen[:, half:] - seen[:, :half]) / (at[:, half:] - at[:, :half])[..., None], axis=1)
+    slope = np.median((windows[:, half:] - windows[:, :half]) / (at[:, half:] - at[:, :half])[..., None], axis=1)
     shared = 0.5 * (slope[:-_SIDE] + slope[_SIDE:])
     gap = 0.5 * (at[:-_SIDE, -1] + at[_SIDE:, 0])
     ends, scatter = [], []
     for side in (slice(None, -_SIDE), slice(_SIDE, None)):
-        level = seen[side] - shared[:, None] * (at[side] - gap[:, None])[..., None]
+        level = windows[side] - shared[:, None] * (at[side] - gap[:, None])[..., None]
         ends.append(np.median(level, axis=1))
         scatter.append(np.median(np.linalg.norm(level - ends[-1][:, None], axis=-1), axis=1) / _MEDIAN_DISTANCE)
     return np.linalg.norm(ends[1] - ends[0], axis=-1), np.minimum(*scatter)
@@ -238,11 +238,15 @@ def _nights(residual: FloatArray, usable: FilteredSightings) -> list[_Parted]:
     """Return the night over which the residuals of the same hours differ most, where it stands out from the others."""
     rows = [np.flatnonzero(usable.day == day) for day in np.unique(usable.day)]
     nights = [(late[0], _same_hours(residual, usable, early, late)) for early, late in pairwise(rows)]
-    known = [(int(row), apart) for row, apart in nights if math.isfinite(apart) and _one_pose(usable, int(row))]
-    if not known:
+    comparable = [
+        (int(row), difference)
+        for row, difference in nights
+        if math.isfinite(difference) and _one_pose(usable, int(row))
+    ]
+    if not comparable:
         return []
-    row, greatest = max(known, key=lambda night: night[1])
-    usual = float(np.median([apart for _, apart in known])) if len(known) > 2 else 0.0
+    row, greatest = max(comparable, key=lambda night: night[1])
+    usual = float(np.median([difference for _, difference in comparable])) if len(comparable) > 2 else 0.0
     stands_out = greatest > max(_NIGHT_RATIO * usual, _FLOOR_PX)
     return [_Parted(row, _SMALLEST_NIGHT_DEG)] if stands_out else []
 
@@ -255,15 +259,15 @@ def _same_hours(residual: FloatArray, usable: FilteredSightings, early: IntArray
     """Return by how much a day's residuals differ from the day before at the same hours (RMS of medians), px."""
     hours = np.mod(usable.unix_s[late] - usable.unix_s[early[0]], DAY_S)
     before = np.mod(usable.unix_s[early] - usable.unix_s[early[0]], DAY_S)
-    place = np.clip(np.searchsorted(before, hours), 1, before.size - 1) if before.size > 1 else np.zeros(0, dtype=int)
-    if place.size < _FEWEST:
+    index = np.clip(np.searchsorted(before, hours), 1, before.size - 1) if before.size > 1 else np.zeros(0, dtype=int)
+    if index.size < _FEWEST:
         return math.nan
-    nearer = place - (hours - before[place - 1] < before[place] - hours)
+    nearer = index - (hours - before[index - 1] < before[index] - hours)
     close = np.abs(before[nearer] - hours) < _LONGEST_S / 12.0
-    apart = (residual[late] - residual[early[nearer]])[close]
-    if apart.shape[0] < _FEWEST:
+    difference = (residual[late] - residual[early[nearer]])[close]
+    if difference.shape[0] < _FEWEST:
         return math.nan
-    medians = [np.median(part, axis=0) for part in np.array_split(apart, apart.shape[0] // 10)]
+    medians = [np.median(part, axis=0) for part in np.array_split(difference, difference.shape[0] // 10)]
     return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=-1))))
 
 

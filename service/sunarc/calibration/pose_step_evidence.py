@@ -95,7 +95,7 @@ class _Rows:
     variance: FloatArray
     after: BoolArray
     sigma_px: float
-    apart_s: FloatArray
+    separation_s: FloatArray
     autoregressive: tuple[FloatArray, ...]
     misfit: tuple[FloatArray, ...]
 
@@ -117,11 +117,11 @@ class _Model:
         n, _, p = self.derivatives.shape
         stacked = np.concatenate([self.residual, self.derivatives.reshape(n, 2 * p)], axis=1)
         white = solve_triangular(factor, stacked, lower=True, check_finite=False)
-        left, rows = white[:, :2], white[:, 2:].reshape(n, 2, p)
+        white_residual, rows = white[:, :2], white[:, 2:].reshape(n, 2, p)
         # Woodbury's identity once more: unknowns of unit prior variance are integrated out
         information = np.eye(p) + np.einsum("nai,naj->ij", rows, rows, optimize=True)
-        gradient = np.einsum("nai,na->i", rows, left)
-        square = float(np.sum(left**2) - gradient @ np.linalg.solve(information, gradient))
+        gradient = np.einsum("nai,na->i", rows, white_residual)
+        square = float(np.sum(white_residual**2) - gradient @ np.linalg.solve(information, gradient))
         determinant = 4.0 * float(np.sum(np.log(np.diag(factor)))) + float(np.linalg.slogdet(information).logabsdet)
         return float(-0.5 * (square + determinant) - n * math.log(2.0 * math.pi))
 
@@ -153,9 +153,9 @@ def log_bayes_factor(
     member = _members(picked, row, usable)
     rows = _rows(picked, member, row, usable, two[1])
     models = []
-    for (camera, residual), turn in ((one, 0.0), (two, turn_rad)):
+    for (camera, residual), angle_rad in ((one, 0.0), (two, turn_rad)):
         gathered = _medians(residual[picked], member)
-        models.append(_Model(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=turn)))
+        models.append(_Model(rows=rows, residual=gathered, derivatives=_derivatives(camera, rows, turn_rad=angle_rad)))
     windows = _windows(rows)
     without, with_turn = (_best(model, windows) for model in models)
     return with_turn - without - 1.5  # the turn that was fitted is one 1-sigma of its prior in each axis
@@ -181,14 +181,14 @@ def _rows(picked: IntArray, member: IntArray, row: int, usable: FilteredSighting
     count = np.bincount(member)
     middle = np.searchsorted(member, np.arange(count.size)) + count // 2
     times, directions = usable.unix_s[picked][middle], usable.directions[picked][middle]
-    left = _medians(residual[picked], member)
-    sigma = robust_sigma(np.linalg.norm(left, axis=-1), share=0.5, floor=_FLOOR_PX)
+    medians = _medians(residual[picked], member)
+    sigma = robust_sigma(np.linalg.norm(medians, axis=-1), share=0.5, floor=_FLOOR_PX)
     relative = usable.sigma_px[picked][middle]
-    gross = np.linalg.norm(left - _running_median(left), axis=-1) / (sigma * relative)
+    gross = np.linalg.norm(medians - _running_median(medians), axis=-1) / (sigma * relative)
     variance = (
         relative**2 * np.where(count > 2, _SPREAD_PER_MEDIAN**2, 1.0) * np.maximum(gross / _GROSS_SIGMAS, 1.0) ** 4
     )
-    apart = np.abs(times[:, None] - times)
+    separation = np.abs(times[:, None] - times)
     step = float(np.median(np.diff(times))) if times.size > 1 else 1.0
     angle = np.linalg.norm(directions[:, None] - directions, axis=-1)
     return _Rows(
@@ -197,8 +197,8 @@ def _rows(picked: IntArray, member: IntArray, row: int, usable: FilteredSighting
         variance=variance,
         after=picked[middle] >= row,
         sigma_px=sigma,
-        apart_s=apart,
-        autoregressive=tuple(np.exp(-apart / (steps * step)) for steps in _AUTOREGRESSIVE_STEPS),
+        separation_s=separation,
+        autoregressive=tuple(np.exp(-separation / (steps * step)) for steps in _AUTOREGRESSIVE_STEPS),
         misfit=tuple(np.exp(-0.5 * (angle / length) ** 2) for length in _MISFIT_ANGLES),
     )
 
@@ -232,7 +232,7 @@ def _covariance(rows: _Rows, amplitudes: Amplitudes, episodes: tuple[Episode, ..
     for episode in episodes:
         inside = np.flatnonzero((rows.unix_s >= episode.begin_s) & (rows.unix_s <= episode.end_s))
         square = np.ix_(inside, inside)
-        scaled = math.sqrt(3.0) * rows.apart_s[square] / episode.time_s
+        scaled = math.sqrt(3.0) * rows.separation_s[square] / episode.time_s
         covariance[square] += episode.amplitude_px**2 * (1.0 + scaled) * np.exp(-scaled)
     return np.asarray(covariance)
 
@@ -255,12 +255,12 @@ def _best(model: _Model, windows: list[tuple[float, float]]) -> float:
     for _ in range(_MOST_EPISODES):
         tried = [(*episodes, _episode(model, window)) for window in windows]
         values = [model.log_likelihood(amplitudes, some) for some in tried]
-        chosen = _refined(model, amplitudes, tried[int(np.argmax(values))])
-        following, value = _amplitudes(model, amplitudes, chosen)
-        value -= _EPISODE_GAIN * len(chosen)
+        refined = _refined(model, amplitudes, tried[int(np.argmax(values))])
+        next_amplitudes, value = _amplitudes(model, amplitudes, refined)
+        value -= _EPISODE_GAIN * len(refined)
         if value <= best:
             break
-        amplitudes, episodes, best = following, chosen, value
+        amplitudes, episodes, best = next_amplitudes, refined, value
     return best
 
 

@@ -70,14 +70,14 @@ def find_pose_steps(
     -------
     None are found by the paper's method, or where no lens fits any few days.
     """
-    chosen = CalibrationOptions() if options is None else options
-    if chosen.method != "robust":
+    effective = CalibrationOptions() if options is None else options
+    if effective.method != "robust":
         return ()
-    search = _Search(site=site, image_size=image_size, options=chosen, circle=circle)
+    search = _Search(site=site, image_size=image_size, options=effective, circle=circle)
     steps: list[PoseStep] = []
     for epoch in np.unique(points.epoch).tolist():
-        mine = points.select(points.epoch == epoch)
-        steps += search.steps(replace(mine, epoch=np.zeros(len(mine), dtype=np.int64)), lens)
+        in_epoch = points.select(points.epoch == epoch)
+        steps += search.steps(replace(in_epoch, epoch=np.zeros(len(in_epoch), dtype=np.int64)), lens)
     return tuple(sorted(steps))
 
 
@@ -92,12 +92,12 @@ class _Search(NamedTuple):
         thin, day = _thinned(points, self.site)
         days = np.unique(day)
         if days.size <= 2 * _BESIDE:
-            places = [(days[0], days[-1])] if days.size else []
+            spans = [(days[0], days[-1])] if days.size else []
         else:
-            known = self._lens(thin, day, days) if lens is None else lens
-            places = [] if known is None else _places(self._daily(thin, day, known))
+            fitted_lens = self._lens(thin, day, days) if lens is None else lens
+            spans = [] if fitted_lens is None else _spans(self._daily(thin, day, fitted_lens))
         found: list[PoseStep] = []
-        for first, last in places:
+        for first, last in spans:
             found += self._verified(points, thin.select((day >= first) & (day <= last)))
         return _distinct(found)
 
@@ -114,13 +114,13 @@ class _Search(NamedTuple):
         return min(fits, key=lambda item: item[:2])[2] if fits else None
 
     def _daily(self, thin: SunPoints, day: IntArray, lens: Calibration) -> _Daily:
-        days, turns = [], []
+        days, rotations = [], []
         for one in np.unique(day):
             offset = daily_pose_offset(thin.select(day == one), calibration=lens, site=self.site)
             if offset is not None:
                 days.append(int(one))
-                turns.append(offset.turn_deg)
-        return _Daily(np.array(days, dtype=np.int64), np.array(turns, dtype=np.float64).reshape(-1, 3))
+                rotations.append(offset.turn_deg)
+        return _Daily(np.array(days, dtype=np.int64), np.array(rotations, dtype=np.float64).reshape(-1, 3))
 
     def _verified(self, points: SunPoints, some: SunPoints) -> list[PoseStep]:
         """Return the steps that a fit of a few days finds, dated among all sightings."""
@@ -146,16 +146,16 @@ class _Search(NamedTuple):
 def _thinned(points: SunPoints, site: Site) -> tuple[SunPoints, IntArray]:
     """Return some of each day's usable sightings, in the order of time, and the solar day of each."""
     usable = filter_sightings(points, site=site)
-    kept = []
+    retained = []
     for day in np.unique(usable.day):
         rows = np.flatnonzero(usable.day == day)
         if rows.size >= _FEWEST_PER_DAY:
-            kept.append(rows[:: -(-rows.size // _PER_DAY)])
-    rows = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+            retained.append(rows[:: -(-rows.size // _PER_DAY)])
+    rows = np.concatenate(retained) if retained else np.zeros(0, dtype=np.int64)
     return points.select(usable.index[rows]), usable.day[rows]
 
 
-def _places(daily: _Daily) -> list[tuple[int, int]]:
+def _spans(daily: _Daily) -> list[tuple[int, int]]:
     """Return the first and last day about each jump of the daily poses, the largest jumps first."""
     size = np.array([_jump(daily.turn_deg, row) for row in range(1, daily.day.size)])
     if size.size == 0:
@@ -179,8 +179,8 @@ def _jump(turn_deg: FloatArray, row: int) -> float:
 
 def _distinct(steps: list[PoseStep]) -> list[PoseStep]:
     """Return the steps without those that overlap one found in another place."""
-    kept: list[PoseStep] = []
+    retained: list[PoseStep] = []
     for step in sorted(steps):
-        if not kept or step.before_unix_s >= kept[-1].after_unix_s:
-            kept.append(step)
-    return kept
+        if not retained or step.before_unix_s >= retained[-1].after_unix_s:
+            retained.append(step)
+    return retained

@@ -57,17 +57,17 @@ def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-
         inside = distance[distance < _KEEP * sigma]
         if inside.size == 0:
             break
-        following = max(math.sqrt(0.5 * float(np.mean(inside**2)) / correction), floor)
-        if abs(following - sigma) < 1e-4 * sigma:
-            return following
-        sigma = following
+        next_ = max(math.sqrt(0.5 * float(np.mean(inside**2)) / correction), floor)
+        if abs(next_ - sigma) < 1e-4 * sigma:
+            return next_
+        sigma = next_
     return sigma
 
 
 _GRID = np.linspace(0.0, CUT, 2001)
 _DENSITY = _GRID * np.exp(-0.5 * _GRID**2) * (_GRID[1] - _GRID[0])
-_CORE_WEIGHT = tukey_weights(_GRID, sigma=1.0)
-_EXPECTED_CURVATURE = float(np.sum(_DENSITY * (_CORE_WEIGHT - 2.0 * (_GRID / CUT) ** 2 * (1.0 - (_GRID / CUT) ** 2))))
-_EXPECTED_SQUARE = float(np.sum(_DENSITY * 0.5 * (_GRID * _CORE_WEIGHT) ** 2))
-INFORMATION_PER_WEIGHT = _EXPECTED_CURVATURE**2 / _EXPECTED_SQUARE / float(np.sum(_DENSITY * _CORE_WEIGHT))
+_INLIER_WEIGHT = tukey_weights(_GRID, sigma=1.0)
+_EXPECTED_CURVATURE = float(np.sum(_DENSITY * (_INLIER_WEIGHT - 2.0 * (_GRID / CUT) ** 2 * (1.0 - (_GRID / CUT) ** 2))))
+_EXPECTED_SQUARE = float(np.sum(_DENSITY * 0.5 * (_GRID * _INLIER_WEIGHT) ** 2))
+INFORMATION_PER_WEIGHT = _EXPECTED_CURVATURE**2 / _EXPECTED_SQUARE / float(np.sum(_DENSITY * _INLIER_WEIGHT))
 """Information (in 1/σ²) that a unit of weight carries for round Gaussian sightings: E[ψ']² / E[ψ²] / E[w]."""

@@ -235,7 +235,7 @@ class AravisCamera:
             _log.warning("stream: %s", complaint)
 
     def _warm_up(self, exposure: ExposureControl) -> None:
-        """Take a frame that nobody wants: the library enlarges the socket's buffer only when the first one comes."""
+        """Take and discard a frame: the library enlarges the socket's buffer only when the first one arrives."""
         exposure.set(self._camera, exposure.minimum_us)
         self._camera.software_trigger()
         buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))

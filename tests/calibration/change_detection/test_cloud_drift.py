@@ -58,10 +58,10 @@ def test_the_evidence_is_the_mean_over_begins_amplitudes_and_times() -> None:
     each = []
     for begin, amplitude, time in itertools.product((0, 6, 10, 12), (0.1, 0.5, 2.0, 8.0), (200.0, 700.0, 2400.0)):
         covariance = module._with_drift(window, begin, amplitude, time)
-        each.append((log_evidence(covariance, window.seen, np.ones(N, dtype=bool)), covariance))
+        each.append((log_evidence(covariance, window.sightings, np.ones(N, dtype=bool)), covariance))
     mean = float(logsumexp([one for one, _ in each])) - math.log(len(each))
     best, covariance = max(each, key=lambda pair: pair[0])
-    among_false = fit_inlier_mixture(covariance, window.seen, np.ones(N, dtype=bool)).log_evidence
+    among_false = fit_inlier_mixture(covariance, window.sightings, np.ones(N, dtype=bool)).log_evidence
     assert len(each) == 48
     assert drift_evidence(window, 12) == pytest.approx(mean + max(among_false - best, 0.0), rel=1e-9)
 
@@ -69,13 +69,13 @@ def test_the_evidence_is_the_mean_over_begins_amplitudes_and_times() -> None:
 def test_a_drift_explains_a_drift_better_than_no_drift_does() -> None:
     drift = np.clip(np.arange(N) - FIRST, 0, None)[:, None] * np.array([0.3, 0.2])
     window = _window(drift)
-    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted).log_evidence
+    nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted).log_evidence
     assert drift_evidence(window, FIRST) > nothing + 10.0
 
 
 def test_a_drift_explains_stillness_worse_than_no_drift_does() -> None:
     window = _window(np.zeros((N, 2)), trusted=N)
-    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted).log_evidence
+    nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted).log_evidence
     assert nothing - 10.0 < drift_evidence(window, FIRST) < nothing
 
 

@@ -31,7 +31,7 @@ def camera(clear_day: Simulated) -> Camera:
     return replace(clear_day.camera, max_angle=2.5)
 
 
-def turned(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
+def rotated(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
     matrix = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))
 
@@ -62,7 +62,7 @@ def watched(
 
 
 def bumped(*turn_deg: float) -> After:
-    return lambda camera, times: project(turned(camera, turn_deg), sun_directions(times, SGP))  # type: ignore[arg-type]
+    return lambda camera, times: project(rotated(camera, turn_deg), sun_directions(times, SGP))  # type: ignore[arg-type]
 
 
 def mirrored(camera: Camera, times: FloatArray) -> FloatArray:
@@ -101,7 +101,7 @@ def test_a_mount_that_wanders_with_the_heat_is_no_change(calibrated: Calibration
     times = NOON + np.arange(-5.0, 5.0, 0.1) * 3600.0
     lean = 0.01 * np.sin(2.0 * np.pi * (times - NOON) / (4.0 * 3600.0))
     pixels = np.array(
-        [project(turned(camera, (a, 0.0, 0.0)), sun_directions(t, SGP)) for a, t in zip(lean, times, strict=True)]
+        [project(rotated(camera, (a, 0.0, 0.0)), sun_directions(t, SGP)) for a, t in zip(lean, times, strict=True)]
     )
     noise = np.random.default_rng(4).normal(0.0, 0.02, pixels.shape)
     assert watched(calibrated, times, pixels + noise)[1] is None
@@ -143,7 +143,9 @@ def test_a_site_with_the_wrong_sign_is_named(
 
 
 def test_another_lens_is_named_at_once_or_when_its_pose_does_not_hold(calibrated: Calibration, camera: Camera) -> None:
-    other = replace(turned(camera, (1.0, 2.0, 30.0)), focal_length_px=(590.0, 590.0), principal_point_px=(885.0, 870.0))
+    other = replace(
+        rotated(camera, (1.0, 2.0, 30.0)), focal_length_px=(590.0, 590.0), principal_point_px=(885.0, 870.0)
+    )
     times = NOON + 60.0 * np.arange(-30.0, 60.0)
     seen = [project(one, sun_directions(part, SGP)) for one, part in ((camera, times[:30]), (other, times[30:]))]
     pixels = np.concatenate(seen) + np.random.default_rng(9).normal(0.0, 0.02, (times.size, 2))
@@ -186,7 +188,9 @@ def test_a_sensor_that_shifts_is_a_bump_that_may_be_a_shift_while_both_look_alik
 
 
 def test_another_lens_is_named_once_the_arc_is_long_enough(calibrated: Calibration, camera: Camera) -> None:
-    other = replace(turned(camera, (1.0, 2.0, 30.0)), focal_length_px=(585.0, 585.0), principal_point_px=(890.0, 860.0))
+    other = replace(
+        rotated(camera, (1.0, 2.0, 30.0)), focal_length_px=(585.0, 585.0), principal_point_px=(890.0, 860.0)
+    )
     times = NOON + 360.0 * np.arange(-10, 30)
     pixels = np.concatenate(
         [project(camera, sun_directions(times[:10], SGP)), project(other, sun_directions(times[10:], SGP))]

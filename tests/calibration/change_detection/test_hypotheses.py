@@ -16,7 +16,7 @@ from sunarc.calibration.change_detection import hypotheses as module
 from sunarc.calibration.change_detection.hypotheses import best_hypothesis, pole_of
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at, window_of
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import at_every_angle, joined, predicted, turned
+from sunarc.calibration.pose.error_model import at_every_angle, joined, predicted, rotated
 from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture
 from sunarc.optics import Camera, project, rotation_matrix
 from sunarc.sky import Site, sun_directions
@@ -75,7 +75,7 @@ def test_the_pole_stands_at_the_latitude_in_the_north() -> None:
 @pytest.mark.parametrize("size_deg", [1.0, 3.0, 30.0])
 def test_a_rotation_is_a_bump_of_its_size(calibration: Calibration, directions: FloatArray, size_deg: float) -> None:
     turn = np.radians(size_deg) * np.array([0.48, -0.6, 0.64])
-    change = found(changed(calibration, directions, turned(calibration.camera, turn)))
+    change = found(changed(calibration, directions, rotated(calibration.camera, turn)))
     assert change is not None
     assert (change.kind, change.unit) == ("bump", "degrees")
     assert change.at_unix_s == TIMES[FIRST]
@@ -135,7 +135,7 @@ def test_sightings_that_drift_away_are_no_change(calibration: Calibration, direc
 def test_too_few_that_agree_are_no_change(calibration: Calibration, directions: FloatArray) -> None:
     turn = np.radians([1.0, 0.0, 0.0])
     pixels = project(calibration.camera, directions)
-    pixels[-3:] = project(turned(calibration.camera, turn), directions[-3:])
+    pixels[-3:] = project(rotated(calibration.camera, turn), directions[-3:])
     assert found(window(calibration, directions, pixels, trusted=N - 3)) is None
 
 
@@ -144,18 +144,18 @@ def test_the_evidence_of_a_rotation_is_the_gaussian_integral_over_it(
 ) -> None:
     """The rotation's free numbers are marginalised: the density of all residuals under the widened covariance."""
     turn = np.radians([0.3, -0.2, 0.1])
-    model = changed(calibration, directions, turned(calibration.camera, turn))
-    scored = module._turn_from(model, FIRST, least=4)
+    model = changed(calibration, directions, rotated(calibration.camera, turn))
+    scored = module._rotation_from(model, FIRST, least=4)
     assert scored is not None
-    assert np.all(scored.held.inlier)
+    assert np.all(scored.mixture.inlier)
     of = scored.of
     after = predicted(model.error_model, of.camera, of.directions)
-    residual = model.seen.residual.copy()
+    residual = model.sightings.residual.copy()
     residual[FIRST:] = of.pixels - after.pixels - after.rows @ of.mean
     at = joined(model.at.select(np.arange(FIRST)), after)
     free = np.zeros((2 * N, 3))
     free[2 * FIRST :] = (after.rows @ of.free).reshape(-1, 3)
-    noise = np.diag(np.repeat(model.seen.variance, 2))
+    noise = np.diag(np.repeat(model.sightings.variance, 2))
     covariance = errors_at(model, at) + free @ free.T + noise
     expected = multivariate_normal(np.zeros(2 * N), covariance, allow_singular=False).logpdf(residual.ravel())
     assert scored.evidence == pytest.approx(float(expected) + N * math.log(0.8), rel=1e-9)
@@ -166,18 +166,18 @@ def test_a_rotation_that_fewer_agree_with_is_not_weighed(calibration: Calibratio
     rng = np.random.default_rng(3)
     pixels = project(calibration.camera, directions)
     pixels[FIRST:] = rng.uniform([0.0, 0.0], [640.0, 480.0], (N - FIRST, 2))
-    assert module._turn_from(window(calibration, directions, pixels), FIRST, least=8) is None
+    assert module._rotation_from(window(calibration, directions, pixels), FIRST, least=8) is None
 
 
 def test_the_clock_s_hypothesis_is_the_rotation_about_the_pole(
     calibration: Calibration, directions: FloatArray
 ) -> None:
     pole = rotation_matrix(calibration.camera.rotation_cam_enu) @ pole_of(SGP)
-    model = changed(calibration, directions, turned(calibration.camera, 0.01 * pole))
-    best = module._turn_from(model, FIRST, least=4)
+    model = changed(calibration, directions, rotated(calibration.camera, 0.01 * pole))
+    best = module._rotation_from(model, FIRST, least=4)
     assert best is not None
     clock = module._clock(model, best, SGP)
-    rotation = -clock.mean[model.error_model.turn]
+    rotation = -clock.mean[model.error_model.rotation]
     assert rotation @ pole == pytest.approx(0.01, rel=0.15)
     np.testing.assert_allclose(np.cross(rotation, pole), 0.0, atol=1e-12)
     assert clock.free.shape[1] == 1
@@ -188,11 +188,11 @@ def test_another_lens_has_its_free_numbers(
     calibration: Calibration, directions: FloatArray, kind: ChangeKind, count: int
 ) -> None:
     model = changed(calibration, directions, calibration.camera)
-    still = module._turning(model, FIRST, np.zeros(3), np.zeros((3, 0)), kind="bump")
+    still = module._rotation_hypothesis(model, FIRST, np.zeros(3), np.zeros((3, 0)), kind="bump")
     other = module._other_lens(model, still, kind=kind)
     assert other.kind == kind
     assert other.free.shape[1] == count
-    names = list(model.error_model.chosen)
+    names = list(model.error_model.selected)
     if kind == "refocus":  # 5 % of the focal length, on both axes alike
         np.testing.assert_allclose(other.free[[names.index(0), names.index(1)], 0], 0.05 * 220.0)
     if kind == "shift":  # 3 % of width and height
@@ -222,9 +222,9 @@ def test_refocus_and_shift_are_read_back(calibration: Calibration) -> None:
 
 
 def _scored(kind: ChangeKind, evidence: float, model: ResidualModel) -> module.ScoredHypothesis:
-    of = module._turning(model, FIRST, np.zeros(3), np.eye(3), kind=kind)
-    held = fit_inlier_mixture(model.covariance, model.seen, np.ones(N, dtype=bool))
-    return module.ScoredHypothesis(of=of, held=replace(held, log_evidence=evidence))
+    of = module._rotation_hypothesis(model, FIRST, np.zeros(3), np.eye(3), kind=kind)
+    held = fit_inlier_mixture(model.covariance, model.sightings, np.ones(N, dtype=bool))
+    return module.ScoredHypothesis(of=of, mixture=replace(held, log_evidence=evidence))
 
 
 @pytest.mark.parametrize(
@@ -250,4 +250,4 @@ def test_a_rarer_change_must_be_clearly_more_probable(
     """Prior odds as Bayes factors in natural logarithms (Kass and Raftery 1995: 5 is very strong)."""
     model = changed(calibration, directions, calibration.camera)
     best, other = _scored("bump", 100.0, model), _scored(rival, 100.0 + lead, model)
-    assert module._chosen(best, [other], clock_stepped=clock_stepped).of.kind == expected
+    assert module._most_probable(best, [other], clock_stepped=clock_stepped).of.kind == expected

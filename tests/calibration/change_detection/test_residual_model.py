@@ -58,8 +58,8 @@ def test_residuals_are_observed_minus_predicted_and_their_noise_is_that_of_the_s
     window = window_at(calibration, sun_arc(6))
     shifted = replace(window, pixels=window.pixels + np.array([0.3, -0.1]))
     found = window_of(shifted, calibration, STILL)
-    np.testing.assert_allclose(found.seen.residual, np.tile([0.3, -0.1], (6, 1)), atol=1e-8)
-    np.testing.assert_allclose(found.seen.variance, 0.04)
+    np.testing.assert_allclose(found.sightings.residual, np.tile([0.3, -0.1], (6, 1)), atol=1e-8)
+    np.testing.assert_allclose(found.sightings.variance, 0.04)
     assert found.camera.max_angle > calibration.camera.max_angle
 
 
@@ -67,7 +67,7 @@ def test_a_sighting_that_the_camera_cannot_see_is_far_off() -> None:
     calibration = stated_calibration(small_camera("orthographic"))
     down = np.array([[0.1, 0.0, -math.sqrt(0.99)]])
     window = replace(window_at(calibration, down), pixels=np.zeros((1, 2)))
-    np.testing.assert_allclose(window_of(window, calibration, STILL).seen.residual, 1e4)
+    np.testing.assert_allclose(window_of(window, calibration, STILL).sightings.residual, 1e4)
 
 
 def test_the_covariance_is_the_sum_of_its_parts(calibration: Calibration) -> None:
@@ -75,7 +75,7 @@ def test_the_covariance_is_the_sum_of_its_parts(calibration: Calibration) -> Non
     found = window_of(window_at(calibration, directions), calibration, WatchOptions())
     stated_part = joint_covariance(found.error_model, found.at)
     rest = found.covariance - stated_part - found.air
-    flat = found.at.rows[..., found.error_model.turn].reshape(12, 3)
+    flat = found.at.rows[..., found.error_model.rotation].reshape(12, 3)
     expected = (flat @ flat.T) * np.repeat(np.repeat(found.wander, 2, axis=0), 2, axis=1)
     np.testing.assert_allclose(rest, expected, atol=1e-12)
     np.testing.assert_allclose(errors_at(found, found.at), found.covariance, atol=1e-12)
@@ -112,7 +112,7 @@ def test_the_air_s_part_is_the_outer_product_of_what_other_refraction_does(calib
 def test_density_of_false_sightings_is_about_the_prediction(calibration: Calibration) -> None:
     window = window_at(calibration, sun_arc(2))
     off = replace(window, pixels=window.pixels + np.array([[0.0, 0.0], [60.0, 0.0]]))
-    density = window_of(off, calibration, STILL).seen.false_density
+    density = window_of(off, calibration, STILL).sightings.false_density
     near = 1.0 / (2.0 * math.pi * 15.0**2)
     expected = [0.5 * near + 0.5 / 307_200.0, 0.5 * near * math.exp(-8.0) + 0.5 / 307_200.0]
     np.testing.assert_allclose(np.exp(density), expected, rtol=1e-6)

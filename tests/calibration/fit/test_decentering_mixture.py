@@ -71,7 +71,7 @@ def test_unknown_coefficients_only_add_to_the_covariance(
 
 
 def test_the_places_hold_nearly_all_of_the_prior() -> None:
-    places = np.array(module._PLACES)
+    places = np.array(module._NODES)
     assert places.shape == (25, 2)
     mass = np.exp(-0.5 * np.sum(places**2, axis=-1)) * np.exp(module._CELL)
     assert 0.96 < mass.sum() < 1.0
@@ -92,7 +92,7 @@ def test_the_mean_of_the_conditional_evidences_is_about_the_free_one(
     small = at.copy()
     small[13:15] = 0.0  # without p1 and p2, p3 and p4 have no effect
     here = system.moved(problem, small)
-    places = [module._conditional(problem, here, small, place, SCALES).log_evidence for place in module._PLACES]
+    places = [module._conditional(problem, here, small, place, SCALES).log_evidence for place in module._NODES]
     total = float(np.logaddexp.reduce(places))
     assert total == pytest.approx(module._log_evidence(here, SCALES), abs=2.0)
 

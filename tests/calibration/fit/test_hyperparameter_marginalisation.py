@@ -118,7 +118,7 @@ def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
     moments = np.stack([random_covariance(2, seed=s) for s in range(3)])[:, None]
     stated = random_covariance(2, seed=9)[None]
     rng = np.random.default_rng(4)
-    found = module._held(moments, stated)
+    found = module._coverage(moments, stated)
     for k in range(3):
         draws = rng.multivariate_normal(np.zeros(2), moments[k, 0], 40_000)
         inside = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(stated[0]), draws) < -2.0 * math.log(0.05)
@@ -127,8 +127,8 @@ def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
 
 def test_a_gaussian_holds_its_own_95_percent() -> None:
     one = random_covariance(2, seed=3)[None]
-    assert module._held(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
-    assert module._held(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
+    assert module._coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
+    assert module._coverage(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
 
 
 def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
@@ -139,7 +139,7 @@ def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
     tilt = module._honest_tilt(choices, moments)
     assert -3.0 < tilt < 1.5
     stated = np.tensordot(choices.tilted(tilt), moments, 1)
-    held = float(choices.share @ module._held(moments, stated))
+    held = float(choices.share @ module._coverage(moments, stated))
     assert held == pytest.approx(0.95, abs=0.005)
 
 

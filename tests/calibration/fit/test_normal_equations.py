@@ -55,19 +55,19 @@ def test_a_bin_has_the_mean_residual_of_its_sightings(
 ) -> None:
     expected = problem.residuals(at, seen).reshape(15, 4, 2).mean(axis=1)
     np.testing.assert_allclose(system.residual, expected, atol=1e-12)
-    np.testing.assert_allclose(problem.residuals(at, system.seen), expected, atol=1e-9)
-    np.testing.assert_allclose(system.seen.information, 100.0)
+    np.testing.assert_allclose(problem.residuals(at, system.observed), expected, atol=1e-9)
+    np.testing.assert_allclose(system.observed.information, 100.0)
 
 
 def test_the_rows_are_the_derivatives_at_the_bin_s_direction(
     system: LinearSystem, problem: Problem, at: FloatArray
 ) -> None:
-    expected = numerical_derivative(lambda x: -problem.residuals(x, system.seen), at, step=1e-5)
+    expected = numerical_derivative(lambda x: -problem.residuals(x, system.observed), at, step=1e-5)
     np.testing.assert_allclose(system.rows, expected, rtol=1e-5, atol=2e-5)
 
 
 def test_the_waves_are_taken_where_the_model_sees_the_sun(system: LinearSystem, basis: WaveBasis) -> None:
-    modelled = system.seen.pixels - system.residual
+    modelled = system.observed.pixels - system.residual
     np.testing.assert_allclose(system.waves, basis.values(modelled), atol=1e-9)
     np.testing.assert_allclose(system.wave_products, system.waves.T @ (system.waves * 100.0), rtol=1e-12)
 
@@ -78,7 +78,7 @@ def test_the_system_about_other_unknowns_has_their_residuals(
     other = at.copy()
     other[18] += 0.01
     moved = system.moved(problem, other)
-    np.testing.assert_allclose(moved.residual, problem.residuals(other, system.seen), atol=1e-9)
+    np.testing.assert_allclose(moved.residual, problem.residuals(other, system.observed), atol=1e-9)
     np.testing.assert_allclose(moved.at, other)
     # the linear prediction of the residuals holds to second order
     np.testing.assert_allclose(moved.residual, system.residual - system.rows @ (other - at), atol=0.03)

@@ -26,10 +26,10 @@ from sunarc.calibration.model.covariance import (
     hemisphere,
     pose_error,
     project_with_covariance,
+    rotation_covariance,
     sigma_deg,
     sigma_px,
     sky_sigma_deg,
-    turn_covariance,
     uncertainties,
     unproject_with_sigma,
 )
@@ -214,7 +214,7 @@ def test_turns_about_the_world_s_axes_become_those_of_the_rotation_vector() -> N
     camera = small_camera()
     rows = numerical_derivative(lambda turn: _turn_of(camera, turn), np.zeros(3))
     turn = random_covariance(3, seed=6)
-    np.testing.assert_allclose(turn_covariance(camera, turn), rows @ turn @ rows.T, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(rotation_covariance(camera, turn), rows @ turn @ rows.T, rtol=1e-5, atol=1e-8)
 
 
 def test_a_clock_error_turns_the_camera_about_the_pole() -> None:
@@ -222,7 +222,7 @@ def test_a_clock_error_turns_the_camera_about_the_pole() -> None:
     found = pose_error(camera, SGP, clock_error_s=2.0, site_error_m=0.0)
     pole = np.array([0.0, math.cos(math.radians(SGP.latitude)), math.sin(math.radians(SGP.latitude))])
     rate = 2.0 * math.pi / 86_164.1  # of a sidereal day
-    expected = turn_covariance(camera, (2.0 * rate) ** 2 * np.outer(pole, pole))
+    expected = rotation_covariance(camera, (2.0 * rate) ** 2 * np.outer(pole, pole))
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-15)
     assert np.linalg.matrix_rank(found, tol=1e-12) == 1
 

@@ -22,12 +22,12 @@ from sunarc.calibration.model.covariance import project_with_covariance
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import (
     at_every_angle,
+    error_model_of,
     joined,
     joint_covariance,
     moved,
     predicted,
-    stated,
-    turned,
+    rotated,
     with_parameters,
     with_waves,
 )
@@ -50,7 +50,7 @@ def calibration() -> Calibration:
 
 def test_a_rotation_by_nothing_leaves_the_camera() -> None:
     camera = small_camera()
-    found = turned(camera, np.zeros(3))
+    found = rotated(camera, np.zeros(3))
     np.testing.assert_allclose(
         rotation_matrix(found.rotation_cam_enu), rotation_matrix(camera.rotation_cam_enu), atol=1e-12
     )
@@ -59,7 +59,7 @@ def test_a_rotation_by_nothing_leaves_the_camera() -> None:
 def test_a_rotation_is_about_the_camera_s_own_axes() -> None:
     camera = small_camera()
     expected = Rotation.from_rotvec(TURN).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
-    np.testing.assert_allclose(rotation_matrix(turned(camera, TURN).rotation_cam_enu), expected, atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(rotated(camera, TURN).rotation_cam_enu), expected, atol=1e-12)
 
 
 def test_every_angle_is_nearly_the_projection_s_limit() -> None:
@@ -69,17 +69,17 @@ def test_every_angle_is_nearly_the_projection_s_limit() -> None:
 
 
 def test_a_changed_camera_has_the_parameters_and_the_rotation(calibration: Calibration) -> None:
-    model, camera = stated(calibration), calibration.camera
+    model, camera = error_model_of(calibration), calibration.camera
     change = np.zeros(20)
-    change[0], change[model.turn] = 0.7, TURN
+    change[0], change[model.rotation] = 0.7, TURN
     found = moved(camera, model, change)
     assert found.focal_length_px[0] == pytest.approx(camera.focal_length_px[0] + 0.7)
     assert found.focal_length_px[1] == camera.focal_length_px[1]
-    np.testing.assert_allclose(found.rotation_cam_enu, turned(camera, TURN).rotation_cam_enu, atol=1e-12)
+    np.testing.assert_allclose(found.rotation_cam_enu, rotated(camera, TURN).rotation_cam_enu, atol=1e-12)
 
 
 def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: Calibration) -> None:
-    model, camera = stated(calibration), calibration.camera
+    model, camera = error_model_of(calibration), calibration.camera
     directions = spread_directions(6)
     found = predicted(model, camera, directions)
     rows = numerical_derivative(lambda change: project(moved(camera, model, change), directions), np.zeros(20))
@@ -90,7 +90,7 @@ def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: C
 
 def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Calibration) -> None:
     directions = spread_directions(5)
-    model = stated(calibration)
+    model = error_model_of(calibration)
     at = predicted(model, calibration.camera, directions)
     joint = joint_covariance(model, at).reshape(5, 2, 5, 2)
     _, expected = project_with_covariance(calibration, directions)
@@ -101,7 +101,7 @@ def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Cali
 def test_the_joint_covariance_is_that_of_draws() -> None:
     camera = small_camera()
     calibration = stated_calibration(camera, amplitude_px=0.3)
-    model, directions = stated(calibration), spread_directions(4)
+    model, directions = error_model_of(calibration), spread_directions(4)
     at = predicted(model, camera, directions)
     rng, n = np.random.default_rng(2), 4000
     change = rng.standard_normal((n, 20)) * np.sqrt(np.diag(model.covariance))
@@ -115,7 +115,7 @@ def test_the_joint_covariance_is_that_of_draws() -> None:
 def test_the_field_is_alike_at_near_places_and_its_axes_are_apart() -> None:
     camera = small_camera()
     calibration = stated_calibration(camera, covariance=np.zeros((20, 20)), amplitude_px=0.5, length_px=100.0)
-    model = stated(calibration)
+    model = error_model_of(calibration)
     at = predicted(model, camera, spread_directions(3))
     joint = joint_covariance(model, at).reshape(3, 2, 3, 2)
     apart = np.linalg.norm(at.pixels[0] - at.pixels[1])
@@ -124,7 +124,7 @@ def test_the_field_is_alike_at_near_places_and_its_axes_are_apart() -> None:
 
 
 def test_the_covariance_of_the_parameters_with_the_prediction(calibration: Calibration) -> None:
-    model = stated(calibration)
+    model = error_model_of(calibration)
     at = predicted(model, calibration.camera, spread_directions(3))
     flat = at.rows.reshape(6, 20)
     expected = model.covariance @ flat.T
@@ -135,7 +135,7 @@ def test_the_covariance_of_the_parameters_with_the_prediction(calibration: Calib
 
 
 def test_the_covariance_of_the_prediction_with_the_field_s_coefficients(calibration: Calibration) -> None:
-    model = stated(calibration)
+    model = error_model_of(calibration)
     at = predicted(model, calibration.camera, spread_directions(3))
     for axis in (0, 1):
         expected = at.rows.reshape(6, 20) @ model.cross[axis]
@@ -144,7 +144,7 @@ def test_the_covariance_of_the_prediction_with_the_field_s_coefficients(calibrat
 
 
 def test_without_a_field_there_are_no_waves() -> None:
-    model = stated(stated_calibration(small_camera()))
+    model = error_model_of(stated_calibration(small_camera()))
     at = predicted(model, small_camera(), spread_directions(3))
     assert at.waves.shape == (3, 0)
     flat = at.rows.reshape(6, 20)
@@ -155,8 +155,8 @@ def test_without_a_field_there_are_no_waves() -> None:
 def test_a_field_shorter_than_16_px_is_taken_as_16() -> None:
     calibration = stated_calibration(small_camera(), amplitude_px=0.1)
     short = replace(calibration, field=replace(calibration.field, length_px=3.0))
-    assert stated(short).length_px == 16.0
-    assert stated(calibration).length_px == 160.0
+    assert error_model_of(short).length_px == 16.0
+    assert error_model_of(calibration).length_px == 160.0
 
 
 def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibration: Calibration) -> None:
@@ -164,7 +164,7 @@ def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibratio
     kept = np.arange(len(orders)) % 2 == 0
     basis = replace(calibration.field.basis, orders=orders[kept])
     thin = replace(calibration, field=replace(calibration.field, basis=basis, cross=calibration.field.cross[..., kept]))
-    whole, found = stated(calibration), stated(thin)
+    whole, found = error_model_of(calibration), error_model_of(thin)
     assert len(found.basis.orders) == len(whole.basis.orders)
     np.testing.assert_allclose(found.cross[..., kept], whole.cross[..., kept])
     np.testing.assert_array_equal(found.cross[..., ~kept], 0.0)
@@ -173,22 +173,22 @@ def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibratio
 def test_a_calibration_without_its_pose_is_refused() -> None:
     names = ("focal_length_x_px", "rotation_x", "rotation_y")
     with pytest.raises(InputError, match="pose is missing"):
-        stated(stated_calibration(small_camera(), names=names))
+        error_model_of(stated_calibration(small_camera(), names=names))
 
 
 def test_a_free_rotation_widens_the_pose_and_nothing_else(calibration: Calibration) -> None:
-    model = stated(calibration)
-    wider = model.turned_freely(TURN, sigma_rad=0.2)
+    model = error_model_of(calibration)
+    wider = model.with_free_rotation(TURN, sigma_rad=0.2)
     difference = wider.covariance - model.covariance
-    np.testing.assert_allclose(difference[np.ix_(model.turn, model.turn)], 0.04 * np.eye(3), atol=1e-12)
-    difference[np.ix_(model.turn, model.turn)] = 0.0
+    np.testing.assert_allclose(difference[np.ix_(model.rotation, model.rotation)], 0.04 * np.eye(3), atol=1e-12)
+    difference[np.ix_(model.rotation, model.rotation)] = 0.0
     np.testing.assert_array_equal(difference, 0.0)
-    np.testing.assert_allclose(wider.mean[model.turn], TURN)
+    np.testing.assert_allclose(wider.mean[model.rotation], TURN)
     assert np.count_nonzero(wider.mean) == 3
 
 
 def test_predictions_are_picked_and_joined_in_order(calibration: Calibration) -> None:
-    model = stated(calibration)
+    model = error_model_of(calibration)
     at = predicted(model, calibration.camera, spread_directions(5))
     again = joined(at.select(np.arange(5) < 2), at.select(np.array([2, 3, 4])))
     np.testing.assert_array_equal(again.pixels, at.pixels)
@@ -199,8 +199,8 @@ def test_predictions_are_picked_and_joined_in_order(calibration: Calibration) ->
 def test_a_camera_turned_as_a_whole_keeps_its_errors() -> None:
     """In the camera's axes the covariance of pixels does not depend on where the camera is turned to."""
     calibration = stated_calibration(small_camera())
-    model, directions = stated(calibration), spread_directions(4)
-    other: Camera = turned(calibration.camera, np.array([0.4, 1.0, -2.0]))
+    model, directions = error_model_of(calibration), spread_directions(4)
+    other: Camera = rotated(calibration.camera, np.array([0.4, 1.0, -2.0]))
     same_rays = directions @ rotation_matrix(calibration.camera.rotation_cam_enu).T
     elsewhere = same_rays @ rotation_matrix(other.rotation_cam_enu)
     first = joint_covariance(model, predicted(model, calibration.camera, directions))

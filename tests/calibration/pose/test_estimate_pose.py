@@ -45,7 +45,7 @@ def camera(clear_day: Simulated) -> Camera:
     return clear_day.camera
 
 
-def turned(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
+def rotated(camera: Camera, turn_deg: tuple[float, float, float]) -> Camera:
     """Turn a camera about the axes to the east, to the north and up."""
     back = Rotation.from_rotvec(-np.radians(turn_deg)).as_matrix()
     matrix = rotation_matrix(camera.rotation_cam_enu) @ back
@@ -76,7 +76,7 @@ def test_a_few_sightings_pose_a_known_lens_and_say_how_sure_they_are(
     covered = []
     for seed in range(6):
         axis = rng.normal(size=3)
-        truth = turned(camera, tuple(size_deg * axis / np.linalg.norm(axis)))
+        truth = rotated(camera, tuple(size_deg * axis / np.linalg.norm(axis)))
         seen = few(simulator, truth, 10, seed=seed)
         found = estimate_pose(seen.points, start=calibrated, site=SGP, options=TILTED)
         assert found.verdict.accepted, found.verdict.reasons
@@ -87,17 +87,17 @@ def test_a_few_sightings_pose_a_known_lens_and_say_how_sure_they_are(
 def test_the_answer_grows_surer_with_every_sighting(
     camera: Camera, simulator: Simulator, calibrated: Calibration
 ) -> None:
-    truth = turned(camera, (0.1, -0.15, 0.1))
-    stated = [
+    truth = rotated(camera, (0.1, -0.15, 0.1))
+    stated_sigma = [
         estimate_pose(few(simulator, truth, count, seed=1).points, start=calibrated, site=SGP).sky_rms_deg
         for count in (3, 20, 120)
     ]
-    assert stated[0] > 3.0 * stated[1] > 3.0 * stated[2]
-    assert stated[2] < 0.01
+    assert stated_sigma[0] > 3.0 * stated_sigma[1] > 3.0 * stated_sigma[2]
+    assert stated_sigma[2] < 0.01
 
 
 def test_a_third_of_the_sightings_may_be_false(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:
-    truth = turned(camera, (2.0, 1.0, -3.0))
+    truth = rotated(camera, (2.0, 1.0, -3.0))
     seen = few(simulator, truth, 60, seed=2)
     rng = np.random.default_rng(5)
     false = rng.random(60) < 0.33
@@ -117,7 +117,7 @@ def test_the_lens_s_own_doubt_stays_in_the_uncertainty(
         covariance=1e-9 * calibrated.covariance,
         field=replace(calibrated.field, amplitude_px=0.0, cross=0.0 * calibrated.field.cross),
     )
-    seen = simulator(turned(camera, (1.0, 0.0, 0.0)), days=(30.0,))
+    seen = simulator(rotated(camera, (1.0, 0.0, 0.0)), days=(30.0,))
     honest, vain = (estimate_pose(seen.points, start=start, site=SGP) for start in (calibrated, sure))
     assert honest.sky_rms_deg > 2.0 * vain.sky_rms_deg
 
@@ -137,7 +137,7 @@ def test_the_document_of_the_lens_suffices(camera: Camera, simulator: Simulator,
             software_version="1",
         )
     )
-    seen = few(simulator, turned(camera, (0.5, 0.5, 0.0)), 12, seed=3)
+    seen = few(simulator, rotated(camera, (0.5, 0.5, 0.0)), 12, seed=3)
     first, second = (estimate_pose(seen.points, start=start, site=SGP) for start in (calibrated, written))
     assert rms(project(first.camera, SKY) - project(second.camera, SKY)) < 1e-3
     assert second.sky_rms_deg == pytest.approx(first.sky_rms_deg, rel=1e-3)
@@ -151,7 +151,7 @@ def test_two_sightings_are_too_few(camera: Camera, simulator: Simulator, calibra
 
 def test_a_day_tells_how_the_camera_stood_turned(camera: Camera, simulator: Simulator, calibrated: Calibration) -> None:
     turn_deg = (0.004, -0.006, 0.01)
-    seen = simulator(turned(camera, turn_deg), days=(1.0,), seed=6)
+    seen = simulator(rotated(camera, turn_deg), days=(1.0,), seed=6)
     offset = daily_pose_offset(seen.points, calibration=calibrated, site=SGP)
     assert offset is not None
     off = np.array(offset.turn_deg) - turn_deg

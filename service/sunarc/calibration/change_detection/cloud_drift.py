@@ -39,12 +39,12 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     reached, best, likeliest = [], -math.inf, (first, 0.0, 1.0)
     for begin, amplitude_px, time_s in itertools.product(sorted(begins), _AMPLITUDES_PX, _TIMES_S):
         covariance = _with_drift(window, begin, amplitude_px, time_s)
-        reached.append(log_evidence(covariance, window.seen, _inliers(window, begin)))
+        reached.append(log_evidence(covariance, window.sightings, _inliers(window, begin)))
         if reached[-1] > best:
             best, likeliest = reached[-1], (begin, amplitude_px, time_s)
     # the likeliest one once more, with false sightings among the episode's
     inliers = _inliers(window, likeliest[0])
-    among_false = fit_inlier_mixture(_with_drift(window, *likeliest), window.seen, inliers).log_evidence
+    among_false = fit_inlier_mixture(_with_drift(window, *likeliest), window.sightings, inliers).log_evidence
     return float(logsumexp(reached)) - math.log(len(reached)) + max(among_false - best, 0.0)
 
 
@@ -62,8 +62,8 @@ def _with_drift(window: ResidualModel, begin: int, amplitude_px: float, time_s: 
     """Return the covariance (2n, 2n) of the sightings' errors with a drift from one of them on, px²."""
     times = window.watch.unix_s[begin:]
     # Matern with nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17)
-    apart = math.sqrt(5.0) * np.abs(times[:, None] - times) / time_s
-    kernel = amplitude_px**2 * (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
+    lag = math.sqrt(5.0) * np.abs(times[:, None] - times) / time_s
+    kernel = amplitude_px**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     covariance = window.covariance.copy()
     covariance[2 * begin :: 2, 2 * begin :: 2] += kernel
     covariance[2 * begin + 1 :: 2, 2 * begin + 1 :: 2] += kernel

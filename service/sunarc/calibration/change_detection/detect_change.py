@@ -20,7 +20,7 @@ from sunarc.sky import Site
 
 REMEMBERED = 56
 _TRUSTED_SQUARE = 30.0
-_LOOKED_BACK = 6
+_RECENT = 6
 _DISTRUSTED = 3
 _SPANS = (4, 8, 16, 32)
 _BIASED = 25.0
@@ -28,7 +28,7 @@ _BIASED = 25.0
 
 def update_window(
     watch: SightingWindow,
-    seen: Sighting,
+    sighting: Sighting,
     *,
     calibration: Calibration,
     site: Site,
@@ -41,18 +41,20 @@ def update_window(
     Parameters
     ----------
     watch : what is remembered.
-    seen : the sighting, later than those remembered.
+    sighting : the sighting, later than those remembered.
     calibration : what it is held to.
     site : where the camera is said to stand.
     options : what is no change.
     clock_stepped : whether the host says that its clock was set while these sightings were made.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """
-    grown = watch.last(REMEMBERED - 1).with_one(seen, trusted=True, surprise=np.zeros(2))
+    grown = watch.last(REMEMBERED - 1).with_one(sighting, trusted=True, surprise=np.zeros(2))
     window = window_of(grown, calibration, options)
     surprise = _surprise(window)
     trusted = bool(surprise @ surprise < _TRUSTED_SQUARE)
-    grown = watch.last(REMEMBERED - 1).with_one(seen, trusted=trusted, surprise=surprise if trusted else np.zeros(2))
+    grown = watch.last(REMEMBERED - 1).with_one(
+        sighting, trusted=trusted, surprise=surprise if trusted else np.zeros(2)
+    )
     one_sided = biased(grown)
     if not (one_sided or distrusted(grown)):
         return grown, None
@@ -75,21 +77,21 @@ def biased(watch: SightingWindow) -> bool:
 
 def distrusted(watch: SightingWindow) -> bool:
     """Return whether half of the last sightings disagree with those before them, the last one too."""
-    late = watch.trusted[-_LOOKED_BACK:]
+    late = watch.trusted[-_RECENT:]
     return not watch.trusted[-1] and int(np.sum(~late)) >= _DISTRUSTED
 
 
 def _surprise(window: ResidualModel) -> FloatArray:
     """Return (2,): how far the last sighting lies from what the trusted ones before let one expect, whitened."""
-    known = np.repeat(window.watch.trusted, 2)
-    known[-2:] = False
-    noise = np.repeat(window.seen.variance, 2)
-    mean, spread = window.seen.residual[-1], window.covariance[-2:, -2:] + np.diag(noise[-2:])
-    if np.any(known):
-        before = window.covariance[np.ix_(known, known)] + np.diag(noise[known])
-        shared = window.covariance[known][:, -2:]
+    trusted_axes = np.repeat(window.watch.trusted, 2)
+    trusted_axes[-2:] = False
+    noise = np.repeat(window.sightings.variance, 2)
+    mean, spread = window.sightings.residual[-1], window.covariance[-2:, -2:] + np.diag(noise[-2:])
+    if np.any(trusted_axes):
+        before = window.covariance[np.ix_(trusted_axes, trusted_axes)] + np.diag(noise[trusted_axes])
+        shared = window.covariance[trusted_axes][:, -2:]
         gain = cho_solve((cholesky(before, lower=True), True), shared)
-        mean = mean - gain.T @ window.seen.residual.ravel()[known]
+        mean = mean - gain.T @ window.sightings.residual.ravel()[trusted_axes]
         spread = spread - gain.T @ shared
     # whitened: the sum of squares is then chi-square of two if nothing has changed
     root = cholesky(0.5 * (spread + spread.T), lower=True)

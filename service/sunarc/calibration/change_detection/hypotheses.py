@@ -17,14 +17,14 @@ from sunarc.calibration.change_detection.cloud_drift import drift_evidence
 from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at
 from sunarc.calibration.change_detection.values import Change, ChangeKind, Hypothesis
-from sunarc.calibration.pose.error_model import joined, predicted, turned
+from sunarc.calibration.pose.error_model import joined, predicted, rotated
 from sunarc.calibration.pose.gaussian_conditioning import MixtureFit, Sightings, fit_inlier_mixture
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics import Param, project_fast, rotation_matrix
 from sunarc.sky import Site, sun_directions
 
-_SMALLEST_TURN_RAD = math.radians(0.02)
+_SMALLEST_ROTATION_RAD = math.radians(0.02)
 _RECENT, _STRIDE, _FEW = 12, 3, 4
 _LEAST_AGREEING = 4
 """Fewest sightings after a change that agree on it: three fix a rotation with one to check it."""
@@ -59,17 +59,17 @@ class ScoredHypothesis:
     """An explanation with what the sightings say of it."""
 
     of: Hypothesis
-    held: MixtureFit
+    mixture: MixtureFit
 
     @property
     def evidence(self) -> float:
         """Logarithm of how likely it makes them."""
-        return self.held.log_evidence
+        return self.mixture.log_evidence
 
     @property
     def agreeing(self) -> int:
         """How many sightings after the change agree with it."""
-        return int(self.held.inlier[self.of.first :].sum())
+        return int(self.mixture.inlier[self.of.first :].sum())
 
 
 def best_hypothesis(
@@ -83,44 +83,44 @@ def best_hypothesis(
     small : whether to look for changes so small that sightings were trusted in spite of them.
     clock_stepped, posed_from_few : see `update_window`.
     """
-    nothing = fit_inlier_mixture(window.covariance, window.seen, window.watch.trusted)
-    best = _best_turn(window, small=small, least=_LEAST_AGREEING)
+    nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted)
+    best = _best_rotation(window, small=small, least=_LEAST_AGREEING)
     best = best or _lens_alone(window)
     if not best:
         return None
     rivals = _rivals(window, best[0], site, posed_from_few=posed_from_few)
-    chosen = _chosen(best[0], rivals, clock_stepped=clock_stepped)
-    gain = chosen.evidence - nothing.log_evidence
-    if gain < _MIN_LOG_BAYES_FACTOR or chosen.agreeing < _LEAST_AGREEING:
+    selected = _most_probable(best[0], rivals, clock_stepped=clock_stepped)
+    gain = selected.evidence - nothing.log_evidence
+    if gain < _MIN_LOG_BAYES_FACTOR or selected.agreeing < _LEAST_AGREEING:
         return None
-    if chosen.agreeing < int(nothing.inlier[chosen.of.first :].sum()):
+    if selected.agreeing < int(nothing.inlier[selected.of.first :].sum()):
         return None
-    clearer = _LENS_CLEARER_THAN_CLOUD if chosen.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
-    if chosen.evidence - drift_evidence(window, chosen.of.first) < clearer:
+    clearer = _LENS_CLEARER_THAN_CLOUD if selected.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
+    if selected.evidence - drift_evidence(window, selected.of.first) < clearer:
         return None
-    alike = [turn.of.first for turn in best if turn.evidence > chosen.evidence - _AS_LIKELY]
-    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > chosen.evidence - _CLEARER}
-    perhaps = tuple(sorted(near)) if chosen.of.kind == "bump" else ()
-    return describe_change(window, chosen.of, chosen.held, gain=gain, alike=alike, perhaps=perhaps)
+    alike = [rotation.of.first for rotation in best if rotation.evidence > selected.evidence - _AS_LIKELY]
+    near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > selected.evidence - _CLEARER}
+    perhaps = tuple(sorted(near)) if selected.of.kind == "bump" else ()
+    return describe_change(window, selected.of, selected.mixture, gain=gain, alike=alike, perhaps=perhaps)
 
 
-def _best_turn(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
+def _best_rotation(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
     """Return the turns from one sighting on that may be, the best first; a change begins with what was not trusted."""
     n = len(window.watch)
     recent = range(max(n - _RECENT, 0), n - least + 1)
     coarse = sorted({*recent, *range(0, max(n - _RECENT, 0), _STRIDE)})
-    places = coarse if small else [k for k in range(n - least + 1) if not window.watch.trusted[k]]
-    turns = _turns(window, places, least=least)
-    if turns and small:
-        best = turns[0].of.first
+    starts = coarse if small else [k for k in range(n - least + 1) if not window.watch.trusted[k]]
+    candidates = _rotations(window, starts, least=least)
+    if candidates and small:
+        best = candidates[0].of.first
         near = range(max(best - _STRIDE, 0), min(best + _STRIDE, n - least) + 1)
-        turns += _turns(window, [k for k in near if k not in places], least=least)
-    return sorted(turns, key=lambda turn: -turn.evidence)
+        candidates += _rotations(window, [k for k in near if k not in starts], least=least)
+    return sorted(candidates, key=lambda rotation: -rotation.evidence)
 
 
-def _turns(window: ResidualModel, places: list[int], *, least: int) -> list[ScoredHypothesis]:
-    found = [_turn_from(window, first, least=least) for first in places]
-    return sorted((turn for turn in found if turn is not None), key=lambda turn: -turn.evidence)
+def _rotations(window: ResidualModel, starts: list[int], *, least: int) -> list[ScoredHypothesis]:
+    found = [_rotation_from(window, first, least=least) for first in starts]
+    return sorted((rotation for rotation in found if rotation is not None), key=lambda rotation: -rotation.evidence)
 
 
 def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
@@ -128,49 +128,51 @@ def _weigh(window: ResidualModel, explanation: Hypothesis) -> ScoredHypothesis:
     before = np.arange(explanation.first)
     after = predicted(window.error_model, explanation.camera, explanation.directions)
     at = joined(window.at.select(before), after)
-    residual = np.concatenate([window.seen.residual[before], finite(explanation.pixels - after.pixels)])
+    residual = np.concatenate([window.sightings.residual[before], finite(explanation.pixels - after.pixels)])
     residual[explanation.first :] -= after.rows @ explanation.mean
     # free numbers are integrated out by adding their covariance to that of the sightings after the change
     free = np.concatenate(
         [np.zeros((2 * before.size, explanation.free.shape[1])), _flat(after.rows @ explanation.free)]
     )
     covariance = errors_at(window, at) + free @ free.T
-    seen = Sightings(residual=residual, variance=window.seen.variance, false_density=window.seen.false_density)
+    sightings = Sightings(
+        residual=residual, variance=window.sightings.variance, false_density=window.sightings.false_density
+    )
     off = np.linalg.norm(residual[explanation.first :] + after.rows @ explanation.mean, axis=-1)
     rough = _FAR_PX if explanation.kind in _OF_LENS else _CLOSE_PX
-    close = off < _CLOSE * np.sqrt(seen.variance[explanation.first :]) + rough
+    close = off < _CLOSE * np.sqrt(sightings.variance[explanation.first :]) + rough
     inlier = np.concatenate([window.watch.trusted[before], close])
-    return ScoredHypothesis(of=explanation, held=fit_inlier_mixture(covariance, seen, inlier))
+    return ScoredHypothesis(of=explanation, mixture=fit_inlier_mixture(covariance, sightings, inlier))
 
 
 def _flat(rows: FloatArray) -> FloatArray:
     return rows.reshape(-1, rows.shape[-1])
 
 
-def _turn_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
+def _rotation_from(window: ResidualModel, first: int, *, least: int) -> ScoredHypothesis | None:
     """Return the turn that most sightings from one on agree with; None where fewer than `least` do."""
     watch = window.watch
     directions, pixels = watch.directions[first:], watch.pixels[first:]
     spread = np.diag(window.covariance).reshape(-1, 2).mean(axis=1)[first:]
-    tolerance = np.sqrt(window.seen.variance[first:] + np.minimum(spread, _LARGEST_SPREAD_PX2))
-    turn = ransac_rotation(window.camera, directions, pixels, tolerance)
-    apart = finite(pixels - project_fast(turned(window.camera, turn), directions))
-    if np.sum(np.linalg.norm(apart, axis=-1) < _CLOSE * tolerance) < least:
+    tolerance = np.sqrt(window.sightings.variance[first:] + np.minimum(spread, _LARGEST_SPREAD_PX2))
+    rotation = ransac_rotation(window.camera, directions, pixels, tolerance)
+    misfit = finite(pixels - project_fast(rotated(window.camera, rotation), directions))
+    if np.sum(np.linalg.norm(misfit, axis=-1) < _CLOSE * tolerance) < least:
         return None
-    size = max(float(np.linalg.norm(turn)), _SMALLEST_TURN_RAD)
-    return _weigh(window, _turning(window, first, turn, size * np.eye(3), kind="bump"))
+    size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
+    return _weigh(window, _rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump"))
 
 
-def _turning(
-    window: ResidualModel, first: int, turn: FloatArray, freedom: FloatArray, *, kind: ChangeKind
+def _rotation_hypothesis(
+    window: ResidualModel, first: int, rotation: FloatArray, freedom: FloatArray, *, kind: ChangeKind
 ) -> Hypothesis:
     size = window.error_model.mean.size
     free, mean = np.zeros((size, freedom.shape[1])), np.zeros(size)
-    free[window.error_model.turn], mean[window.error_model.turn] = freedom, -turn
+    free[window.error_model.rotation], mean[window.error_model.rotation] = freedom, -rotation
     return Hypothesis(
         kind=kind,
         first=first,
-        camera=turned(window.camera, turn),
+        camera=rotated(window.camera, rotation),
         directions=window.watch.directions[first:],
         pixels=window.watch.pixels[first:],
         free=free,
@@ -182,22 +184,22 @@ def _rivals(
     window: ResidualModel, best: ScoredHypothesis, site: Site, *, posed_from_few: bool
 ) -> list[ScoredHypothesis]:
     """Return the other explanations of what the best turn explains."""
-    still = _turning(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
+    still = _rotation_hypothesis(window, best.of.first, np.zeros(3), np.zeros((3, 0)), kind="bump")
     others = [_clock(window, best, site), *_flips(window, site, best.of.first), _other_lens(window, best.of)]
     others += [_other_lens(window, still, kind=kind) for kind in ("refocus", "shift")]
-    whole = _turn_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
-    if whole is not None:
-        others += [_other_lens(window, whole.of, kind=kind) for kind in _OF_LENS]
+    complete = _rotation_from(window, 0, least=_FEW) if posed_from_few and best.of.first > 0 else None
+    if complete is not None:
+        others += [_other_lens(window, complete.of, kind=kind) for kind in _OF_LENS]
     return [_weigh(window, other) for other in others]
 
 
 def _clock(window: ResidualModel, best: ScoredHypothesis, site: Site) -> Hypothesis:
     """Return the turn about the celestial pole alone that comes nearest to a turn."""
     pole = rotation_matrix(window.camera.rotation_cam_enu) @ pole_of(site)
-    nearest = float(-best.of.mean[window.error_model.turn] @ pole)
-    size = max(abs(nearest), _SMALLEST_TURN_RAD)
-    turn = nearest * pole
-    return _turning(window, best.of.first, turn, size * pole[:, None], kind="clock")
+    nearest = float(-best.of.mean[window.error_model.rotation] @ pole)
+    size = max(abs(nearest), _SMALLEST_ROTATION_RAD)
+    rotation = nearest * pole
+    return _rotation_hypothesis(window, best.of.first, rotation, size * pole[:, None], kind="clock")
 
 
 def pole_of(site: Site) -> FloatArray:
@@ -230,9 +232,9 @@ def _flips(window: ResidualModel, site: Site, first: int) -> list[Hypothesis]:
     ]
 
 
-def _other_lens(window: ResidualModel, turn: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
+def _other_lens(window: ResidualModel, rotation: Hypothesis, *, kind: ChangeKind = "lens") -> Hypothesis:
     """Return a turn with a lens of which little is known, or of which only the focus or the place is another."""
-    names = list(window.error_model.chosen)
+    names = list(window.error_model.selected)
     camera, size = window.camera, window.error_model.mean.size
     spread = {
         Param.FOCAL_LENGTH_X_PX: _FOCAL_SHARE * camera.focal_length_px[0],
@@ -247,7 +249,7 @@ def _other_lens(window: ResidualModel, turn: Hypothesis, *, kind: ChangeKind = "
             columns[names.index(index), column] = spread[index]
     if Param.FOCAL_LENGTH_Y_PX in names:  # both focal lengths change alike
         columns[names.index(Param.FOCAL_LENGTH_Y_PX)] = columns[names.index(Param.FOCAL_LENGTH_X_PX)]
-    return replace(turn, kind=kind, free=np.concatenate([turn.free, columns], axis=1))
+    return replace(rotation, kind=kind, free=np.concatenate([rotation.free, columns], axis=1))
 
 
 def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
@@ -257,12 +259,13 @@ def _lens_alone(window: ResidualModel) -> list[ScoredHypothesis]:
         return []
     first = int(np.flatnonzero(window.watch.trusted)[-1]) + 1 if np.any(window.watch.trusted) else 0
     directions, pixels = window.watch.directions[first:], window.watch.pixels[first:]
-    turn = ransac_rotation(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
-    size = max(float(np.linalg.norm(turn)), _SMALLEST_TURN_RAD)
-    return [_weigh(window, _other_lens(window, _turning(window, first, turn, size * np.eye(3), kind="bump")))]
+    rotation = ransac_rotation(window.camera, directions, pixels, np.full(pixels.shape[0], _ROUGH_PX))
+    size = max(float(np.linalg.norm(rotation)), _SMALLEST_ROTATION_RAD)
+    of_rotation = _rotation_hypothesis(window, first, rotation, size * np.eye(3), kind="bump")
+    return [_weigh(window, _other_lens(window, of_rotation))]
 
 
-def _chosen(best: ScoredHypothesis, rivals: list[ScoredHypothesis], *, clock_stepped: bool) -> ScoredHypothesis:
+def _most_probable(best: ScoredHypothesis, rivals: list[ScoredHypothesis], *, clock_stepped: bool) -> ScoredHypothesis:
     """Return the explanation to name: a turn, unless a rarer one is clearly better, or the host's clock was set."""
 
     def handicap(weighed: ScoredHypothesis) -> float:

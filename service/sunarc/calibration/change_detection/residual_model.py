@@ -15,9 +15,9 @@ from sunarc.calibration.pose.error_model import (
     CameraErrorModel,
     Predicted,
     at_every_angle,
+    error_model_of,
     joint_covariance,
     predicted,
-    stated,
 )
 from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density
 from sunarc.calibration.pose.residuals import noise_px
@@ -40,7 +40,7 @@ class ResidualModel:
     camera, error_model : of the calibration.
     at : where it sees the sun.
     covariance : (2n, 2n) of its errors there, px².
-    seen : the sightings' residuals and noise.
+    sightings : the sightings' residuals and noise.
     wander : (n, n) covariance of the mount's wandering between their times, rad².
     air : (2n, 2n) covariance of the sun's places, their air being the assumed one, px².
     """
@@ -50,19 +50,19 @@ class ResidualModel:
     error_model: CameraErrorModel
     at: Predicted
     covariance: FloatArray
-    seen: Sightings
+    sightings: Sightings
     wander: FloatArray
     air: FloatArray
 
 
 def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
     """Return the sightings held to a calibration."""
-    error_model, camera = stated(calibration), at_every_angle(calibration.camera)
+    error_model, camera = error_model_of(calibration), at_every_angle(calibration.camera)
     at = predicted(error_model, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)
     wander = wandering(watch.unix_s, options)
     air = _of_air(camera, watch.directions, calibration.site)
-    seen = Sightings(
+    sightings = Sightings(
         residual=residual,
         variance=noise_px(calibration, watch.sigma_px) ** 2,
         false_density=false_density(residual, area_px2=float(camera.width * camera.height)),
@@ -73,7 +73,7 @@ def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOpt
         error_model=error_model,
         at=at,
         covariance=joint_covariance(error_model, at) + _of_turns(error_model, at, wander) + air,
-        seen=seen,
+        sightings=sightings,
         wander=wander,
         air=air,
     )
@@ -87,8 +87,8 @@ def errors_at(window: ResidualModel, at: Predicted) -> FloatArray:
 def wandering(unix_s: FloatArray, options: WatchOptions) -> FloatArray:
     """Return (n, n): the covariance of a mount's wandering, rad² (Matérn, once differentiable)."""
     # Matern with nu = 3/2 (Rasmussen and Williams 2006, eq. 4.17)
-    apart = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / _WANDER_S
-    return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + apart) * np.exp(-apart))
+    lag = math.sqrt(3.0) * np.abs(unix_s[:, None] - unix_s) / _WANDER_S
+    return np.asarray(math.radians(options.wander_deg) ** 2 * (1.0 + lag) * np.exp(-lag))
 
 
 def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
@@ -100,5 +100,5 @@ def _of_air(camera: Camera, directions: FloatArray, site: Site) -> FloatArray:
 
 
 def _of_turns(error_model: CameraErrorModel, at: Predicted, wander: FloatArray) -> FloatArray:
-    flat = at.rows[..., error_model.turn].reshape(-1, 3)
+    flat = at.rows[..., error_model.rotation].reshape(-1, 3)
     return (flat @ flat.T) * np.kron(wander, np.ones((2, 2)))

@@ -84,13 +84,13 @@ class SightingWindow:
         """Return the last ones."""
         return picked(self, np.arange(len(self)) >= len(self) - count)
 
-    def with_one(self, seen: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
+    def with_one(self, sighting: Sighting, *, trusted: bool, surprise: FloatArray) -> SightingWindow:
         """Return this with one more sighting."""
         return SightingWindow(
-            unix_s=np.append(self.unix_s, seen.unix_s),
-            pixels=np.vstack([self.pixels, seen.pixel]),
-            directions=np.vstack([self.directions, seen.direction]),
-            sigma_px=np.append(self.sigma_px, seen.sigma_px),
+            unix_s=np.append(self.unix_s, sighting.unix_s),
+            pixels=np.vstack([self.pixels, sighting.pixel]),
+            directions=np.vstack([self.directions, sighting.direction]),
+            sigma_px=np.append(self.sigma_px, sighting.sigma_px),
             trusted=np.append(self.trusted, trusted),
             surprise=np.vstack([self.surprise, surprise]),
         )
@@ -138,8 +138,8 @@ class Change:
 
     def as_details(self) -> dict[str, float | int | str]:
         """Return what is stored of it: its numbers and names, the sentence and the remedy."""
-        own = {key: value for key, value in asdict(self).items() if isinstance(value, int | float | str)}
-        return own | dict(self.finding.data) | {"text": self.text, "remedy": self.remedy}
+        scalars = {key: value for key, value in asdict(self).items() if isinstance(value, int | float | str)}
+        return scalars | dict(self.finding.data) | {"text": self.text, "remedy": self.remedy}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -19,7 +19,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
 from sunarc.calibration.model.result import Calibration, Provenance, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
-from sunarc.calibration.quality.fit_checks import Handedness, own_verdict
+from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.findings import Finding
 from sunarc.optics import Camera, pose_angles, rising_limit, rotation_matrix, rotation_vector
 from sunarc.optics.camera import POSE
@@ -94,15 +94,15 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
     )
     rms, most = sky_sigma_deg(calibration)
     calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)
-    return replace(calibration, verdict=own_verdict(calibration, usable, handedness, options))
+    return replace(calibration, verdict=fit_verdict(calibration, usable, handedness, options))
 
 
 def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
     """Return the camera with the shortest rotation vector, answering as far as it is asked to and can."""
-    turn = rotation_vector(rotation_matrix(camera.rotation_cam_enu))
+    rotation = rotation_vector(rotation_matrix(camera.rotation_cam_enu))
     return replace(
         camera,
-        rotation_cam_enu=turn,
+        rotation_cam_enu=rotation,
         max_angle=rising_limit(camera, up_to=math.radians(options.max_angle_deg)),
     )
 
@@ -110,8 +110,8 @@ def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
 def _metrics(fitted: Fitted, usable: FilteredSightings, cameras: list[Camera]) -> Metrics:
     angle = np.full(len(usable), np.nan)
     for epoch, camera in enumerate(cameras):
-        mine = usable.epoch == epoch
-        angle[mine] = residual_angles(camera, usable.pixels[mine], usable.directions[mine])
+        in_epoch = usable.epoch == epoch
+        angle[in_epoch] = residual_angles(camera, usable.pixels[in_epoch], usable.directions[in_epoch])
     metrics = fit_metrics(fitted.residual, fitted.used, angle)
     if fitted.held_out is None:
         return metrics
@@ -129,8 +129,8 @@ def _used(fitted: Fitted, job: Job) -> BoolArray:
 
 
 def _clock_error(points: SunPoints) -> float:
-    stated = points.clock_error_s[np.isfinite(points.clock_error_s)]
-    return float(np.max(np.abs(stated), initial=0.0))
+    known_errors = points.clock_error_s[np.isfinite(points.clock_error_s)]
+    return float(np.max(np.abs(known_errors), initial=0.0))
 
 
 def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Provenance:

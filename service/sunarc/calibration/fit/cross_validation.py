@@ -34,26 +34,26 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
     fold = fold_of_day[np.searchsorted(days, usable.day)]
     system = fit.system
     found, expected, count = 0.0, 0.0, 0
-    for left_out in np.unique(fold):
-        mine = fold == left_out
-        if np.setdiff1d(usable.epoch[mine], usable.epoch[~mine]).size:
+    for one_fold in np.unique(fold):
+        in_fold = fold == one_fold
+        if np.setdiff1d(usable.epoch[in_fold], usable.epoch[~in_fold]).size:
             continue  # a pose that no other day has cannot be predicted
-        inside = np.bincount(system.member[mine], minlength=system.rows.shape[0]) == 0
+        inside = np.bincount(system.member[in_fold], minlength=system.rows.shape[0]) == 0
         without = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales)
-        counted = mine & (fit.weight > 0.0)
-        place = system.member[counted]
-        left_out_residual = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[place]
-        found += float(np.sum(left_out_residual**2))
+        counted = in_fold & (fit.weight > 0.0)
+        bin_of = system.member[counted]
+        prediction_error = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[bin_of]
+        found += float(np.sum(prediction_error**2))
         # two axes
         noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
-        expected += float(np.sum(_variance(fit, without)[place] + noise))
+        expected += float(np.sum(_variance(fit, without)[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
 
 def _variance(fit: RobustFit, without: MarginalFit) -> FloatArray:
     """Return (bins,): trace of the covariance of the prediction by a fit without some days, px²."""
-    rows, waves = fit.system.rows, fit.system.waves
-    own = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
-    mixed = np.einsum("nap,apm,nm->n", rows, without.cross, waves, optimize=True)
-    return np.asarray(np.maximum(own + 2.0 * mixed + 2.0 * fit.scales.amplitude_px**2, 0.0))
+    rows, basis_values = fit.system.rows, fit.system.waves
+    by_parameters = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
+    mixed = np.einsum("nap,apm,nm->n", rows, without.cross, basis_values, optimize=True)
+    return np.asarray(np.maximum(by_parameters + 2.0 * mixed + 2.0 * fit.scales.amplitude_px**2, 0.0))

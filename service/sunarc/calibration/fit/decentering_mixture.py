@@ -23,7 +23,7 @@ from sunarc.calibration.least_squares.priors import HIGHER
 from sunarc.calibration.least_squares.problem import Problem
 
 _SPACING = 1.0
-_PLACES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
+_NODES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
 """Values of p3 and p4 in units of their prior's 1-sigma: they hold 98 % of it in each."""
 _CELL = math.log(_SPACING**2 / (2.0 * math.pi))
 _RIDGE = 1e-12
@@ -54,12 +54,12 @@ def mixed_over_decentering(
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
         return posterior
     free = marginal_fit(system.normal(), system.basis, scales).covariance
-    places = [_conditional(problem, system, unknowns, place, scales) for place in _PLACES]
+    conditionals = [_conditional(problem, system, unknowns, node, scales) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
-    log_mass = np.array([_log_evidence(system, scales), *(place.log_evidence for place in places)])
+    log_mass = np.array([_log_evidence(system, scales), *(node.log_evidence for node in conditionals)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
-    excess = np.einsum("k,kpq->pq", share, np.stack([place.moments - free for place in places]), optimize=True)
+    excess = np.einsum("k,kpq->pq", share, np.stack([node.moments - free for node in conditionals]), optimize=True)
     return replace(posterior, covariance=posterior.covariance + _positive_part(excess, free))
 
 
@@ -75,25 +75,25 @@ def _positive_part(excess: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def _conditional(
-    problem: Problem, system: LinearSystem, unknowns: FloatArray, place: tuple[float, ...], scales: Scales
+    problem: Problem, system: LinearSystem, unknowns: FloatArray, node: tuple[float, ...], scales: Scales
 ) -> _Conditional:
     """Return the fit with p3 and p4 held at a place."""
-    held = np.array(place)
+    fixed = np.array(node)
     basis = problem.prior.basis.copy()
-    mean = problem.prior.mean + basis[:, HIGHER] @ held
+    mean = problem.prior.mean + basis[:, HIGHER] @ fixed
     basis[:, HIGHER] = 0.0
-    there = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
+    conditioned = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
     start[HIGHER] = 0.0
-    found, _ = irls_converged(there, system.moved(there, start), scales)
-    about = system.moved(there, found)
+    found, _ = irls_converged(conditioned, system.moved(conditioned, start), scales)
+    about = system.moved(conditioned, found)
     covariance = marginal_fit(about.normal(), about.basis, scales).covariance.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     shift = found - unknowns
-    shift[HIGHER] = held - unknowns[HIGHER]
+    shift[HIGHER] = fixed - unknowns[HIGHER]
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
-        log_evidence=_log_evidence(about, scales) - 0.5 * float(held @ held) + _CELL,
+        log_evidence=_log_evidence(about, scales) - 0.5 * float(fixed @ fixed) + _CELL,
     )
 
 

@@ -16,11 +16,11 @@ _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 _LARGEST_AMPLITUDE_PX = 8.0
 _AMPLITUDES = 16
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
-_RADIAL_DOUBT = math.log(2.5)
+_RADIAL_LOG_SIGMA = math.log(2.5)
 _DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
-_DECENTERING_DOUBT = math.log(1.6)
+_DECENTERING_LOG_SIGMA = math.log(1.6)
 _USUAL_FIELD_PX = 0.3
-_FIELD_DOUBT = math.log(3.0)
+_FIELD_LOG_SIGMA = math.log(3.0)
 """Where a lens is not as modelled, it is by tenths of px: the paper's own data miss the model by 0.5 to 1.2 px."""
 _LARGEST_FIELD_PX = 1.5
 """1-sigma, px, of a Gaussian bound on the amplitude. A displacement of several px is a matter of the lens's own
@@ -69,9 +69,9 @@ def scale_grid(
     radial, decentering = np.meshgrid(0.5 * _RADIALS_PX, _DECENTERING_FACTORS, indexing="ij")
     # the grid's steps differ: each place counts by the interval of the logarithm that it stands for
     of_lens = np.log(np.gradient(np.log(_RADIALS_PX)))[:, None] + np.log(np.gradient(np.log(_DECENTERING_FACTORS)))
-    of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_DOUBT) ** 2
-    of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_DOUBT) ** 2
-    of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_DOUBT) ** 2
+    of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_LOG_SIGMA) ** 2
+    of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_LOG_SIGMA) ** 2
+    of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_LOG_SIGMA) ** 2
     of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
     # the floor stands for no field, too: its prior odds are added to it
     of_amplitude[0] = np.logaddexp(of_amplitude[0], math.log(_NO_FIELD) + np.logaddexp.reduce(of_amplitude))

@@ -20,13 +20,13 @@ from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.residual_field import WaveBasis
 
-_HELD = 0.95
-_ELLIPSE = -2.0 * math.log(1.0 - _HELD)
+_NOMINAL_COVERAGE = 0.95
+_ELLIPSE = -2.0 * math.log(1.0 - _NOMINAL_COVERAGE)
 """Square of the Mahalanobis distance that holds 95 % of a Gaussian in the plane."""
 _TILTS = (-3.0, 1.5)
 _HALVINGS = 9
 _TAIL_TILT = 0.5
-_WEIGHT_KEPT = 0.985
+_WEIGHT_RETAINED = 0.985
 _PROBES = 60
 _COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
 """Directions round a quarter of an ellipse, as the cosine of twice their angle."""
@@ -92,14 +92,14 @@ def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: Floa
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
     either = (weight + tail / tail.sum()).ravel()
     order = np.argsort(either)[::-1]
-    kept = order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_KEPT * either.sum()))]
-    i, j, k = np.unravel_index(kept, weight.shape)
+    retained = order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))]
+    i, j, k = np.unravel_index(retained, weight.shape)
     amplitude, length, lens = grid.amplitudes[i], grid.lengths[j], grid.lens_scales[k]
     scales = [
         Scales(float(a), float(l), float(r), float(d)) for a, l, (r, d) in zip(amplitude, length, lens, strict=True)
     ]
     fits = marginal_fits(normal, grid.basis, scales)
-    share = weight.ravel()[kept]
+    share = weight.ravel()[retained]
     return _Choices(
         share=share / share.sum(),
         amplitude=amplitude,
@@ -111,20 +111,20 @@ def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: Floa
 
 def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray) -> FloatArray:
     """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky."""
-    rows, waves = _probes(problem, unknowns, basis)
+    rows, basis_values = _probes(problem, unknowns, basis)
     moved = np.einsum("nap,kp->kna", rows, choices.shift, optimize=True)
     found = [
-        _moments(rows, waves, fit, float(amplitude))
+        _moments(rows, basis_values, fit, float(amplitude))
         for amplitude, fit in zip(choices.amplitude, choices.fits, strict=True)
     ]
     return np.asarray(np.stack(found) + moved[..., :, None] * moved[..., None, :])
 
 
-def _moments(rows: FloatArray, waves: FloatArray, fit: MarginalFit, amplitude_px: float) -> FloatArray:
+def _moments(rows: FloatArray, basis_values: FloatArray, fit: MarginalFit, amplitude_px: float) -> FloatArray:
     """Return (n, 2, 2): camera and field together, see `covariance`."""
-    mixed = rows @ np.stack([waves @ part.T for part in fit.cross], axis=-1)
-    own = (rows @ fit.covariance) @ np.swapaxes(rows, -1, -2)
-    return np.asarray(own + mixed + np.swapaxes(mixed, -1, -2) + amplitude_px**2 * np.eye(2))
+    mixed = rows @ np.stack([basis_values @ part.T for part in fit.cross], axis=-1)
+    by_parameters = (rows @ fit.covariance) @ np.swapaxes(rows, -1, -2)
+    return np.asarray(by_parameters + mixed + np.swapaxes(mixed, -1, -2) + amplitude_px**2 * np.eye(2))
 
 
 def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
@@ -147,18 +147,18 @@ def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
     low, high = _TILTS
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        held = choices.share @ _held(moments, np.tensordot(choices.tilted(middle), moments, 1))
-        low, high = (middle, high) if held < _HELD else (low, middle)
+        coverage = choices.share @ _coverage(moments, np.tensordot(choices.tilted(middle), moments, 1))
+        low, high = (middle, high) if coverage < _NOMINAL_COVERAGE else (low, middle)
     return 0.5 * (low + high)
 
 
-def _held(moments: FloatArray, stated: FloatArray) -> FloatArray:
+def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return (k,): the share of Gaussians (k, n, 2, 2) within the 95 % ellipses of stated covariances (n, 2, 2).
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
     """
-    half = 0.5 * np.einsum("nab,knba->kn", np.linalg.inv(stated), moments, optimize=True)
-    determinant = np.linalg.det(moments) / np.linalg.det(stated)
-    apart = np.sqrt(np.maximum(half**2 - determinant, 0.0))
-    square = half[..., None] + apart[..., None] * _COS_DOUBLED
+    half = 0.5 * np.einsum("nab,knba->kn", np.linalg.inv(covariance), moments, optimize=True)
+    determinant = np.linalg.det(moments) / np.linalg.det(covariance)
+    half_gap = np.sqrt(np.maximum(half**2 - determinant, 0.0))
+    square = half[..., None] + half_gap[..., None] * _COS_DOUBLED
     return np.asarray(1.0 - np.exp(-0.5 * _ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2)))

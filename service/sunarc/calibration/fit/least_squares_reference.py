@@ -39,46 +39,48 @@ class _Level(NamedTuple):
         return bool(np.all(self.costs <= other.costs) and self.median <= other.median)
 
 
-def at_least_least_squares(problem: Problem, seen: Observations, unknowns: FloatArray, *, sigma: float) -> FloatArray:
+def at_least_least_squares(
+    problem: Problem, observed: Observations, unknowns: FloatArray, *, sigma: float
+) -> FloatArray:
     """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
 
     Parameters
     ----------
     problem : the camera sought.
-    seen : all sightings.
+    observed : all sightings.
     unknowns : (p,) the most probable ones.
     sigma : px, scale of the robust loss.
     """
-    plain = [least_squares(problem, seen, begin) for begin in (unknowns, undistorted(unknowns))]
-    levels = [_level(problem, seen, at, sigma) for at in plain]
+    plain = [least_squares(problem, observed, begin) for begin in (unknowns, undistorted(unknowns))]
+    levels = [_level(problem, observed, at, sigma) for at in plain]
     best = int(np.argmin([level.costs[1] for level in levels]))
-    wanted = _Level(_COST_RATIO * levels[best].costs, _MEDIAN_RATIO * levels[best].median)
-    if _level(problem, seen, unknowns, sigma).reaches(wanted):
+    target = _Level(_COST_RATIO * levels[best].costs, _MEDIAN_RATIO * levels[best].median)
+    if _level(problem, observed, unknowns, sigma).reaches(target):
         return unknowns
     precision = loosened(problem)
     # the loose robust fit may end in another valley: each start is tried until one reaches the level
     for begin in (unknowns, *plain):
-        end = most_probable(problem, seen, begin, precision=precision, sigma=sigma, iterations=30).unknowns
-        if _level(problem, seen, end, sigma).reaches(wanted):
-            return _nearest(problem, seen, unknowns, end, wanted=wanted, sigma=sigma)
-    return _nearest(problem, seen, unknowns, plain[best], wanted=wanted, sigma=sigma)
+        end = most_probable(problem, observed, begin, precision=precision, sigma=sigma, iterations=30).unknowns
+        if _level(problem, observed, end, sigma).reaches(target):
+            return _nearest(problem, observed, unknowns, end, target=target, sigma=sigma)
+    return _nearest(problem, observed, unknowns, plain[best], target=target, sigma=sigma)
 
 
 def _nearest(
-    problem: Problem, seen: Observations, start: FloatArray, end: FloatArray, *, wanted: _Level, sigma: float
+    problem: Problem, observed: Observations, start: FloatArray, end: FloatArray, *, target: _Level, sigma: float
 ) -> FloatArray:
     """Return the unknowns nearest to the start, on the line to the end, that reach the wanted level."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if _level(problem, seen, start + middle * (end - start), sigma).reaches(wanted):
+        if _level(problem, observed, start + middle * (end - start), sigma).reaches(target):
             high = middle
         else:
             low = middle
     return np.asarray(start + high * (end - start))
 
 
-def _level(problem: Problem, seen: Observations, unknowns: FloatArray, sigma: float) -> _Level:
-    distance = distance_sigmas(problem, seen, unknowns)
+def _level(problem: Problem, observed: Observations, unknowns: FloatArray, sigma: float) -> _Level:
+    distance = distance_sigmas(problem, observed, unknowns)
     costs = np.array([float(np.sum(tukey_loss(distance, sigma=scale * sigma))) for scale in _SCALES])
     return _Level(costs, float(np.median(distance)))

@@ -130,7 +130,7 @@ def marginal_fits(normal: NormalEquations, basis: WaveBasis, choices: Sequence[S
 def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> MarginalFit:
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
-    matrix = normal.jj - reduced.taken(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
+    matrix = normal.jj - reduced.absorbed(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
     vector = normal.jr - reduced.explained(shrink) - precision * normal.at
     scale = 1.0 / np.sqrt(np.diag(matrix))
     scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
@@ -138,13 +138,13 @@ def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> Marginal
     covariance = 0.5 * (covariance + covariance.T)
     # the field is integrated out already: this is the mean of the unknowns' marginal
     step = covariance @ vector
-    left = reduced.residual - step @ reduced.rows
+    residual = reduced.residual - step @ reduced.rows
     return MarginalFit(
         unknowns=normal.at + step,
         gain=float(step @ vector),
-        waves=(shrink * left) @ reduced.turn.T,
+        waves=(shrink * residual) @ reduced.transform.T,
         covariance=covariance,
-        cross=-(covariance @ (reduced.rows * shrink)) @ reduced.turn.T,
+        cross=-(covariance @ (reduced.rows * shrink)) @ reduced.transform.T,
     )
 
 
@@ -160,7 +160,7 @@ def responses(
     """
     reduced = _Reduced.of(normal, basis, scales.length_px)
     shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
-    explained = np.einsum("apm,m,kam->kp", reduced.rows, shrink, fr @ reduced.turn, optimize=True)
+    explained = np.einsum("apm,m,kam->kp", reduced.rows, shrink, fr @ reduced.transform, optimize=True)
     return np.asarray((jr - explained) @ marginal_fit(normal, basis, scales).covariance)
 
 
@@ -190,22 +190,24 @@ def _log_evidence(
 ) -> FloatArray:
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
     shrink = reduced.shrinkage(amplitudes)
-    taken = np.stack([reduced.taken(row) for row in shrink])
+    absorbed = np.stack([reduced.absorbed(row) for row in shrink])
     vector = normal.jr - np.stack([reduced.explained(row) for row in shrink])
     # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
     square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
     # twice: the field's two components have the same kernel and the same sightings
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
     rounding = _ROUNDING * np.diag(normal.jj)
-    matrix = (normal.jj - taken)[:, None] + (precision + rounding)[:, :, None] * np.eye(normal.at.size)
+    matrix = (normal.jj - absorbed)[:, None] + (precision + rounding)[:, :, None] * np.eye(normal.at.size)
     right = vector[:, None] - precision * normal.at
     scale = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     scaled = matrix * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(normal.at.size)
     factor = np.linalg.cholesky(scaled)
     half = np.linalg.solve(factor, (scale * right)[..., None])[..., 0]
     prior_square = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
-    own = 2.0 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)) - np.log(scale), axis=-1)
-    return np.asarray(-0.5 * (square[:, None] + prior_square - np.sum(half**2, axis=-1) + own + determinant[:, None]))
+    log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)) - np.log(scale), axis=-1)
+    return np.asarray(
+        -0.5 * (square[:, None] + prior_square - np.sum(half**2, axis=-1) + log_determinant + determinant[:, None])
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -216,7 +218,7 @@ class _Reduced:
     residual (2, m) the products with the derivatives and the residuals.
     """
 
-    turn: FloatArray
+    transform: FloatArray
     power: FloatArray
     rows: FloatArray
     residual: FloatArray
@@ -226,8 +228,13 @@ class _Reduced:
         spread = np.sqrt(basis.variances(length_px=length_px))
         # in these axes every amplitude costs a division per coefficient, not a factorisation
         power, vectors = np.linalg.eigh(normal.ff * spread[:, None] * spread)
-        turn = spread[:, None] * vectors
-        return cls(turn=turn, power=np.maximum(power, 0.0), rows=normal.jf @ turn, residual=normal.fr @ turn)
+        transform = spread[:, None] * vectors
+        return cls(
+            transform=transform,
+            power=np.maximum(power, 0.0),
+            rows=normal.jf @ transform,
+            residual=normal.fr @ transform,
+        )
 
     def shrinkage(self, amplitudes: FloatArray) -> FloatArray:
         """Return (amplitudes, m): prior variance over one plus what is known, of each turned coefficient."""
@@ -236,10 +243,10 @@ class _Reduced:
 
     def explained(self, shrink: FloatArray) -> FloatArray:
         """Return (p,): what the field takes from the sightings' pull on the parameters."""
-        first, second = (rows @ (shrink * left) for rows, left in zip(self.rows, self.residual, strict=True))
+        first, second = (rows @ (shrink * residual) for rows, residual in zip(self.rows, self.residual, strict=True))
         return np.asarray(first + second)
 
-    def taken(self, shrink: FloatArray) -> FloatArray:
+    def absorbed(self, shrink: FloatArray) -> FloatArray:
         """Return (p, p): what the field takes from the sightings' information on the parameters."""
         flat = np.moveaxis(self.rows, 1, 0) * np.sqrt(shrink)
         flat = flat.reshape(flat.shape[0], -1)

@@ -51,13 +51,13 @@ def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run:
     overall = overall if overall > 2.0 * error else 0.0
     result = np.ones(residual.shape[0])
     for one in np.unique(run):
-        mine = run == one
-        first = np.flatnonzero(mine)
+        in_run = run == one
+        first = np.flatnonzero(in_run)
         span = slice(first[0], first[-1] + 1)
-        rho, own_error = lag_one(residual[span], weight[span], follows[first[0] : first[-1]])
+        rho, run_error = lag_one(residual[span], weight[span], follows[first[0] : first[-1]])
         # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
-        share = 0.05**2 / (0.05**2 + own_error**2)
+        share = 0.05**2 / (0.05**2 + run_error**2)
         rho = min(max(overall + share * (rho - overall), 0.0), _LARGEST)
-        rho = rho if rho > 2.0 * own_error or overall > 0.0 else 0.0
-        result[mine] = (1.0 + rho) / (1.0 - rho)
+        rho = rho if rho > 2.0 * run_error or overall > 0.0 else 0.0
+        result[in_run] = (1.0 + rho) / (1.0 - rho)
     return result

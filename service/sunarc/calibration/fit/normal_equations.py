@@ -22,7 +22,7 @@ class LinearSystem:
 
     Attributes
     ----------
-    seen : (b) one observation a bin, its pixel such that the residual is the bin's mean.
+    observed : (b) one observation a bin, its pixel such that the residual is the bin's mean.
     rows : (b, 2, p); waves: (b, m); residual: (b, 2) px; at: (p,) where it was made.
     wave_products : (m, m) products of the waves over the bins, the same for every camera.
     basis : the field's waves.
@@ -30,7 +30,7 @@ class LinearSystem:
     n_air : how many of the unknowns are the refraction's.
     """
 
-    seen: Observations
+    observed: Observations
     rows: FloatArray
     waves: FloatArray
     residual: FloatArray
@@ -46,7 +46,7 @@ class LinearSystem:
             self.rows,
             self.waves,
             self.residual,
-            self.seen.information,
+            self.observed.information,
             at=self.at,
             ff=self.wave_products,
             n_air=self.n_air,
@@ -54,18 +54,18 @@ class LinearSystem:
 
     def normal_of(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
-        picked = self.rows[which], self.waves[which], self.residual[which], self.seen.information[which]
+        picked = self.rows[which], self.waves[which], self.residual[which], self.observed.information[which]
         return normal_sums(*picked, at=self.at, n_air=self.n_air)
 
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
-        residual, rows = problem.linearised(at, self.seen)
+        residual, rows = problem.linearised(at, self.observed)
         return replace(self, residual=residual, rows=rows, at=at)
 
 
 def linear_system(
     problem: Problem,
-    seen: Observations,
+    observed: Observations,
     bins: Bins,
     unknowns: FloatArray,
     *,
@@ -77,16 +77,16 @@ def linear_system(
     The waves are taken where the model sees the sun. Taken where it was seen, a field x_seen beside a change of the
     lens by -x_modelled would be the noise itself, and a large enough field would explain it away.
     """
-    gathered, residual = bins.gathered(seen, problem.residuals(unknowns, seen), information)
-    own, rows = problem.linearised(unknowns, gathered)
-    waves = basis.values(gathered.pixels - own)
+    gathered, residual = bins.gathered(observed, problem.residuals(unknowns, observed), information)
+    offset, rows = problem.linearised(unknowns, gathered)
+    basis_values = basis.values(gathered.pixels - offset)
     return LinearSystem(
-        seen=replace(gathered, pixels=gathered.pixels + residual - own),
+        observed=replace(gathered, pixels=gathered.pixels + residual - offset),
         rows=rows,
-        waves=waves,
+        waves=basis_values,
         residual=residual,
         at=unknowns,
-        wave_products=waves.T @ (waves * gathered.information[:, None]),
+        wave_products=basis_values.T @ (basis_values * gathered.information[:, None]),
         basis=basis,
         member=bins.member,
         n_air=problem.n_air,

@@ -79,7 +79,7 @@ class RobustFit:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
     unknowns: FloatArray
-    left: FloatArray
+    residuals: FloatArray
     scales: Scales
 
 
@@ -97,21 +97,26 @@ class _Noise:
     weight: FloatArray
     inflation: FloatArray
 
-    def information(self, seen: Observations) -> FloatArray:
+    def information(self, observed: Observations) -> FloatArray:
         """Return (n,) px⁻²."""
         variance = self.sigma_px**2 * self.inflation
-        return np.asarray(seen.information * self.weight * INFORMATION_PER_WEIGHT / variance)
+        return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
 
 
 def fit_robustly(
-    problem: Problem, seen: Observations, usable: FilteredSightings, start: FloatArray, *, options: CalibrationOptions
+    problem: Problem,
+    observed: Observations,
+    usable: FilteredSightings,
+    start: FloatArray,
+    *,
+    options: CalibrationOptions,
 ) -> RobustFit:
     """Return the fit of all sightings from the answer of the coarse search.
 
     Parameters
     ----------
     problem : the camera sought.
-    seen : sightings, in the order of time within each epoch.
+    observed : sightings, in the order of time within each epoch.
     usable : their times, days and epochs.
     start : (p,) unknowns of the coarse search; other starts are tried beside it.
     options : floor of the field, and tolerances of the lens.
@@ -119,13 +124,13 @@ def fit_robustly(
     grid = _grid(problem.template, options)
     bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
     course = _Course(bins, run, neighbours(usable.unix_s, run))
-    plain = _without_field(problem, seen, start, bins)
-    problem = replace(problem, n_air=seen.refraction_sd.shape[1])
+    plain = _without_field(problem, observed, start, bins)
+    problem = replace(problem, n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_air)])
-    state, noise, grid = _with_field(problem, seen, plain, grid, course)
-    state = _in_assumed_air(problem, seen.weighted(noise.information(seen)), bins, state, grid)
-    unknowns = _as_good_as_least_squares(problem, seen, state.unknowns, sigma=noise.sigma_px)
-    system = linear_system(problem, seen, bins, unknowns, information=noise.information(seen), basis=grid.basis)
+    state, noise, grid = _with_field(problem, observed, plain, grid, course)
+    state = _in_assumed_air(problem, observed.weighted(noise.information(observed)), bins, state, grid)
+    unknowns = _as_good_as_least_squares(problem, observed, state.unknowns, sigma=noise.sigma_px)
+    system = linear_system(problem, observed, bins, unknowns, information=noise.information(observed), basis=grid.basis)
     gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
     return RobustFit(
         problem=problem,
@@ -134,7 +139,7 @@ def fit_robustly(
         posterior=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales),
         scales=state.scales,
         grid=grid,
-        residual=problem.residuals(unknowns, seen),
+        residual=problem.residuals(unknowns, observed),
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
@@ -152,7 +157,7 @@ def _grid(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
 
 
 def _with_field(
-    problem: Problem, seen: Observations, plain: FloatArray, grid: HyperparameterGrid, course: _Course
+    problem: Problem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, course: _Course
 ) -> tuple[_State, _Noise, HyperparameterGrid]:
     """Return the rounds' answer, and the grid of scales that it took.
 
@@ -160,93 +165,95 @@ def _with_field(
     the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
     again.
     """
-    allowed = _FIELD_MAY_COST * _robust_cost(problem, seen, plain, plain)
-    state, noise = _rounds(problem, seen, plain, grid, course)
+    allowed = _FIELD_MAY_COST * _robust_cost(problem, observed, plain, plain)
+    state, noise = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
-        if _robust_cost(problem, seen, state.unknowns, plain) <= allowed:
+        if _robust_cost(problem, observed, state.unknowns, plain) <= allowed:
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
-        state, noise = _rounds(problem, seen, plain, grid, course)
+        state, noise = _rounds(problem, observed, plain, grid, course)
     return state, noise, grid
 
 
 def _rounds(
-    problem: Problem, seen: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: _Course
+    problem: Problem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: _Course
 ) -> tuple[_State, _Noise]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    state = _State(unknowns=unknowns, left=problem.residuals(unknowns, seen), scales=first)
-    noise = _noise(state.left, seen, course.follows, course.run)
+    state = _State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
+    noise = _noise(state.residuals, observed, course.follows, course.run)
     for number in range(_ROUNDS):
-        noise = _noise(state.left, seen, course.follows, course.run)
+        noise = _noise(state.residuals, observed, course.follows, course.run)
         system = linear_system(
-            problem, seen, course.bins, state.unknowns, information=noise.information(seen), basis=grid.basis
+            problem, observed, course.bins, state.unknowns, information=noise.information(observed), basis=grid.basis
         )
-        state = _judged(problem, seen, system, state) if number == 0 else _improved(problem, seen, system, grid)
+        state = _judged(problem, observed, system, state) if number == 0 else _improved(problem, observed, system, grid)
     return state, noise
 
 
-def _robust_cost(problem: Problem, seen: Observations, unknowns: FloatArray, plain: FloatArray) -> float:
+def _robust_cost(problem: Problem, observed: Observations, unknowns: FloatArray, plain: FloatArray) -> float:
     """Return the data part of the robust cost, at the scale of the fit without a field."""
-    sigma = robust_sigma(distance_sigmas(problem, seen, plain), floor=SMALLEST_SIGMA_PX)
-    return float(np.sum(tukey_loss(distance_sigmas(problem, seen, unknowns), sigma=sigma)))
+    sigma = robust_sigma(distance_sigmas(problem, observed, plain), floor=SMALLEST_SIGMA_PX)
+    return float(np.sum(tukey_loss(distance_sigmas(problem, observed, unknowns), sigma=sigma)))
 
 
 def _as_good_as_least_squares(
-    problem: Problem, seen: Observations, unknowns: FloatArray, *, sigma: float
+    problem: Problem, observed: Observations, unknowns: FloatArray, *, sigma: float
 ) -> FloatArray:
     """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
     assumed = replace(problem, n_air=0)
-    in_this_air = replace(seen, directions=problem.directions(unknowns, seen))
+    in_this_air = replace(observed, directions=problem.directions(unknowns, observed))
     camera = at_least_least_squares(assumed, in_this_air, unknowns[: assumed.size], sigma=sigma)
     return np.concatenate([camera, unknowns[assumed.size :]])
 
 
-def _judged(problem: Problem, seen: Observations, system: LinearSystem, state: _State) -> _State:
+def _judged(problem: Problem, observed: Observations, system: LinearSystem, state: _State) -> _State:
     """Return the state with what a large field beside the model leaves over; the camera stays."""
     marginal = marginal_fit(system.normal(), system.basis, state.scales)
     explained = system.rows @ (marginal.unknowns - system.at) + system.waves @ marginal.waves.T
-    return replace(state, left=problem.residuals(state.unknowns, seen) - explained[system.member])
+    return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[system.member])
 
 
-def _improved(problem: Problem, seen: Observations, system: LinearSystem, grid: HyperparameterGrid) -> _State:
+def _improved(problem: Problem, observed: Observations, system: LinearSystem, grid: HyperparameterGrid) -> _State:
     """Return the state after a solve with the scales that the data speak for."""
     scales = likely_scales(system.normal(), grid)
-    unknowns, waves = irls_converged(problem, system, scales)
-    smooth = (system.waves @ waves.T)[system.member]
-    return _State(unknowns=unknowns, left=problem.residuals(unknowns, seen) - smooth, scales=scales)
+    unknowns, coefficients = irls_converged(problem, system, scales)
+    smooth = (system.waves @ coefficients.T)[system.member]
+    return _State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed) - smooth, scales=scales)
 
 
 def _in_assumed_air(
-    problem: Problem, seen: Observations, bins: Bins, state: _State, grid: HyperparameterGrid
+    problem: Problem, observed: Observations, bins: Bins, state: _State, grid: HyperparameterGrid
 ) -> _State:
     """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
     assumed = replace(problem, n_air=0)
-    system, known = (
-        linear_system(each, seen, bins, state.unknowns[: each.size], information=seen.information, basis=grid.basis)
+    system, in_assumed_air = (
+        linear_system(
+            each, observed, bins, state.unknowns[: each.size], information=observed.information, basis=grid.basis
+        )
         for each in (problem, assumed)
     )
-    if log_evidence(system.normal(), grid) - log_evidence(known.normal(), grid) > _PROOF_OF_AIR:
+    if log_evidence(system.normal(), grid) - log_evidence(in_assumed_air.normal(), grid) > _PROOF_OF_AIR:
         return state
-    scales = likely_scales(known.normal(), grid)
-    unknowns, _ = irls_converged(assumed, known, scales)
+    scales = likely_scales(in_assumed_air.normal(), grid)
+    unknowns, _ = irls_converged(assumed, in_assumed_air, scales)
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
 
-def _without_field(problem: Problem, seen: Observations, start: FloatArray, bins: Bins) -> FloatArray:
+def _without_field(problem: Problem, observed: Observations, start: FloatArray, bins: Bins) -> FloatArray:
     """Return the robust fit without a field: the best of several starts."""
     precision = prior_precision(problem.size, _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
-    at = best_start(problem, seen, start, precision=precision)
-    left = problem.residuals(at, seen)
-    sigma = robust_sigma(distance_sigmas(problem, seen, at), floor=SMALLEST_SIGMA_PX)
-    gathered, residual = bins.gathered(seen, left, information(left, seen, sigma))
+    at = best_start(problem, observed, start, precision=precision)
+    residuals = problem.residuals(at, observed)
+    sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
+    gathered, residual = bins.gathered(observed, residuals, information(residuals, observed, sigma))
     pixels = gathered.pixels + residual - problem.residuals(at, gathered)
     deepest = best_of_starts(problem, replace(gathered, pixels=pixels), at, precision=precision)
-    return lowest(problem, seen, [at, deepest], precision=precision)
+    return lowest(problem, observed, [at, deepest], precision=precision)
 
 
-def _noise(left: FloatArray, seen: Observations, follows: BoolArray, run: IntArray) -> _Noise:
+def _noise(residuals: FloatArray, observed: Observations, follows: BoolArray, run: IntArray) -> _Noise:
     """Return the noise as it shows beside model and field."""
-    distance = np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information)
+    distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
     sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)
     weight = tukey_weights(distance, sigma=sigma)
-    return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(left, weight, follows, run))
+    return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(residuals, weight, follows, run))

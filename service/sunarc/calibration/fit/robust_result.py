@@ -23,21 +23,21 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
     """Return the cameras of all epochs, and the covariance and field of the last one's."""
     last = fit.problem.n_epochs - 1
     cameras = [fit.problem.camera(fit.unknowns, epoch) for epoch in range(last + 1)]
-    chosen = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
+    selected = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
     to_parameters = np.zeros((len(Param), N_LENS + 3))
     to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
-    to_parameters[POSE, N_LENS:] = _turned(cameras[last], tidied(cameras[last], options))
+    to_parameters[POSE, N_LENS:] = _rotation_derivative(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
     field = Field(
         amplitude_px=fit.posterior.amplitude_px,
         length_px=fit.posterior.length_px,
         basis=fit.grid.basis,
-        cross=np.stack([to_parameters @ part[chosen] for part in fit.posterior.cross]),
+        cross=np.stack([to_parameters @ part[selected] for part in fit.posterior.cross]),
     )
     return Fitted(
         cameras=cameras,
         parameter_names=FREE_NAMES,
-        covariance=to_parameters @ fit.posterior.covariance[np.ix_(chosen, chosen)] @ to_parameters.T,
+        covariance=to_parameters @ fit.posterior.covariance[np.ix_(selected, selected)] @ to_parameters.T,
         field=field,
         residual=fit.residual,
         used=fit.weight > 0.0,
@@ -48,6 +48,6 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
     )
 
 
-def _turned(fitted: Camera, tidy: Camera) -> FloatArray:
+def _rotation_derivative(fitted: Camera, tidy: Camera) -> FloatArray:
     """Return the derivative of the tidied rotation vector by the fitted one: both turn the camera alike."""
     return np.asarray(np.linalg.solve(right_jacobian(tidy.rotation_cam_enu), right_jacobian(fitted.rotation_cam_enu)))

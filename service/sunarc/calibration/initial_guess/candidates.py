@@ -18,7 +18,7 @@ from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, u
 from sunarc.robust_statistics import cauchy_weights
 
 LARGEST_TILT = math.radians(75.0)
-_LOOKED_AT = 160
+_MAX_SIGHTINGS = 160
 _FOCAL_FACTORS = np.geomspace(0.35, 4.0, 22)
 _CENTER_STEPS = (-0.08, 0.0, 0.08)
 
@@ -61,24 +61,24 @@ def _level(
     )
 
 
-def wahba(camera: Camera, seen: Observations, *, rounds: int = 4) -> tuple[Camera, float]:
+def wahba(camera: Camera, observed: Observations, *, rounds: int = 4) -> tuple[Camera, float]:
     """Return the camera turned so that its rays meet the sun's directions, and how well they do.
 
     Parameters
     ----------
     camera : a lens; its pose does not count.
-    seen : sightings of one pose epoch.
+    observed : sightings of one pose epoch.
     rounds : rotations found in turn, sightings that lie off counting less and less.
 
     Returns
     -------
     The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
     """
-    rays = unproject(as_far_as_it_rises(camera), seen.pixels)
+    rays = unproject(as_far_as_it_rises(camera), observed.pixels)
     good = np.all(np.isfinite(rays), axis=-1)
-    if good.sum() < max(3, 0.5 * len(seen)):
+    if good.sum() < max(3, 0.5 * len(observed)):
         return camera, math.inf
-    rays, world = rays[good], seen.directions[good]
+    rays, world = rays[good], observed.directions[good]
     weight = np.ones(rays.shape[0])
     matrix, chord = np.eye(3), weight
     for _ in range(rounds):
@@ -95,17 +95,17 @@ def as_far_as_it_rises(camera: Camera) -> Camera:
     return replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0), max_angle=rising_limit(camera, up_to=math.pi))
 
 
-def candidates(seen: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:
+def candidates(observed: Observations, guess: Camera, *, known: bool, best: int) -> list[Camera]:
     """Return turned cameras to try, the most promising first.
 
     Parameters
     ----------
-    seen : sightings of one pose epoch.
+    observed : sightings of one pose epoch.
     guess : focal length and centre to search around.
     known : whether the guess comes from an image circle: then it is taken as it is.
     best : how many at most.
     """
-    thin = seen.select(np.unique(np.linspace(0, len(seen) - 1, _LOOKED_AT).astype(int)))
+    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
     factors = np.array([1.0]) if known else _FOCAL_FACTORS
     steps = (0.0,) if known else _CENTER_STEPS
     size = min(guess.width, guess.height)

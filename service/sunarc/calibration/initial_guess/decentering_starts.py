@@ -15,28 +15,28 @@ from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
 
-_PLACES = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
+_STARTS = tuple(itertools.product((-1.5, 1.5), (-2.0, 0.0, 2.0)))
 _LET_GO = 2
 
 
-def best_of_starts(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def best_of_starts(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns at the bottom of the deepest valley that was found.
 
     Parameters
     ----------
     problem : the camera sought.
-    seen : sightings with their information, outliers gone.
+    observed : sightings with their information, outliers gone.
     start : unknowns near the truth but for the decentering.
     precision : prior precisions of the unknowns.
     """
-    held = np.ones(problem.size, dtype=bool)
-    held[HIGHER] = False
-    tried = [most_probable(problem, seen, start, precision=precision, iterations=15)]
-    for place in _PLACES:
+    free = np.ones(problem.size, dtype=bool)
+    free[HIGHER] = False
+    tried = [most_probable(problem, observed, start, precision=precision, iterations=15)]
+    for decentering in _STARTS:
         at = start.copy()
         at[DECENTERING] = 0.0
-        at[HIGHER] = place
-        tried.append(most_probable(problem, seen, at, precision=precision, free=held, iterations=4, tolerance=1e-4))
+        at[HIGHER] = decentering
+        tried.append(most_probable(problem, observed, at, precision=precision, free=free, iterations=4, tolerance=1e-4))
     promising = sorted(tried[1:], key=lambda one: one.cost)[:_LET_GO]
-    freed = [most_probable(problem, seen, one.unknowns, precision=precision, iterations=15) for one in promising]
+    freed = [most_probable(problem, observed, one.unknowns, precision=precision, iterations=15) for one in promising]
     return min([tried[0], *freed], key=lambda one: one.cost).unknowns

@@ -36,26 +36,26 @@ _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method knows no prior."""
 
 
-def best_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def best_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns of the lowest robust cost that the starts lead to.
 
     Parameters
     ----------
     problem : the camera sought.
-    seen : all sightings, in the order of time within each epoch.
+    observed : all sightings, in the order of time within each epoch.
     start : (p,) unknowns from the coarse search.
     precision : (p,) prior precisions of the unknowns.
     """
-    thin = seen.select(slice(None, None, 1 + len(seen) // _ENOUGH))
-    starts = [ransac_start(problem, seen, start, precision=precision), *_plain_starts(problem, seen, start)]
+    thin = observed.select(slice(None, None, 1 + len(observed) // _ENOUGH))
+    starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, observed, start)]
     rested = [at_rest(problem, thin, at, precision=precision) for at in starts]
     return lowest(problem, thin, rested, precision=precision)
 
 
-def least_squares(problem: Problem, seen: Observations, start: FloatArray) -> FloatArray:
+def least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
     precision = loosened(problem)
-    return most_probable(problem, seen, start, precision=precision, iterations=25).unknowns
+    return most_probable(problem, observed, start, precision=precision, iterations=25).unknowns
 
 
 def loosened(problem: Problem) -> FloatArray:
@@ -73,20 +73,20 @@ def undistorted(unknowns: FloatArray) -> FloatArray:
     return plain
 
 
-def at_rest(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def at_rest(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the robust fit from one start, the scale of the loss coming down to that of the core."""
     at = start
     for _ in range(_SETTLING):
-        sigma = _widest_core(problem.residuals(at, seen), seen)
-        at = most_probable(problem, seen, at, precision=precision, sigma=sigma, iterations=20).unknowns
+        sigma = _widest_scatter(problem.residuals(at, observed), observed)
+        at = most_probable(problem, observed, at, precision=precision, sigma=sigma, iterations=20).unknowns
     return at
 
 
 def lowest(
-    problem: Problem, seen: Observations, candidates: Sequence[FloatArray], *, precision: FloatArray
+    problem: Problem, observed: Observations, candidates: Sequence[FloatArray], *, precision: FloatArray
 ) -> FloatArray:
     """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
-    distances = [distance_sigmas(problem, seen, at) for at in candidates]
+    distances = [distance_sigmas(problem, observed, at) for at in candidates]
     sigma = min(robust_sigma(d, share=_CENTRAL_SHARE, floor=SMALLEST_SIGMA_PX) for d in distances)
     costs = [
         float(np.sum(tukey_loss(distance, sigma=sigma))) + 0.5 * float(np.sum(precision * at**2))
@@ -95,15 +95,15 @@ def lowest(
     return candidates[int(np.argmin(costs))]
 
 
-def distance_sigmas(problem: Problem, seen: Observations, unknowns: FloatArray) -> FloatArray:
+def distance_sigmas(problem: Problem, observed: Observations, unknowns: FloatArray) -> FloatArray:
     """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma."""
-    left = problem.residuals(unknowns, seen)
-    return np.asarray(np.hypot(left[:, 0], left[:, 1]) * np.sqrt(seen.information))
+    residual = problem.residuals(unknowns, observed)
+    return np.asarray(np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information))
 
 
-def _plain_starts(problem: Problem, seen: Observations, start: FloatArray) -> list[FloatArray]:
+def _plain_starts(problem: Problem, observed: Observations, start: FloatArray) -> list[FloatArray]:
     """Return least-squares answers from the start's lens without distortion: thinned, and from other focal lengths."""
-    few = seen.select(slice(None, None, 1 + len(seen) // _FEW))
+    few = observed.select(slice(None, None, 1 + len(observed) // _FEW))
     plain = undistorted(start)
     found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
     for step in _FOCAL_STEPS:
@@ -113,8 +113,8 @@ def _plain_starts(problem: Problem, seen: Observations, start: FloatArray) -> li
     return found
 
 
-def _widest_core(left: FloatArray, seen: Observations) -> float:
+def _widest_scatter(residual: FloatArray, observed: Observations) -> float:
     """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
-    distance = np.linalg.norm(left, axis=-1) * np.sqrt(seen.information)
-    epochs = np.unique(seen.epoch)
-    return max(robust_sigma(distance[seen.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)
+    distance = np.linalg.norm(residual, axis=-1) * np.sqrt(observed.information)
+    epochs = np.unique(observed.epoch)
+    return max(robust_sigma(distance[observed.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)

@@ -16,28 +16,28 @@ from sunarc.calibration.robust_loss import robust_sigma
 
 _TRIALS = 240
 _SAMPLE = 7
-_LOOKED_AT = 420
+_MAX_SIGHTINGS = 420
 _ROUNDS = 12
 _SEED = 20160830
 _TRUST_PX = 0.7
 
 
-def ransac_start(problem: Problem, seen: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
+def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
     """Return the unknowns that most sightings agree on closely, or the start where nothing is better.
 
     Parameters
     ----------
     problem : the camera sought.
-    seen : sightings, in the order of time within each epoch.
+    observed : sightings, in the order of time within each epoch.
     start : unknowns within some tens of px of the truth.
     precision : prior precisions of the unknowns.
     """
-    thin = seen.select(np.unique(np.linspace(0, len(seen) - 1, _LOOKED_AT).astype(int)))
+    thin = observed.select(np.unique(np.linspace(0, len(observed) - 1, _MAX_SIGHTINGS).astype(int)))
     residual, rows = problem.linearised(start, thin)
     steps = _trials(residual, rows, start, precision)
     steps = np.concatenate([np.zeros((1, start.size)), steps])
-    left = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
-    distance = np.linalg.norm(left, axis=-1) * np.sqrt(thin.information)
+    residual_after = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
+    distance = np.linalg.norm(residual_after, axis=-1) * np.sqrt(thin.information)
     close = max(min(robust_sigma(d) for d in distance[:40]), 0.02)
     # Cauchy's loss counts those close by, and hardly how far the others are off
     agreed = np.sum(np.log1p((distance / close) ** 2), axis=1)
@@ -73,6 +73,6 @@ def _tightened(
     return step
 
 
-def _disagreement(problem: Problem, seen: Observations, at: FloatArray, close: float) -> float:
-    distance = np.linalg.norm(problem.residuals(at, seen), axis=-1) * np.sqrt(seen.information)
+def _disagreement(problem: Problem, observed: Observations, at: FloatArray, close: float) -> float:
+    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
     return float(np.sum(np.log1p((distance / close) ** 2)))

@@ -107,41 +107,41 @@ class Problem:
         poses = [camera.rotation_cam_enu for camera in cameras]
         return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_air)])
 
-    def directions(self, unknowns: FloatArray, seen: Observations) -> FloatArray:
+    def directions(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
         """Return (n, 3): apparent directions, by the refraction that is sought."""
         if self.n_air == 0:
-            return seen.directions
-        return raised(seen.directions, np.sum(seen.refraction_sd * unknowns[-self.n_air :], axis=-1))
+            return observed.directions
+        return raised(observed.directions, np.sum(observed.refraction_sd * unknowns[-self.n_air :], axis=-1))
 
-    def residuals(self, unknowns: FloatArray, seen: Observations) -> FloatArray:
+    def residuals(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        predicted, directions = np.empty(seen.pixels.shape), self.directions(unknowns, seen)
+        predicted, directions = np.empty(observed.pixels.shape), self.directions(unknowns, observed)
         for epoch in range(self.n_epochs):
-            mine = self._of(epoch, seen)
-            predicted[mine] = project_fast(self.camera(unknowns, epoch), directions[mine])
-        return finite(seen.pixels - predicted)
+            in_epoch = self._of(epoch, observed)
+            predicted[in_epoch] = project_fast(self.camera(unknowns, epoch), directions[in_epoch])
+        return finite(observed.pixels - predicted)
 
-    def linearised(self, unknowns: FloatArray, seen: Observations) -> tuple[FloatArray, FloatArray]:
+    def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
-        residual = np.empty(seen.pixels.shape)
-        rows, directions = np.empty((len(seen), 2, self.size)), self.directions(unknowns, seen)
+        residual = np.empty(observed.pixels.shape)
+        rows, directions = np.empty((len(observed), 2, self.size)), self.directions(unknowns, observed)
         for epoch in range(self.n_epochs):
-            mine = self._of(epoch, seen)
+            in_epoch = self._of(epoch, observed)
             camera = self.camera(unknowns, epoch)
-            pixel, by_parameters = project_with_rows_fast(camera, directions[mine])
+            pixel, by_parameters = project_with_rows_fast(camera, directions[in_epoch])
             to_unknowns = np.zeros((len(Param), self.size))
             to_unknowns[LENS, :N_LENS] = self.prior.basis
             to_unknowns[POSE, self.pose_slice(epoch)] = np.eye(3)
-            rows[mine] = (by_parameters.reshape(-1, len(Param)) @ to_unknowns).reshape(-1, 2, self.size)
+            rows[in_epoch] = (by_parameters.reshape(-1, len(Param)) @ to_unknowns).reshape(-1, 2, self.size)
             if self.n_air:
-                up = by_elevation(camera, directions[mine], by_parameters)
-                rows[mine, :, -self.n_air :] = up[..., None] * seen.refraction_sd[mine, None]
-            residual[mine] = seen.pixels[mine] - pixel
+                up = by_elevation(camera, directions[in_epoch], by_parameters)
+                rows[in_epoch, :, -self.n_air :] = up[..., None] * observed.refraction_sd[in_epoch, None]
+            residual[in_epoch] = observed.pixels[in_epoch] - pixel
         return finite(residual), rows
 
-    def _of(self, epoch: int, seen: Observations) -> slice | BoolArray:
+    def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
         """Return which observations belong to an epoch."""
-        return slice(None) if self.n_epochs == 1 else seen.epoch == epoch
+        return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
 
 
 def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ class Solution:
 
 def most_probable(
     problem: Problem,
-    seen: Observations,
+    observed: Observations,
     start: FloatArray,
     *,
     precision: FloatArray,
@@ -48,7 +48,7 @@ def most_probable(
     Parameters
     ----------
     problem : the camera sought.
-    seen : sightings; with `sigma` given, their information is relative to it.
+    observed : sightings; with `sigma` given, their information is relative to it.
     start : first unknowns.
     precision : prior precisions of the unknowns, (size,), about 0 for the lens.
     sigma : px, scale of the redescending loss; None takes plain squares.
@@ -58,32 +58,32 @@ def most_probable(
     """
     moving = np.ones(problem.size, dtype=bool) if free is None else free
     at = start.copy()
-    residual, rows = problem.linearised(at, seen)
-    cost = _cost(residual, seen, at, precision, sigma)
+    residual, rows = problem.linearised(at, observed)
+    cost = _cost(residual, observed, at, precision, sigma)
     damping = _FIRST_DAMPING
     for _ in range(iterations):
-        weight = information(residual, seen, sigma)
+        weight = information(residual, observed, sigma)
         flat = rows[..., moving]
         # Gauss-Newton: second derivatives of the projection are left out, they vanish with the residuals
         normal = np.einsum("nai,n,naj->ij", flat, weight, flat, optimize=True) + np.diag(precision[moving])
         gradient = np.einsum("nai,n,na->i", flat, weight, residual, optimize=True) - precision[moving] * at[moving]
-        following, gain = None, 0.0
+        next_, gain = None, 0.0
         while damping < _LARGEST_DAMPING:
             trial = at.copy()
             trial[moving] += damped_step(normal, gradient, damping)
-            trial_residual = problem.residuals(trial, seen)
-            gain = cost - _cost(trial_residual, seen, trial, precision, sigma)
+            trial_residual = problem.residuals(trial, observed)
+            gain = cost - _cost(trial_residual, observed, trial, precision, sigma)
             # equal costs are taken: at the minimum rounding decides, and a refusal would only raise the damping
             if gain >= 0.0:
-                following = trial
+                next_ = trial
                 break
             damping *= 10.0
-        if following is None:
+        if next_ is None:
             break
         # a good step trusts the linear model more; the floor keeps it from underflowing
         damping = max(damping * 0.1, 1e-12)
-        at, cost = following, cost - gain
-        residual, rows = problem.linearised(at, seen)
+        at, cost = next_, cost - gain
+        residual, rows = problem.linearised(at, observed)
         if gain <= tolerance * max(cost, 1e-12):
             break
     return Solution(unknowns=at, residual=residual, cost=cost)
@@ -102,19 +102,19 @@ def damped_step(normal: FloatArray, gradient: FloatArray, damping: float) -> Flo
     return np.asarray(step)
 
 
-def information(residual: FloatArray, seen: Observations, sigma: float | None) -> FloatArray:
+def information(residual: FloatArray, observed: Observations, sigma: float | None) -> FloatArray:
     """Return (n,): how much each sighting counts where it lies now, px⁻²."""
     if sigma is None:
-        return seen.information
-    distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(seen.information)
-    return np.asarray(seen.information * tukey_weights(distance, sigma=sigma) / sigma**2)
+        return observed.information
+    distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)
+    return np.asarray(observed.information * tukey_weights(distance, sigma=sigma) / sigma**2)
 
 
 def _cost(
-    residual: FloatArray, seen: Observations, unknowns: FloatArray, precision: FloatArray, sigma: float | None
+    residual: FloatArray, observed: Observations, unknowns: FloatArray, precision: FloatArray, sigma: float | None
 ) -> float:
     prior = 0.5 * float(np.sum(precision * unknowns**2))
-    square = np.sum(residual**2, axis=-1) * seen.information
+    square = np.sum(residual**2, axis=-1) * observed.information
     if sigma is None:
         return 0.5 * float(np.sum(square)) + prior
     loss = float(np.sum(tukey_loss(np.sqrt(square), sigma=sigma))) + prior

@@ -29,27 +29,31 @@ class Bins:
     count: int
 
     def gathered(
-        self, seen: Observations, residual: FloatArray, information: FloatArray
+        self, observed: Observations, residual: FloatArray, information: FloatArray
     ) -> tuple[Observations, FloatArray]:
         """Return one observation a bin (its pixels: those of the heaviest share) and the mean residuals (bins, 2)."""
         total = self._sums(information)
         safe = np.where(total > 0.0, total, 1.0)
         share = information / safe[self.member]
         # the mean of directions within a bin is shorter than 1 by 1e-4 at most; it is made a unit vector below
-        direction = np.stack([self._sums(share * seen.directions[:, i]) for i in range(3)], axis=-1)
+        direction = np.stack([self._sums(share * observed.directions[:, i]) for i in range(3)], axis=-1)
         norm = np.linalg.norm(direction, axis=-1, keepdims=True)
-        pixels = np.stack([self._sums(share * seen.pixels[:, i]) for i in range(2)], axis=-1)
+        pixels = np.stack([self._sums(share * observed.pixels[:, i]) for i in range(2)], axis=-1)
         mean = np.stack([self._sums(share * residual[:, i]) for i in range(2)], axis=-1)
-        refraction = np.stack([self._sums(share * column) for column in seen.refraction_sd.T], axis=-1)
+        refraction = np.stack([self._sums(share * column) for column in observed.refraction_sd.T], axis=-1)
         first = np.searchsorted(self.member, np.arange(self.count))
         # a bin of outliers alone still needs a direction: its weight of 0 keeps it out of the sums
         empty = total <= 0.0
-        direction[empty], norm[empty], pixels[empty] = seen.directions[first[empty]], 1.0, seen.pixels[first[empty]]
+        direction[empty], norm[empty], pixels[empty] = (
+            observed.directions[first[empty]],
+            1.0,
+            observed.pixels[first[empty]],
+        )
         gathered = Observations(
             directions=direction / norm,
             pixels=pixels,
             information=total,
-            epoch=seen.epoch[first],
+            epoch=observed.epoch[first],
             refraction_sd=refraction,
         )
         return gathered, mean
@@ -66,7 +70,7 @@ def time_bins(usable: FilteredSightings) -> Bins:
     run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0)]
     start_of_run = np.maximum.accumulate(np.where(run, np.arange(n), 0))
     slot = np.floor((usable.unix_s - usable.unix_s[start_of_run]) / _SECONDS).astype(np.int64)
-    place = (np.arange(n) - start_of_run) // _MOST
-    fresh = run | np.r_[True, (np.diff(slot) != 0) | (np.diff(place) != 0)]
+    position = (np.arange(n) - start_of_run) // _MOST
+    fresh = run | np.r_[True, (np.diff(slot) != 0) | (np.diff(position) != 0)]
     member = np.cumsum(fresh) - 1
     return Bins(member=member, count=int(member[-1]) + 1)

@@ -45,11 +45,11 @@ def fit_backward(camera: Camera) -> BackwardModel:
     x_hat, y_hat = calibrated(camera, pixels)
     target = ideal_radius(camera.projection, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
-    wanted = np.stack([target * np.cos(azimuth), target * np.sin(azimuth)], axis=-1)
+    target_point = np.stack([target * np.cos(azimuth), target * np.sin(azimuth)], axis=-1)
     focal = camera.focal_length_px[0]
 
     def misfit(coefficients: FloatArray) -> FloatArray:
-        return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - wanted)).ravel()
+        return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - target_point)).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 

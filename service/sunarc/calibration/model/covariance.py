@@ -113,21 +113,21 @@ def _predicted(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArr
 
 def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     pixels, by_parameters = project_with_rows_fast(calibration.camera, directions)
-    chosen = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
-    rows = np.ascontiguousarray(by_parameters[..., chosen])
-    size, field = len(chosen), calibration.field
+    indices = [PARAMETER_NAMES.index(name) for name in calibration.parameter_names]
+    rows = np.ascontiguousarray(by_parameters[..., indices])
+    size, field = len(indices), calibration.field
     # one large matrix product is several times faster than an einsum over all three factors
     weighted = (rows.reshape(2 * rows.shape[0], size) @ calibration.covariance).reshape(rows.shape)
-    seen = np.all(np.isfinite(pixels), axis=-1)
-    if field.amplitude_px > 0.0 and np.any(seen):
-        waves = field.basis.values(np.where(seen[:, None], pixels, 0.0))
-        mixed = rows @ np.stack([waves @ field.cross[a].T for a in (0, 1)], axis=-1)
+    visible = np.all(np.isfinite(pixels), axis=-1)
+    if field.amplitude_px > 0.0 and np.any(visible):
+        basis_values = field.basis.values(np.where(visible[:, None], pixels, 0.0))
+        mixed = rows @ np.stack([basis_values @ field.cross[a].T for a in (0, 1)], axis=-1)
         both = mixed + np.swapaxes(mixed, -1, -2) + field.amplitude_px**2 * np.eye(2)
     else:
         both = np.zeros((1, 2, 2))
     covariance = np.einsum("nap,nbp->nab", weighted, rows) + both
     # what the camera cannot see has no error either; zeros here would look like certainty
-    covariance[~seen] = np.nan
+    covariance[~visible] = np.nan
     return pixels, covariance, by_direction(calibration.camera, by_parameters)
 
 
@@ -149,9 +149,9 @@ def unproject_with_sigma(calibration: Uncertain, pixels: ArrayLike) -> tuple[Flo
     directions = unproject(calibration.camera, pixel)
     inside = np.all(np.isfinite(directions), axis=-1) & camera_sees(calibration.camera, pixel)
     sigma = np.full(pixel.shape[:-1], np.nan)
-    known = np.all(np.isfinite(directions), axis=-1)
-    if np.any(known):
-        sigma[known] = sigma_deg(calibration, directions[known])
+    valid = np.all(np.isfinite(directions), axis=-1)
+    if np.any(valid):
+        sigma[valid] = sigma_deg(calibration, directions[valid])
     return directions, sigma, inside
 
 
@@ -206,8 +206,8 @@ def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees."""
     directions = hemisphere()
     pixels = project(calibration.camera, directions)
-    seen = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
-    sigma = sigma_deg(calibration, directions[seen]) if np.any(seen) else np.array([np.nan])
+    visible = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
+    sigma = sigma_deg(calibration, directions[visible]) if np.any(visible) else np.array([np.nan])
     sigma = sigma[np.isfinite(sigma)]
     if sigma.size == 0:
         return math.nan, math.nan
@@ -229,14 +229,14 @@ def pose_error(camera: Camera, site: Site, *, clock_error_s: float, site_error_m
     """
     latitude = math.radians(site.latitude)
     pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
-    turn = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
+    enu_covariance = (_EARTH_RATE * clock_error_s) ** 2 * np.outer(pole, pole)
     # an eastward error turns about the pole: up by tan(latitude) of what it turns about north
     eastward = np.array([0.0, 1.0, math.tan(latitude) if abs(latitude) < _POLAR else 0.0])
-    turn += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
-    return turn_covariance(camera, turn)
+    enu_covariance += (site_error_m / _EARTH_RADIUS_M) ** 2 * (np.diag([1.0, 0.0, 0.0]) + np.outer(eastward, eastward))
+    return rotation_covariance(camera, enu_covariance)
 
 
-def turn_covariance(camera: Camera, turn: FloatArray) -> FloatArray:
+def rotation_covariance(camera: Camera, enu_covariance: FloatArray) -> FloatArray:
     """Return (3, 3): covariance of the rotation vector where that of small turns about east, north and up is given."""
     to_vector = np.linalg.inv(pose.right_jacobian(camera.rotation_cam_enu))
-    return np.asarray(to_vector @ turn @ to_vector.T)
+    return np.asarray(to_vector @ enu_covariance @ to_vector.T)

@@ -93,8 +93,8 @@ def lookup(calibration: Uncertain) -> Lookup:
     camera = calibration.camera
     table = inverse_table(camera)
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
-    turn = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
-    covariance, sigma = uncertainties(calibration, _directions(table, radius, turn))
+    azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
+    covariance, sigma = uncertainties(calibration, _directions(table, radius, azimuth))
     # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
@@ -110,15 +110,15 @@ def lookup(calibration: Uncertain) -> Lookup:
     )
 
 
-def _directions(table: InverseTable, radius: FloatArray, turn: FloatArray) -> FloatArray:
+def _directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
     """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
-    place = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
-    piece = place.astype(np.int64)
-    powers = (place - piece)[:, None] ** np.arange(4)
+    position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
+    piece = position.astype(np.int64)
+    powers = (position - piece)[:, None] ** np.arange(4)
     scale = np.sum(table.pieces[piece, :4] * powers, axis=-1)
     sine, cosine = scale * radius, np.sum(table.pieces[piece, 4:] * powers, axis=-1)
-    across = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    ray = np.empty((len(radius), len(turn), 3))
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    ray = np.empty((len(radius), len(azimuth), 3))
     ray[..., :2] = sine[:, None, None] * across
     ray[..., 2] = cosine[:, None]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
@@ -133,12 +133,12 @@ def _spline(sheet: FloatArray) -> FloatArray:
     outer = sheet
     for _ in range(_PADDING):
         # cubic continuation beyond the last ring: a mirrored edge would bend the spline there
-        following = 4.0 * outer[-1] - 6.0 * outer[-2] + 4.0 * outer[-3] - outer[-4]
-        outer = np.concatenate([outer, following[None]])
+        extrapolated = 4.0 * outer[-1] - 6.0 * outer[-2] + 4.0 * outer[-3] - outer[-4]
+        outer = np.concatenate([outer, extrapolated[None]])
     along = spline_filter1d(np.concatenate([inner, outer]), order=3, axis=0, mode="mirror")
     around = spline_filter1d(along, order=3, axis=1, mode="grid-wrap")
-    kept = around[_PADDING - 1 : _PADDING + _RINGS + 1]
-    return np.concatenate([kept[:, -1:], kept, kept[:, :2]], axis=1)
+    inner_part = around[_PADDING - 1 : _PADDING + _RINGS + 1]
+    return np.concatenate([inner_part[:, -1:], inner_part, inner_part[:, :2]], axis=1)
 
 
 def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
@@ -153,7 +153,7 @@ def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
 
 
 @njit(nogil=True)
-def _place(  # noqa: PLR0917 - compiled functions take positions
+def _ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
     constants: InverseConstants, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
 ) -> tuple[float, float]:
     """Return the ring and the spoke of a pixel, the decentering taken out to first order."""
@@ -166,17 +166,17 @@ def _place(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _weights(place: float, last: int) -> tuple[int, float, float, float, float]:
+def _weights(position: float, last: int) -> tuple[int, float, float, float, float]:
     """Return the first of four nodes and the weights of a cubic spline."""
-    node = min(int(place), last)
-    s = place - node
+    node = min(int(position), last)
+    s = position - node
     t = 1.0 - s
     third = (-3.0 * s * s * s + 3.0 * s * s + 3.0 * s + 1.0) / 6.0
     return node, t * t * t / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, third, s * s * s / 6.0
 
 
 @njit(nogil=True)
-def _seen(size: tuple[int, int], x: float, y: float) -> float:
+def _in_image(size: tuple[int, int], x: float, y: float) -> float:
     return 1.0 if -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5 else 0.0
 
 
@@ -198,7 +198,7 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
             result[i, :6] = np.nan
             result[i, 6] = 0.0
             continue
-        ring, spoke = _place(constants, rings, spokes, rings_per_radius, x, y)
+        ring, spoke = _ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
         a, a0, a1, a2, a3 = _weights(ring, rings - 2)
         b, b0, b1, b2, b3 = _weights(spoke, spokes - 1)
         total = 0.0
@@ -209,7 +209,7 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
         result[i, 0] = math.degrees(math.atan2(math.sqrt(east * east + north * north), up))
         result[i, 1] = azimuth if azimuth >= 0.0 else (azimuth + 360.0) % 360.0
         result[i, 2], result[i, 3], result[i, 4] = east, north, up
-        result[i, 5], result[i, 6] = max(total, 0.0), _seen(size, x, y)
+        result[i, 5], result[i, 6] = max(total, 0.0), _in_image(size, x, y)
 
 
 @njit(nogil=True)
@@ -228,7 +228,7 @@ def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
             result[i, :6] = np.nan
             result[i, 6] = 0.0
             continue
-        ring, spoke = _place(constants, rings, spokes, rings_per_radius, x, y)
+        ring, spoke = _ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
         a, a0, a1, a2, a3 = _weights(ring, rings - 2)
         b, b0, b1, b2, b3 = _weights(spoke, spokes - 1)
         xx, yx, yy = 0.0, 0.0, 0.0
@@ -238,4 +238,4 @@ def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
                 xx, yx, yy = xx + weight * node[0], yx + weight * node[1], yy + weight * node[2]
         result[i, 0], result[i, 1] = x, y
         result[i, 3], result[i, 4], result[i, 5] = xx * xx, xx * yx, yx * yx + yy * yy
-        result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), _seen(size, x, y)
+        result[i, 2], result[i, 6] = math.sqrt(0.5 * (result[i, 3] + result[i, 5])), _in_image(size, x, y)

@@ -114,14 +114,14 @@ def _model(camera: Camera) -> Document:
 def _field(field: Field) -> Document:
     size = np.max(np.abs(field.cross), axis=0, initial=0.0)
     share = np.max(size / np.maximum(np.max(size, axis=1, keepdims=True, initial=0.0), 1e-300), axis=0, initial=0.0)
-    kept = np.flatnonzero(share > _SMALLEST_SHARE) if field.amplitude_px > 0.0 else np.zeros(0, dtype=np.int64)
+    significant = np.flatnonzero(share > _SMALLEST_SHARE) if field.amplitude_px > 0.0 else np.zeros(0, dtype=np.int64)
     return {
         "amplitude_px": field.amplitude_px,
         "length_px": field.length_px,
         "center_px": list(field.basis.center_px),
         "half_px": list(field.basis.half_px),
-        "orders": field.basis.orders[kept].tolist(),
-        "cross": [[[float(f"{v:.8g}") for v in row] for row in part] for part in field.cross[:, :, kept]],
+        "orders": field.basis.orders[significant].tolist(),
+        "cross": [[[float(f"{v:.8g}") for v in row] for row in part] for part in field.cross[:, :, significant]],
     }
 
 
@@ -196,14 +196,14 @@ def _read_findings(read: _Reader) -> tuple[Finding, ...]:
 def _read_camera(read: _Reader) -> Camera:
     width, height = read.number("image.width"), read.number("image.height")
     focal, center = read.numbers("model.focal_length_px", 2), read.numbers("model.principal_point_px", 2)
-    turn, shift = read.numbers("model.rotation_cam_enu", 3), read.numbers("model.translation", 3)
+    rotation, shift = read.numbers("model.rotation_cam_enu", 3), read.numbers("model.translation", 3)
     return Camera(
         width=_size("image.width", width),
         height=_size("image.height", height),
         projection=read.value("model.projection"),
         focal_length_px=(focal[0], focal[1]),
         principal_point_px=(center[0], center[1]),
-        rotation_cam_enu=(turn[0], turn[1], turn[2]),
+        rotation_cam_enu=(rotation[0], rotation[1], rotation[2]),
         skew_px=read.number("model.skew_px"),
         translation=(shift[0], shift[1], shift[2]),
         radial=read.numbers("model.radial", 8),

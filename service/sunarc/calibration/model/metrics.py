@@ -76,7 +76,7 @@ def fit_metrics(residual: FloatArray, used: BoolArray, angle: FloatArray) -> Met
     angle : (n,) radians between sighted and true direction, NaN where the camera sees nothing.
     """
     rmse, mae, sd, sd_of_distance = measures(residual[used])
-    seen = angle[used & np.isfinite(angle)]
+    valid_angle = angle[used & np.isfinite(angle)]
     return Metrics(
         n=int(used.sum()),
         rmse_px=rmse,
@@ -84,7 +84,7 @@ def fit_metrics(residual: FloatArray, used: BoolArray, angle: FloatArray) -> Met
         mae_px=mae,
         sd_px=sd,
         sd_of_distance_px=sd_of_distance,
-        rmse_deg=math.degrees(float(np.sqrt(np.mean(seen**2)))) if seen.size else math.nan,
+        rmse_deg=math.degrees(float(np.sqrt(np.mean(valid_angle**2)))) if valid_angle.size else math.nan,
     )
 
 

@@ -38,8 +38,8 @@ class WaveBasis:
     def values(self, pixels: ArrayLike) -> FloatArray:
         """Return (..., m): the waves at pixels (..., 2)."""
         pixel = np.asarray(pixels, dtype=np.float64)
-        along_x = self._waves(pixel[..., 0], 0)[..., self.orders[:, 0] - 1]
-        along_y = self._waves(pixel[..., 1], 1)[..., self.orders[:, 1] - 1]
+        along_x = self._sines(pixel[..., 0], 0)[..., self.orders[:, 0] - 1]
+        along_y = self._sines(pixel[..., 1], 1)[..., self.orders[:, 1] - 1]
         return np.asarray(along_x * along_y)
 
     def variances(self, *, length_px: float) -> FloatArray:
@@ -53,7 +53,7 @@ class WaveBasis:
         reach = _REACH / length_px
         return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_orders(self.half_px, reach))
 
-    def _waves(self, coordinate: FloatArray, axis: int) -> FloatArray:
+    def _sines(self, coordinate: FloatArray, axis: int) -> FloatArray:
         half = self.half_px[axis]
         number = np.arange(1, int(self.orders[:, axis].max(initial=0)) + 1)
         phase = (0.5 * math.pi / half) * (coordinate - self.center_px[axis] + half)

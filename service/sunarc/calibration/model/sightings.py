@@ -156,26 +156,26 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     order = np.flatnonzero(above)
     # by time within each epoch: bins, neighbours and runs rely on it
     order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
-    moments = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
+    epoch_and_time = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
     single = np.ones(order.size, dtype=bool)
-    single[1:] = np.any(np.diff(moments, axis=0) != 0.0, axis=-1)
-    kept = order[single]
-    day = solar_days(points.unix_s[kept], longitude=site.longitude)
-    groups = np.unique(np.stack([points.epoch[kept], day], axis=-1), axis=0, return_inverse=True)[1].ravel()
-    still = static_sightings(points.pixels[kept], directions[kept], groups)
-    static = static_positions(points.pixels[kept], still)
-    kept, day = kept[~still], day[~still]
+    single[1:] = np.any(np.diff(epoch_and_time, axis=0) != 0.0, axis=-1)
+    retained = order[single]
+    day = solar_days(points.unix_s[retained], longitude=site.longitude)
+    groups = np.unique(np.stack([points.epoch[retained], day], axis=-1), axis=0, return_inverse=True)[1].ravel()
+    still = static_sightings(points.pixels[retained], directions[retained], groups)
+    static = static_positions(points.pixels[retained], still)
+    retained, day = retained[~still], day[~still]
     counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum(), still.sum())
     codes = ("dropped_not_finite", "dropped_below_horizon", "dropped_duplicate_time", "dropped_static")
     return FilteredSightings(
-        index=kept,
-        unix_s=points.unix_s[kept],
-        pixels=points.pixels[kept],
-        directions=directions[kept],
-        sigma_px=_relative_sigma(points.sigma_px[kept]),
-        epoch=points.epoch[kept],
+        index=retained,
+        unix_s=points.unix_s[retained],
+        pixels=points.pixels[retained],
+        directions=directions[retained],
+        sigma_px=_relative_sigma(points.sigma_px[retained]),
+        epoch=points.epoch[retained],
         day=day,
-        refraction_sd=_refraction_sd(np.isfinite(points.temperature[kept]), directions[kept], day, site),
+        refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
         dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
     )
@@ -192,8 +192,8 @@ def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, s
 
 
 def _relative_sigma(sigma_px: FloatArray) -> FloatArray:
-    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
-    if not np.any(stated):
+    has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    if not np.any(has_sigma):
         return np.ones(sigma_px.shape)
-    median = float(np.median(sigma_px[stated]))
-    return np.clip(np.where(stated, sigma_px, median) / median, 1.0 / 3.0, 10.0)
+    median = float(np.median(sigma_px[has_sigma]))
+    return np.clip(np.where(has_sigma, sigma_px, median) / median, 1.0 / 3.0, 10.0)

@@ -50,16 +50,18 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
     sums = np.stack([np.bincount(member, weights=directions[:, i], minlength=cells.size) for i in range(3)], axis=-1)
     around, total = np.zeros(cells.size, dtype=np.int64), np.zeros((cells.size, 3))
     for offset in _NEIGHBOURS:
-        place, there = _place(cells, cells + offset[0] * width + offset[1])
-        around += np.where(there, count[place], 0)
-        total += np.where(there[:, None], sums[place], 0.0)
+        index, present = _index_of(cells, cells + offset[0] * width + offset[1])
+        around += np.where(present, count[index], 0)
+        total += np.where(present[:, None], sums[index], 0.0)
     mean_cosine = np.linalg.norm(total, axis=-1) / np.maximum(around, 1)
     # the mean of unit vectors is short where they differ: cheap enough for every cell
     suspect = np.flatnonzero((around >= _FEWEST) & (mean_cosine < math.cos(math.radians(_STILL_DEG))))
     static = np.zeros(pixels.shape[0], dtype=bool)
     for one in suspect:
         near = [
-            p for p, there in (_place(cells, cells[one : one + 1] + a * width + b) for a, b in _NEIGHBOURS) if there
+            p
+            for p, present in (_index_of(cells, cells[one : one + 1] + a * width + b) for a, b in _NEIGHBOURS)
+            if present
         ]
         rows = np.flatnonzero(np.isin(member, np.concatenate(near)))
         static[rows] |= _stands_still(directions[rows])
@@ -68,20 +70,20 @@ def static_sightings(pixels: FloatArray, directions: FloatArray, group: IntArray
 
 def static_positions(pixels: FloatArray, static: BoolArray) -> tuple[StaticPosition, ...]:
     """Return the positions of static sightings, the most frequent one first; those within 3 px are one."""
-    left, found = pixels[static], []
-    while left.size:
-        _, member, count = np.unique(np.floor(left), axis=0, return_inverse=True, return_counts=True)
-        middle = np.median(left[member.ravel() == np.argmax(count)], axis=0)
-        mine = np.max(np.abs(left - middle), axis=-1) <= 3.0
-        found.append(StaticPosition(float(middle[0]), float(middle[1]), int(mine.sum())))
-        left = left[~mine]
+    remaining, found = pixels[static], []
+    while remaining.size:
+        _, member, count = np.unique(np.floor(remaining), axis=0, return_inverse=True, return_counts=True)
+        middle = np.median(remaining[member.ravel() == np.argmax(count)], axis=0)
+        near = np.max(np.abs(remaining - middle), axis=-1) <= 3.0
+        found.append(StaticPosition(float(middle[0]), float(middle[1]), int(near.sum())))
+        remaining = remaining[~near]
     return tuple(sorted(found, key=lambda one: -one.n))
 
 
-def _place(cells: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
+def _index_of(cells: IntArray, queried: IntArray) -> tuple[IntArray, BoolArray]:
     """Return where the wanted cells stand among the sorted ones, and whether they do."""
-    place = np.minimum(np.searchsorted(cells, wanted), cells.size - 1)
-    return place, cells[place] == wanted
+    index = np.minimum(np.searchsorted(cells, queried), cells.size - 1)
+    return index, cells[index] == queried
 
 
 def _stands_still(directions: FloatArray) -> bool:

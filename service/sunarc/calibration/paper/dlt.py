@@ -13,7 +13,7 @@ from sunarc.calibration.least_squares.problem import Observations
 from sunarc.optics import Camera, rotation_vector, unproject
 
 
-def direct_linear_pose(camera: Camera, seen: Observations) -> Camera:
+def direct_linear_pose(camera: Camera, observed: Observations) -> Camera:
     """Return the camera with the pose and translation of the direct linear transform.
 
     Sun directions of one or two days lie nearly in a plane, and the transform then says next to nothing: that is what
@@ -22,11 +22,11 @@ def direct_linear_pose(camera: Camera, seen: Observations) -> Camera:
     Parameters
     ----------
     camera : K0; its own pose does not count.
-    seen : sightings of one pose epoch.
+    observed : sightings of one pose epoch.
     """
-    rays = unproject(as_far_as_it_rises(camera), seen.pixels)
+    rays = unproject(as_far_as_it_rises(camera), observed.pixels)
     good = np.all(np.isfinite(rays), axis=-1)
-    rays, world = rays[good], seen.directions[good]
+    rays, world = rays[good], observed.directions[good]
     # Hartley's normalisation: without it the 12 columns differ by orders of magnitude
     center, spread = world.mean(axis=0), float(np.mean(np.linalg.norm(world - world.mean(axis=0), axis=-1)))
     scale = math.sqrt(3.0) / spread

@@ -25,20 +25,20 @@ _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
 def fit_as_paper(
-    seen: Observations, usable: FilteredSightings, cameras: list[Camera], *, options: CalibrationOptions
+    observed: Observations, usable: FilteredSightings, cameras: list[Camera], *, options: CalibrationOptions
 ) -> Fitted:
     """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
 
     Parameters
     ----------
-    seen : sightings; those of other epochs are left aside, for the paper knows one pose.
+    observed : sightings; those of other epochs are left aside, for the paper knows one pose.
     usable : the same sightings' times.
     cameras : first cameras, one an epoch.
     options : `options.paper` says what the paper leaves open.
     """
     last = len(cameras) - 1
-    mine = usable.epoch == last
-    one = seen.select(mine)
+    in_epoch = usable.epoch == last
+    one = observed.select(in_epoch)
     camera = _start(cameras[last], one, options)
     last_of_stage = (Param.TRANSLATION_Z, Param.K9, Param.P4)
     for last_moving in last_of_stage:
@@ -48,17 +48,17 @@ def fit_as_paper(
         if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
         camera, jacobian, misfit = _minimised(camera, one, moving, options)
-    residual = np.full((len(seen), 2), np.nan)
-    residual[mine] = -misfit[: 2 * len(one)].reshape(-1, 2)
-    left = max(2 * len(one) - moving.size, 1)
-    variance = float(np.sum(misfit[: 2 * len(one)] ** 2)) / left
+    residual = np.full((len(observed), 2), np.nan)
+    residual[in_epoch] = -misfit[: 2 * len(one)].reshape(-1, 2)
+    degrees_of_freedom = max(2 * len(one) - moving.size, 1)
+    variance = float(np.sum(misfit[: 2 * len(one)] ** 2)) / degrees_of_freedom
     return Fitted(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
         covariance=variance * _inverse(jacobian),
         field=no_field(camera, size=moving.size),
         residual=np.nan_to_num(residual),
-        used=mine,
+        used=in_epoch,
         sigma_px=math.sqrt(variance),
         inflation=1.0,
         radial_px=math.nan,
@@ -74,44 +74,44 @@ def _inverse(jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse / size[:, None] / size, dtype=np.float64)
 
 
-def _start(camera: Camera, seen: Observations, options: CalibrationOptions) -> Camera:
+def _start(camera: Camera, observed: Observations, options: CalibrationOptions) -> Camera:
     """Return K0 with the pose of the chosen start, without distortion."""
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     plain = replace(camera, focal_length_px=(focal, focal), skew_px=0.0, radial=(0.0,) * 8, decentering=(0.0,) * 4)
     if options.paper.pose_start == "wahba":
         return plain
-    posed = direct_linear_pose(plain, seen)
+    posed = direct_linear_pose(plain, observed)
     return posed if options.paper.fit_translation else replace(posed, translation=(0.0, 0.0, 0.0))
 
 
 def _minimised(
-    camera: Camera, seen: Observations, moving: IntArray, options: CalibrationOptions
+    camera: Camera, observed: Observations, moving: IntArray, options: CalibrationOptions
 ) -> tuple[Camera, FloatArray, FloatArray]:
     """Return the camera at the minimum of Eq. 26, with the Jacobian and the residuals there."""
-    whole = replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
+    unlimited = replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
     edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
 
     def built(values: FloatArray) -> Camera:
-        vector = whole.to_vector()
+        vector = unlimited.to_vector()
         vector[moving] = values
-        return whole.with_parameters(vector)
+        return unlimited.with_parameters(vector)
 
     def misfit(values: FloatArray) -> FloatArray:
         now = built(values)
-        pixels, _ = project_with_rows_fast(now, seen.directions)
-        off = finite(pixels - seen.pixels)
+        pixels, _ = project_with_rows_fast(now, observed.directions)
+        off = finite(pixels - observed.pixels)
         return np.concatenate([off.ravel(), penalties(now, options.paper, largest_angle=edge)])
 
     def slopes(values: FloatArray) -> FloatArray:
         now = built(values)
-        _, rows = project_with_rows_fast(now, seen.directions)
+        _, rows = project_with_rows_fast(now, observed.directions)
         steps = _STEP * np.maximum(np.abs(values), 1e-2)
-        held = [penalties(built(values + s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
+        ahead = [penalties(built(values + s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
         back = [penalties(built(values - s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
-        of_penalties = np.stack([(h - b) / (2.0 * s) for h, b, s in zip(held, back, steps, strict=True)], axis=-1)
+        of_penalties = np.stack([(h - b) / (2.0 * s) for h, b, s in zip(ahead, back, steps, strict=True)], axis=-1)
         return np.concatenate([rows[..., moving].reshape(-1, moving.size), of_penalties])
 
-    first = whole.to_vector()[moving]
+    first = unlimited.to_vector()[moving]
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = least_squares(misfit, first, jac=slopes, method="lm", x_scale="jac", max_nfev=400)

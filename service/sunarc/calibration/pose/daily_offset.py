@@ -10,7 +10,13 @@ from scipy.linalg import cho_solve, cholesky
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
-from sunarc.calibration.pose.error_model import CameraErrorModel, at_every_angle, joint_covariance, predicted, stated
+from sunarc.calibration.pose.error_model import (
+    CameraErrorModel,
+    at_every_angle,
+    error_model_of,
+    joint_covariance,
+    predicted,
+)
 from sunarc.calibration.pose.estimate_pose import fit_pose
 from sunarc.calibration.pose.residuals import PredictedSightings, gathered, inflation, noise_px
 from sunarc.calibration.robust_loss import finite
@@ -55,26 +61,28 @@ def daily_pose_offset(points: SunPoints, *, calibration: Calibration, site: Site
     inlier = fit_pose(calibration, usable.directions, usable.pixels, sigma_px).inlier
     if inlier.sum() < _FEWEST:
         return None
-    seen = PredictedSightings(
+    sightings = PredictedSightings(
         directions=usable.directions,
         pixels=usable.pixels,
         variance=sigma_px**2,
         false_density=np.zeros(len(usable)),
     )
     camera = at_every_angle(calibration.camera)
-    together = gathered(camera, seen, inlier, inflation=inflation(calibration))
-    turn, covariance = _turn(stated(calibration), camera, together)
+    together = gathered(camera, sightings, inlier, inflation=inflation(calibration))
+    rotation, covariance = _rotation(error_model_of(calibration), camera, together)
     to_enu = -rotation_matrix(camera.rotation_cam_enu).T  # a camera that turns one way sees the sky turn the other
     sigma = np.sqrt(np.diag(to_enu @ covariance @ to_enu.T))
-    (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ turn).tolist(), np.degrees(sigma).tolist()
+    (east, north, up), (s_east, s_north, s_up) = np.degrees(to_enu @ rotation).tolist(), np.degrees(sigma).tolist()
     return PoseOffset(turn_deg=(east, north, up), sigma_deg=(s_east, s_north, s_up), n=int(inlier.sum()))
 
 
-def _turn(error_model: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> tuple[FloatArray, FloatArray]:
+def _rotation(
+    error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings
+) -> tuple[FloatArray, FloatArray]:
     """Return the turn (3,) about the camera's axes by generalised least squares, and its covariance (3, 3)."""
-    at = predicted(error_model, camera, seen.directions)
-    rows = at.rows[..., error_model.turn].reshape(-1, 3)
-    total = joint_covariance(error_model, at) + np.diag(np.repeat(seen.variance, 2))
+    at = predicted(error_model, camera, sightings.directions)
+    rows = at.rows[..., error_model.rotation].reshape(-1, 3)
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
     weighed = cho_solve((cholesky(total, lower=True), True), rows)
     covariance = np.asarray(np.linalg.inv(rows.T @ weighed), dtype=np.float64)
-    return covariance @ (weighed.T @ finite(seen.pixels - at.pixels).ravel()), covariance
+    return covariance @ (weighed.T @ finite(sightings.pixels - at.pixels).ravel()), covariance

@@ -29,16 +29,16 @@ class CameraErrorModel:
 
     Attributes
     ----------
-    chosen : (p,) which of the camera's 23 parameters it speaks of.
-    turn : (3,) where among those the small turn about the camera's own axes stands, radians.
+    selected : (p,) which of the camera's 23 parameters it speaks of.
+    rotation : (3,) where among those the small turn about the camera's own axes stands, radians.
     mean : (p,) expected error of the estimate (true minus estimated).
     covariance : (p, p) of the errors.
     cross : (2, p, m) their covariance with the field's coefficients.
     amplitude_px, length_px, basis, variances : of the field; (m,) the coefficients' variances before any sighting.
     """
 
-    chosen: IntArray
-    turn: IntArray
+    selected: IntArray
+    rotation: IntArray
     mean: FloatArray
     covariance: FloatArray
     cross: FloatArray
@@ -47,11 +47,11 @@ class CameraErrorModel:
     basis: WaveBasis
     variances: FloatArray
 
-    def turned_freely(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
+    def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
         """Return the error model after a rotation by `mean` (3,), radians, with an isotropic 1-sigma."""
         covariance, at = self.covariance.copy(), self.mean.copy()
-        covariance[np.ix_(self.turn, self.turn)] += sigma_rad**2 * np.eye(3)
-        at[self.turn] += mean
+        covariance[np.ix_(self.rotation, self.rotation)] += sigma_rad**2 * np.eye(3)
+        at[self.rotation] += mean
         return replace(self, covariance=covariance, mean=at)
 
 
@@ -84,7 +84,7 @@ def joined(first: Predicted, second: Predicted) -> Predicted:
     )
 
 
-def stated(calibration: Calibration) -> CameraErrorModel:
+def error_model_of(calibration: Calibration) -> CameraErrorModel:
     """Return what a calibration says of its errors.
 
     Raises
@@ -97,18 +97,18 @@ def stated(calibration: Calibration) -> CameraErrorModel:
         raise InputError(
             field="uncertainty.parameters", problem="the pose is missing", remedy="give a calibration with its pose"
         )
-    turn = np.array([names.index(name) for name in PARAMETER_NAMES[POSE]])
-    to_turn = np.eye(len(names))
-    to_turn[np.ix_(turn, turn)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
+    rotation = np.array([names.index(name) for name in PARAMETER_NAMES[POSE]])
+    to_rotation = np.eye(len(names))
+    to_rotation[np.ix_(rotation, rotation)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
     field = calibration.field
     length = max(field.length_px, _SHORTEST_LENGTH_PX)
     basis = field.basis.completed(length_px=length) if field.amplitude_px > 0.0 else _none(field.basis)
     return CameraErrorModel(
-        chosen=np.array([PARAMETER_NAMES.index(name) for name in names]),
-        turn=turn,
+        selected=np.array([PARAMETER_NAMES.index(name) for name in names]),
+        rotation=rotation,
         mean=np.zeros(len(names)),
-        covariance=to_turn @ calibration.covariance @ to_turn.T,
-        cross=to_turn @ _spread(field.basis, field.cross, basis),
+        covariance=to_rotation @ calibration.covariance @ to_rotation.T,
+        cross=to_rotation @ _spread(field.basis, field.cross, basis),
         amplitude_px=field.amplitude_px,
         length_px=length,
         basis=basis,
@@ -120,13 +120,13 @@ def _none(basis: WaveBasis) -> WaveBasis:
     return replace(basis, orders=np.zeros((0, 2), dtype=np.int64))
 
 
-def _spread(known: WaveBasis, cross: FloatArray, whole: WaveBasis) -> FloatArray:
+def _spread(basis: WaveBasis, cross: FloatArray, complete: WaveBasis) -> FloatArray:
     """Return the cross terms (2, p, m) on a basis that has more waves; those that it has not are lost."""
-    place = {(int(x), int(y)): k for k, (x, y) in enumerate(whole.orders)}
-    kept = [(k, place[int(x), int(y)]) for k, (x, y) in enumerate(known.orders) if (int(x), int(y)) in place]
-    result = np.zeros((2, cross.shape[1], len(whole.orders)))
-    if kept:
-        old, new = np.array(kept).T
+    index = {(int(x), int(y)): k for k, (x, y) in enumerate(complete.orders)}
+    shared = [(k, index[int(x), int(y)]) for k, (x, y) in enumerate(basis.orders) if (int(x), int(y)) in index]
+    result = np.zeros((2, cross.shape[1], len(complete.orders)))
+    if shared:
+        old, new = np.array(shared).T
         result[..., new] = cross[..., old]
     return result
 
@@ -134,43 +134,43 @@ def _spread(known: WaveBasis, cross: FloatArray, whole: WaveBasis) -> FloatArray
 def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
     """Return where a camera sees directions (n, 3), and the derivatives by the parameters of an error model."""
     pixels, rows = project_with_rows_fast(camera, directions)
-    to_turn = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
-    chosen = np.ascontiguousarray(rows[..., error_model.chosen])
-    chosen[..., error_model.turn] = chosen[..., error_model.turn] @ to_turn
-    return Predicted(pixels=pixels, rows=chosen, waves=error_model.basis.values(np.nan_to_num(pixels)))
+    to_rotation = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
+    selected = np.ascontiguousarray(rows[..., error_model.selected])
+    selected[..., error_model.rotation] = selected[..., error_model.rotation] @ to_rotation
+    return Predicted(pixels=pixels, rows=selected, waves=error_model.basis.values(np.nan_to_num(pixels)))
 
 
-def joint_covariance(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
+def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (2n, 2n): the covariance of the prediction's errors at all places at once, px²; x, y of each in turn."""
-    n = seen.rows.shape[0]
-    flat = seen.rows.reshape(2 * n, seen.rows.shape[-1])
+    n = prediction.rows.shape[0]
+    flat = prediction.rows.reshape(2 * n, prediction.rows.shape[-1])
     result = flat @ error_model.covariance @ flat.T
     if error_model.amplitude_px > 0.0:
-        mixed = (flat @ _with_field(error_model, seen)).reshape(2 * n, 2 * n)
+        mixed = (flat @ _with_field(error_model, prediction)).reshape(2 * n, 2 * n)
         result += mixed + mixed.T
-        apart = seen.pixels[:, None] - seen.pixels
-        smooth = error_model.amplitude_px**2 * np.exp(-0.5 * np.sum(apart**2, axis=-1) / error_model.length_px**2)
+        separation = prediction.pixels[:, None] - prediction.pixels
+        smooth = error_model.amplitude_px**2 * np.exp(-0.5 * np.sum(separation**2, axis=-1) / error_model.length_px**2)
         result += np.kron(smooth, np.eye(2))
     return np.asarray(result)
 
 
-def with_parameters(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
+def with_parameters(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the prediction's."""
-    flat = seen.rows.reshape(-1, seen.rows.shape[-1])
+    flat = prediction.rows.reshape(-1, prediction.rows.shape[-1])
     result = error_model.covariance @ flat.T
-    return np.asarray(result + _with_field(error_model, seen) if error_model.amplitude_px > 0.0 else result)
+    return np.asarray(result + _with_field(error_model, prediction) if error_model.amplitude_px > 0.0 else result)
 
 
-def with_waves(error_model: CameraErrorModel, seen: Predicted, axis: int) -> FloatArray:
+def with_waves(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
     """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
-    result = seen.rows.reshape(-1, seen.rows.shape[-1]) @ error_model.cross[axis]
-    result[axis::2] += seen.waves * error_model.variances
+    result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.cross[axis]
+    result[axis::2] += prediction.waves * error_model.variances
     return np.asarray(result)
 
 
-def _with_field(error_model: CameraErrorModel, seen: Predicted) -> FloatArray:
+def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
-    both = np.stack([error_model.cross[axis] @ seen.waves.T for axis in (0, 1)], axis=-1)
+    both = np.stack([error_model.cross[axis] @ prediction.waves.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
 
 
@@ -182,12 +182,12 @@ def at_every_angle(camera: Camera) -> Camera:
 def moved(camera: Camera, error_model: CameraErrorModel, change: FloatArray) -> Camera:
     """Return a camera changed by (p,): its parameters, and its turn about its own axes."""
     vector = camera.to_vector()
-    vector[error_model.chosen] += change
-    vector[POSE] = turned(camera, change[error_model.turn]).rotation_cam_enu
+    vector[error_model.selected] += change
+    vector[POSE] = rotated(camera, change[error_model.rotation]).rotation_cam_enu
     return camera.with_parameters(vector)
 
 
-def turned(camera: Camera, turn: FloatArray) -> Camera:
+def rotated(camera: Camera, rotation: FloatArray) -> Camera:
     """Return a camera after a turn (3,) about its own axes, radians."""
-    matrix = Rotation.from_rotvec(turn).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
+    matrix = Rotation.from_rotvec(rotation).as_matrix() @ rotation_matrix(camera.rotation_cam_enu)
     return replace(camera, rotation_cam_enu=rotation_vector(matrix))

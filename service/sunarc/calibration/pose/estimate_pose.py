@@ -21,11 +21,11 @@ from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, fil
 from sunarc.calibration.pose.error_model import (
     CameraErrorModel,
     at_every_angle,
+    error_model_of,
     joint_covariance,
     moved,
     predicted,
-    stated,
-    turned,
+    rotated,
 )
 from sunarc.calibration.pose.gaussian_conditioning import (
     MixtureFit,
@@ -51,7 +51,7 @@ _SCALES_RAD = np.radians([0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 60.0])
 ten: a turn that is taken for smaller than it is breaks its promise."""
 _ENOUGH_FOR_SCALE = 12
 _CLOSE = 6.0
-_WEIGHT_KEPT = 1e-4
+_SMALLEST_WEIGHT = 1e-4
 
 
 def estimate_pose(
@@ -75,11 +75,11 @@ def estimate_pose(
     wander_deg : 1-sigma per axis by which the pose wanders about its mean (mast, heat); it widens the uncertainty.
     """
     hand: Mirrored = "yes" if start.camera.mirrored else "no"
-    chosen = CalibrationOptions() if options is None else options
-    chosen = replace(chosen, method="robust", projection=start.camera.projection, mirrored=hand)
+    effective = CalibrationOptions() if options is None else options
+    effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=hand)
     usable = filter_sightings(points, site=site)
     size = (start.camera.width, start.camera.height)
-    job = Job(points=points, usable=usable, site=site, image_size=size, options=chosen, circle=None, free="pose")
+    job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
@@ -114,87 +114,92 @@ def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sig
     directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
     sigma_px : (n,) 1-sigma per axis of a sighting.
     """
-    error_model, camera = stated(start), at_every_angle(start.camera)
+    error_model, camera = error_model_of(start), at_every_angle(start.camera)
     density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
-    seen = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
-    thin = seen.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
+    sightings = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
+    thin = sightings.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
     tolerance = _tolerance(error_model, camera, thin)
-    turn = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
-    base = turned(camera, turn)
+    rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
+    base = rotated(camera, rotation)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
-    scales = _scales_for(float(np.linalg.norm(turn)))
+    scales = _scales_for(float(np.linalg.norm(rotation)))
     usual = float(scales[min(1, scales.size - 1)])
-    rough, held = _settled(error_model.turned_freely(-turn, sigma_rad=usual), base, thin, close)
-    worse = _excess_noise(held)
-    seen = replace(seen, variance=seen.variance * worse**2)
-    inlier = _inliers(rough, moved(base, rough, rough.mean), seen)
-    together = gathered(moved(base, rough, rough.mean), seen, inlier, inflation=inflation(start))
+    rough, mixture = _settled(error_model.with_free_rotation(-rotation, sigma_rad=usual), base, thin, close)
+    worse = _excess_noise(mixture)
+    sightings = replace(sightings, variance=sightings.variance * worse**2)
+    inlier = _inliers(rough, moved(base, rough, rough.mean), sightings)
+    together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation(start))
     # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
-    fits = [_known(error_model.turned_freely(-turn, sigma_rad=float(s)), base, together) for s in scales]
+    fits = [
+        _given_inliers(error_model.with_free_rotation(-rotation, sigma_rad=float(s)), base, together) for s in scales
+    ]
     final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + np.log(scales))
     sigma = float(np.median(sigma_px) * worse)
     error_model = replace(final, mean=0.0 * final.mean)
     return PoseFit(camera=moved(base, final, final.mean), error_model=error_model, inlier=inlier, sigma_px=sigma)
 
 
-def _scales_for(turn_rad: float) -> FloatArray:
+def _scales_for(angle_rad: float) -> FloatArray:
     """Return the scales that a turn may have been drawn from: none of which it would be more than four sigmas."""
-    return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * turn_rad)), _SCALES_RAD.size - 1) :]
+    return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
 
 
-def _tolerance(error_model: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> FloatArray:
+def _tolerance(error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> FloatArray:
     """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
-    at = predicted(error_model, camera, seen.directions)
-    stated_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
-    return np.asarray(np.sqrt(seen.variance + stated_variance))
+    at = predicted(error_model, camera, sightings.directions)
+    model_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
+    return np.asarray(np.sqrt(sightings.variance + model_variance))
 
 
 def _settled(
-    error_model: CameraErrorModel, base: Camera, seen: PredictedSightings, inlier: BoolArray
+    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings, inlier: BoolArray
 ) -> tuple[CameraErrorModel, MixtureFit]:
     """Return the error model conditioned on sightings with outliers, linearised anew in every round."""
     after = replace(error_model, mean=0.0 * error_model.mean)
     for _ in range(_ROUNDS):
-        at = predicted(error_model, moved(base, error_model, after.mean), seen.directions)
+        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
         about = Sightings(
-            residual=finite(seen.pixels - at.pixels) + at.rows @ (after.mean - error_model.mean),
-            variance=seen.variance,
-            false_density=seen.false_density,
+            residual=finite(sightings.pixels - at.pixels) + at.rows @ (after.mean - error_model.mean),
+            variance=sightings.variance,
+            false_density=sightings.false_density,
         )
-        held = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
-        inlier = held.inlier
+        mixture = fit_inlier_mixture(joint_covariance(error_model, at), about, inlier)
+        inlier = mixture.inlier
         unchanged = replace(about, residual=about.residual + at.rows @ error_model.mean).select(inlier)
         after = conditioned(error_model, at.select(inlier), unchanged)
-    return after, held
+    return after, mixture
 
 
-def _excess_noise(held: MixtureFit) -> float:
+def _excess_noise(mixture: MixtureFit) -> float:
     """Return by how much the sightings scatter more than they say, at least 1."""
-    if held.inlier.sum() < _ENOUGH_FOR_SCALE:
+    if mixture.inlier.sum() < _ENOUGH_FOR_SCALE:
         return 1.0
-    return max(1.0, robust_sigma(np.sqrt(np.maximum(held.surprise, 0.0))))
+    return max(1.0, robust_sigma(np.sqrt(np.maximum(mixture.surprise, 0.0))))
 
 
-def _inliers(after: CameraErrorModel, camera: Camera, seen: PredictedSightings) -> BoolArray:
+def _inliers(after: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> BoolArray:
     """Return which sightings agree with a fit of some of them."""
-    at = predicted(after, camera, seen.directions)
-    square = np.empty(seen.variance.size)
+    at = predicted(after, camera, sightings.directions)
+    square = np.empty(sightings.variance.size)
     for part in np.array_split(np.arange(square.size), max(square.size // MOST, 1)):
         blocks = joint_covariance(after, at.select(part)).reshape(part.size, 2, part.size, 2)
-        spread = blocks[np.arange(part.size), :, np.arange(part.size)] + seen.variance[part, None, None] * np.eye(2)
-        gap = finite(seen.pixels[part] - at.pixels[part])
+        row = np.arange(part.size)
+        spread = blocks[row, :, row] + sightings.variance[part, None, None] * np.eye(2)
+        gap = finite(sightings.pixels[part] - at.pixels[part])
         square[part] = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(spread), gap)
     return np.asarray(square < 25.0)
 
 
-def _known(error_model: CameraErrorModel, base: Camera, seen: PredictedSightings) -> tuple[CameraErrorModel, float]:
+def _given_inliers(
+    error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings
+) -> tuple[CameraErrorModel, float]:
     """Return the error model conditioned on inliers, and their log evidence."""
     after = replace(error_model, mean=0.0 * error_model.mean)
-    everyone = np.ones(seen.variance.size, dtype=bool)
+    everyone = np.ones(sightings.variance.size, dtype=bool)
     for _ in range(_ROUNDS):
-        at = predicted(error_model, moved(base, error_model, after.mean), seen.directions)
-        residual = finite(seen.pixels - at.pixels) + at.rows @ after.mean
-        about = Sightings(residual=residual, variance=seen.variance, false_density=seen.false_density)
+        at = predicted(error_model, moved(base, error_model, after.mean), sightings.directions)
+        residual = finite(sightings.pixels - at.pixels) + at.rows @ after.mean
+        about = Sightings(residual=residual, variance=sightings.variance, false_density=sightings.false_density)
         after = conditioned(error_model, at, about)
     shifted = replace(about, residual=residual - at.rows @ error_model.mean)
     return after, log_normal(joint_covariance(error_model, at), shifted, everyone)
@@ -203,12 +208,12 @@ def _known(error_model: CameraErrorModel, base: Camera, seen: PredictedSightings
 def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorModel:
     """Return the one Gaussian with the mean and the covariance of all, by how probable their scales are."""
     weight = np.exp(log_weight - log_weight.max())
-    weight[weight < _WEIGHT_KEPT] = 0.0
+    weight[weight < _SMALLEST_WEIGHT] = 0.0
     weight /= weight.sum()
     mean = np.einsum("k,kp->p", weight, np.array([fit.mean for fit in fits]))
-    apart = np.array([fit.mean - mean for fit in fits])
+    difference = np.array([fit.mean - mean for fit in fits])
     covariance = np.einsum("k,kpq->pq", weight, np.array([fit.covariance for fit in fits]))
-    covariance += np.einsum("k,kp,kq->pq", weight, apart, apart)
+    covariance += np.einsum("k,kp,kq->pq", weight, difference, difference)
     cross = np.einsum("k,kapm->apm", weight, np.array([fit.cross for fit in fits]))
     return replace(fits[0], mean=mean, covariance=covariance, cross=cross)
 
@@ -217,9 +222,9 @@ def _fitted(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wand
     """Return what every method hands over; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()
-    covariance[np.ix_(error_model.turn, error_model.turn)] += wander_rad**2 * np.eye(3)
+    covariance[np.ix_(error_model.rotation, error_model.rotation)] += wander_rad**2 * np.eye(3)
     to_vector = np.eye(size)
-    to_vector[np.ix_(error_model.turn, error_model.turn)] = np.linalg.inv(
+    to_vector[np.ix_(error_model.rotation, error_model.rotation)] = np.linalg.inv(
         right_jacobian(-np.array(fit.camera.rotation_cam_enu))
     )
     residual = finite(usable.pixels - project_fast(fit.camera, usable.directions))

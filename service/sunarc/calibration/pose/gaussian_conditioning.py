@@ -18,7 +18,7 @@ from sunarc.calibration.pose.error_model import (
 )
 from sunarc.calibration.robust_loss import finite
 
-_LEFT_OUT_PX2 = 1e6
+_EXCLUDED_PX2 = 1e6
 """Variance of a sighting that is left out: it stays in the equations, and says nothing."""
 _FALSE_SHARE = 0.2
 _HALO_PX = 15.0
@@ -83,48 +83,50 @@ class MixtureFit:
         )
 
 
-def fit_inlier_mixture(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> MixtureFit:
+def fit_inlier_mixture(covariance: FloatArray, sightings: Sightings, inlier: BoolArray) -> MixtureFit:
     """Return the inliers among sightings, and the log evidence of all.
 
     Parameters
     ----------
     covariance : (2n, 2n) of the prediction's errors at the sightings, px².
-    seen : the sightings, their residuals about the error model's mean.
+    sightings : the sightings, their residuals about the error model's mean.
     inlier : (n,) initial inliers; then each is classified by the prediction from the others, until nothing changes.
     """
     for _ in range(_SWEEPS):
-        loo_residual, spread = _leave_one_out(covariance, seen, inlier)
+        loo_residual, spread = _leave_one_out(covariance, sightings, inlier)
         true = _log_density(loo_residual, spread) + math.log(1.0 - _FALSE_SHARE)
-        next_ = true > seen.false_density + math.log(_FALSE_SHARE)
+        next_ = true > sightings.false_density + math.log(_FALSE_SHARE)
         if np.array_equal(next_, inlier) or not np.any(next_):
             break
         inlier = next_
     return MixtureFit(
         inlier=inlier,
-        log_evidence=log_evidence(covariance, seen, inlier),
+        log_evidence=log_evidence(covariance, sightings, inlier),
         loo_residual=loo_residual,
         loo_covariance=spread,
     )
 
 
-def log_evidence(covariance: FloatArray, seen: Sightings, inliers: BoolArray) -> float:
+def log_evidence(covariance: FloatArray, sightings: Sightings, inliers: BoolArray) -> float:
     """Return the log likelihood of all sightings: inliers jointly normal, the others false (`fit_inlier_mixture`)."""
-    false = seen.false_density[~inliers] + math.log(_FALSE_SHARE)
+    false = sightings.false_density[~inliers] + math.log(_FALSE_SHARE)
     return (
-        log_normal(covariance, seen, inliers) + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE) + float(false.sum())
+        log_normal(covariance, sightings, inliers)
+        + int(inliers.sum()) * math.log(1.0 - _FALSE_SHARE)
+        + float(false.sum())
     )
 
 
-def _leave_one_out(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _leave_one_out(covariance: FloatArray, sightings: Sightings, inlier: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return leave-one-out residuals (n, 2) by the other inliers, and their covariances (n, 2, 2)."""
     n = inlier.size
-    variance = np.where(inlier, seen.variance, _LEFT_OUT_PX2)
+    variance = np.where(inlier, sightings.variance, _EXCLUDED_PX2)
     inverse = np.linalg.inv(covariance + np.diag(np.repeat(variance, 2)))
     # the inverse's diagonal blocks give every leave-one-out residual at the price of one inversion
-    own = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
-    loo_residual = np.einsum("nij,nj->ni", own, (inverse @ seen.residual.ravel()).reshape(n, 2))
-    spread = own + (seen.variance - variance)[:, None, None] * np.eye(2)
-    spread[~inlier] += 1e-3 * seen.variance[~inlier, None, None] * np.eye(2)
+    loo_covariance = np.linalg.inv(inverse.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n)])
+    loo_residual = np.einsum("nij,nj->ni", loo_covariance, (inverse @ sightings.residual.ravel()).reshape(n, 2))
+    spread = loo_covariance + (sightings.variance - variance)[:, None, None] * np.eye(2)
+    spread[~inlier] += 1e-3 * sightings.variance[~inlier, None, None] * np.eye(2)
     return loo_residual, 0.5 * (spread + np.swapaxes(spread, -1, -2))
 
 
@@ -134,35 +136,35 @@ def _log_density(loo_residual: FloatArray, spread: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * square - 0.5 * np.log(determinant) - math.log(2.0 * math.pi))
 
 
-def log_normal(covariance: FloatArray, seen: Sightings, inlier: BoolArray) -> float:
+def log_normal(covariance: FloatArray, sightings: Sightings, inlier: BoolArray) -> float:
     """Return the log density of the inliers together; 0 where there are none."""
     if not np.any(inlier):
         return 0.0
     both = np.repeat(inlier, 2)
-    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(seen.variance[inlier], 2))
+    total = covariance[np.ix_(both, both)] + np.diag(np.repeat(sightings.variance[inlier], 2))
     factor = cholesky(total, lower=True)
-    residual = seen.residual[inlier].ravel()
+    residual = sightings.residual[inlier].ravel()
     square = float(residual @ cho_solve((factor, True), residual))
     return -0.5 * square - float(np.sum(np.log(np.diag(factor)))) - 0.5 * residual.size * math.log(2.0 * math.pi)
 
 
-def conditioned(error_model: CameraErrorModel, at: Predicted, seen: Sightings) -> CameraErrorModel:
+def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: Sightings) -> CameraErrorModel:
     """Return the error model conditioned on sightings that are all inliers, their residuals about an unchanged camera.
 
     Without any sighting it is unchanged.
     """
-    if seen.variance.size == 0:
+    if sightings.variance.size == 0:
         return error_model
-    total = joint_covariance(error_model, at) + np.diag(np.repeat(seen.variance, 2))
+    total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
     factor = (cholesky(total, lower=True), True)
     shared = with_parameters(error_model, at)
     # the Kalman gain, all sightings at once
     gain = cho_solve(factor, shared.T).T
-    left = seen.residual.ravel() - at.rows.reshape(seen.residual.size, -1) @ error_model.mean
+    residual = sightings.residual.ravel() - at.rows.reshape(sightings.residual.size, -1) @ error_model.mean
     covariance = error_model.covariance - gain @ shared.T
     return replace(
         error_model,
-        mean=error_model.mean + gain @ left,
+        mean=error_model.mean + gain @ residual,
         covariance=0.5 * (covariance + covariance.T),
         cross=np.stack([error_model.cross[axis] - gain @ with_waves(error_model, at, axis) for axis in (0, 1)]),
     )

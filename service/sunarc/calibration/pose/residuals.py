@@ -44,10 +44,10 @@ class PredictedSightings:
 
 def noise_px(start: Calibration, sigma_px: FloatArray) -> FloatArray:
     """Return (n,): 1-sigma per axis of sightings, never below what the calibration's own came to."""
-    own = start.evidence.sigma_px
-    usual = own if math.isfinite(own) and own > 0.0 else _UNKNOWN_SIGMA_PX
-    stated_px = np.where(np.isfinite(sigma_px) & (sigma_px > 0.0), sigma_px, usual)
-    return np.maximum(stated_px, max(usual, _SMALLEST_SIGMA_PX))
+    fit_sigma_px = start.evidence.sigma_px
+    usual = fit_sigma_px if math.isfinite(fit_sigma_px) and fit_sigma_px > 0.0 else _UNKNOWN_SIGMA_PX
+    estimated_sigma_px = np.where(np.isfinite(sigma_px) & (sigma_px > 0.0), sigma_px, usual)
+    return np.maximum(estimated_sigma_px, max(usual, _SMALLEST_SIGMA_PX))
 
 
 def inflation(start: Calibration) -> float:
@@ -56,9 +56,11 @@ def inflation(start: Calibration) -> float:
     return min(max(found, 1.0), _LARGEST_INFLATION) if math.isfinite(found) else 1.0
 
 
-def gathered(camera: Camera, seen: PredictedSightings, inlier: BoolArray, *, inflation: float) -> PredictedSightings:
+def gathered(
+    camera: Camera, sightings: PredictedSightings, inlier: BoolArray, *, inflation: float
+) -> PredictedSightings:
     """Return the inliers, neighbours averaged so that there are not too many."""
-    true = seen.select(np.flatnonzero(inlier))
+    true = sightings.select(np.flatnonzero(inlier))
     # rounded up, so that no more than MOST groups remain
     each = -(-true.variance.size // MOST)
     member = np.arange(true.variance.size) // max(each, 1)

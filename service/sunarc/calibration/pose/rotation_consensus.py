@@ -15,12 +15,12 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.initial_guess.candidates import as_far_as_it_rises
 from sunarc.optics import Camera, rotation_matrix, unproject
 
-_LOOKED_AT = 64
+_MAX_SIGHTINGS = 64
 _PAIRS = 400
 _CLOSE_SIGMAS = 4.0
-_SMALL_TURN = 0.5
+_SMALL_ROTATION = 0.5
 """How many agreeing sightings a turn ten times as large must bring."""
-_LEAST_APART = 1e-4
+_LEAST_SEPARATION = 1e-4
 """Radians; two directions that are nearer span no plane that a rotation could be read from."""
 _SEED = 20130513
 
@@ -39,16 +39,16 @@ def ransac_rotation(camera: Camera, directions: FloatArray, pixels: FloatArray, 
     good = np.flatnonzero(np.all(np.isfinite(rays), axis=-1))
     if good.size == 0:
         return np.zeros(3)
-    thin = good[np.unique(np.linspace(0, good.size - 1, _LOOKED_AT).astype(int))]
+    thin = good[np.unique(np.linspace(0, good.size - 1, _MAX_SIGHTINGS).astype(int))]
     focal = 0.5 * (camera.focal_length_px[0] + camera.focal_length_px[1])
     turns = np.concatenate([np.zeros((1, 3)), _smallest(world[thin], rays[thin]), _of_pairs(world[thin], rays[thin])])
     matrices = Rotation.from_rotvec(turns).as_matrix()
-    apart = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
-    off = apart / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
+    separation = np.linalg.norm(np.einsum("kij,nj->kni", matrices, world[thin]) - rays[thin], axis=-1)
+    off = separation / (_CLOSE_SIGMAS * sigma_px[thin] / focal)
     # a soft count: 1 for a sighting close by, 1/2 at the limit, nothing far off
     agreed = np.sum(1.0 / (1.0 + off**4), axis=1)
     size = np.log(np.maximum(np.linalg.norm(turns, axis=-1), 1e-4))
-    return np.asarray(turns[int(np.argmax(agreed - _SMALL_TURN * size / np.log(10.0)))])
+    return np.asarray(turns[int(np.argmax(agreed - _SMALL_ROTATION * size / np.log(10.0)))])
 
 
 def _smallest(world: FloatArray, rays: FloatArray) -> FloatArray:
@@ -64,8 +64,8 @@ def _of_pairs(world: FloatArray, rays: FloatArray) -> FloatArray:
     pairs = np.array(list(itertools.combinations(range(world.shape[0]), 2)), dtype=np.int64).reshape(-1, 2)
     if pairs.shape[0] > _PAIRS:
         pairs = np.random.default_rng(_SEED).choice(pairs, _PAIRS, replace=False)
-    apart = np.minimum(_distance(world, pairs), _distance(rays, pairs))  # a frozen camera sees one pixel for all
-    pairs = pairs[apart > _LEAST_APART]
+    separation = np.minimum(_distance(world, pairs), _distance(rays, pairs))  # a frozen camera sees one pixel for all
+    pairs = pairs[separation > _LEAST_SEPARATION]
     if pairs.shape[0] == 0:
         return np.zeros((0, 3))
     matrix = _triads(rays, pairs) @ np.swapaxes(_triads(world, pairs), -1, -2)

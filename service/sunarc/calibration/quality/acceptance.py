@@ -11,7 +11,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import SunPoints
-from sunarc.calibration.quality.pose_drift import own_sky_rms_deg
+from sunarc.calibration.quality.pose_drift import fit_direction_sigma_rms_deg
 from sunarc.findings import Finding
 from sunarc.optics import project
 from sunarc.sky import day_of_date, solar_days, sun_directions
@@ -74,9 +74,9 @@ def accept(
 
 def unseen_points(points: SunPoints, current: Calibration) -> SunPoints:
     """Return the sightings of the latest pose epoch, of days that a calibration does not rest on."""
-    known = [day_of_date(date.fromisoformat(day)) for day in current.evidence.days]
+    known_days = [day_of_date(date.fromisoformat(day)) for day in current.evidence.days]
     day = solar_days(points.unix_s, longitude=current.site.longitude)
-    return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known))
+    return points.select((points.epoch == points.epoch.max(initial=0)) & ~np.isin(day, known_days))
 
 
 _Found = tuple[list[Finding], list[Finding]]
@@ -118,7 +118,7 @@ def _sureness(candidate: Calibration, current: Calibration) -> _Found:
 
 
 def _sigmas(candidate: Calibration, current: Calibration) -> dict[str, float]:
-    return {"now_deg": own_sky_rms_deg(candidate), "before_deg": own_sky_rms_deg(current)}
+    return {"now_deg": fit_direction_sigma_rms_deg(candidate), "before_deg": fit_direction_sigma_rms_deg(current)}
 
 
 def _knows_more(candidate: Calibration, current: Calibration) -> bool:
@@ -131,8 +131,8 @@ def _says_the_same(candidate: Calibration, current: Calibration) -> bool:
     new, old = candidate.evidence, current.evidence
     if (new.days, new.n_used, candidate.method) != (old.days, old.n_used, current.method):
         return False
-    apart, _, stated = _over_the_sky(candidate, current)
-    moved = float(np.sum(apart**2)) <= _NEW**2 * float(np.sum(np.trace(stated, axis1=1, axis2=2)))
+    difference, _, uncertainty = _over_the_sky(candidate, current)
+    moved = float(np.sum(difference**2)) <= _NEW**2 * float(np.sum(np.trace(uncertainty, axis1=1, axis2=2)))
     return moved and math.isclose(candidate.sky_rms_deg, current.sky_rms_deg, rel_tol=_NEW)
 
 
@@ -140,11 +140,11 @@ def _change(candidate: Calibration, current: Calibration) -> _Found:
     share, worst_px = disagreement(candidate, current)
     if share > _SHOWN:
         return [Finding("contradicts_active", {"share": share, "distance_px": worst_px})], []
-    apart, first, second = _over_the_sky(candidate, current)
-    stated = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
-    change = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
-    if change > _CHANGED * stated:
-        return [], [Finding("change_not_confirmed", {"change_px": change, "stated_px": stated})]
+    difference, first, second = _over_the_sky(candidate, current)
+    uncertainty = max(float(np.sqrt(np.mean(np.trace(part, axis1=1, axis2=2)))) for part in (first, second))
+    change = float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
+    if change > _CHANGED * uncertainty:
+        return [], [Finding("change_not_confirmed", {"change_px": change, "stated_px": uncertainty})]
     return [], []
 
 
@@ -160,29 +160,29 @@ def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints 
 def _chi_square(calibration: Calibration, points: SunPoints, noise_px: float) -> float:
     """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
     sun = sun_directions(points.unix_s, calibration.site, temperature=points.temperature, pressure=points.pressure)
-    apart = points.pixels - project(calibration.camera, sun)
-    square = np.sum(apart**2, axis=-1) / noise_px**2
+    difference = points.pixels - project(calibration.camera, sun)
+    square = np.sum(difference**2, axis=-1) / noise_px**2
     return float(np.sum(np.minimum(np.nan_to_num(square, nan=np.inf), _OUTLIER)))
 
 
 def distance_px(first: Calibration, second: Calibration) -> float:
     """Return how far two cameras are apart at most over the sky that both see, px; infinite where they share none."""
     directions = hemisphere()
-    apart = np.linalg.norm(project(first.camera, directions) - project(second.camera, directions), axis=-1)
-    return float(np.nanmax(apart)) if np.any(np.isfinite(apart)) else math.inf
+    distance = np.linalg.norm(project(first.camera, directions) - project(second.camera, directions), axis=-1)
+    return float(np.nanmax(distance)) if np.any(np.isfinite(distance)) else math.inf
 
 
 def disagreement(first: Calibration, second: Calibration) -> tuple[float, float]:
-    """Return the share of the sky over which two calibrations contradict each other, and their largest distance in px.
+    """Return the share of the sky over which two calibrations contradict each other, and their largest distance, px.
 
     They contradict where their distance is beyond five of their joint sigmas.
     """
-    apart, a_covariance, b_covariance = _over_the_sky(first, second)
-    if apart.size == 0:
+    difference, a_covariance, b_covariance = _over_the_sky(first, second)
+    if difference.size == 0:
         return 1.0, math.inf
     joint = a_covariance + b_covariance + 1e-12 * np.eye(2)
-    square = np.einsum("ni,ni->n", apart, np.linalg.solve(joint, apart[..., None])[..., 0])
-    return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(apart, axis=-1)))
+    square = np.einsum("ni,ni->n", difference, np.linalg.solve(joint, difference[..., None])[..., 0])
+    return float(np.mean(square > _FAR_SIGMAS**2)), float(np.max(np.linalg.norm(difference, axis=-1)))
 
 
 def _over_the_sky(first: Calibration, second: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -143,9 +143,9 @@ def _about_arcs(usable: FilteredSightings, site: Site) -> tuple[FloatArray, Floa
     angle = hour_angle(usable.unix_s, site)
     residual, weight = np.zeros(usable.pixels.shape), np.zeros(len(usable))
     for epoch in np.unique(usable.epoch):
-        mine = usable.epoch == epoch
-        if np.sum(mine) > 1:
-            _, residual[mine], weight[mine] = smooth_arc(usable.pixels[mine], angle[mine])
+        in_epoch = usable.epoch == epoch
+        if np.sum(in_epoch) > 1:
+            _, residual[in_epoch], weight[in_epoch] = smooth_arc(usable.pixels[in_epoch], angle[in_epoch])
     return residual, weight
 
 
@@ -165,11 +165,11 @@ def smooth_arc(pixels: FloatArray, angle: FloatArray) -> tuple[FloatArray, Float
     # in polar summer the hour angle passes 180 degrees while the sun is up
     unwrapped = np.unwrap(angle)
     middle, half = 0.5 * (unwrapped.max() + unwrapped.min()), 0.5 * np.ptp(unwrapped)
-    waves = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
+    chebyshev = np.polynomial.chebyshev.chebvander((unwrapped - middle) / max(half, 1e-9), order)
     weight = np.ones(pixels.shape[0])
     for number in range(_ROUNDS):
         root = np.sqrt(weight)[:, None]
-        arc = waves @ np.linalg.lstsq(waves * root, pixels * root)[0]
+        arc = chebyshev @ np.linalg.lstsq(chebyshev * root, pixels * root)[0]
         distance = np.linalg.norm(pixels - arc, axis=-1)
         sigma = robust_sigma(distance, share=0.5 if number < 4 else 0.3, floor=_POLYNOMIAL_PX)
         weight = cauchy_weights(distance, scale=sigma) if number < 6 else tukey_weights(distance, sigma=sigma)
@@ -213,8 +213,8 @@ def days_left_out(verdicts: Mapping[date, DayKind]) -> tuple[int, ...]:
     Days without a verdict (today's) are used.
     """
     shown = any(kind in _SHOW_THE_SUN for kind in verdicts.values())
-    wanted = _SHOW_THE_SUN if shown else _SHOW_THE_SUN | {"cloudy"}
-    return tuple(sorted(day_of_date(day) for day, kind in verdicts.items() if kind not in wanted))
+    kinds = _SHOW_THE_SUN if shown else _SHOW_THE_SUN | {"cloudy"}
+    return tuple(sorted(day_of_date(day) for day, kind in verdicts.items() if kind not in kinds))
 
 
 def _possible(points: SunPoints, site: Site, cadence_s: float) -> int:

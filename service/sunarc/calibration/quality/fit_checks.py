@@ -36,7 +36,7 @@ def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
     n_static = sum(position.n for position in usable.static)
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
-        return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _places(usable)}),)
+        return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _positions(usable)}),)
     if len(usable) < _FEWEST:
         return (Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST}), *usable.dropped)
     problems = []
@@ -49,14 +49,14 @@ def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
     return tuple(problems)
 
 
-def _places(usable: FilteredSightings) -> str:
+def _positions(usable: FilteredSightings) -> str:
     """Return where sightings stand still: counts and pixels."""
     named = [f"{one.n} at x {one.x:.0f}, y {one.y:.0f}" for one in usable.static[:_POSITIONS_NAMED]]
     further = len(usable.static) - len(named)
     return "; ".join([*named, *([f"and {further} more positions"] if further else [])])
 
 
-def own_verdict(
+def fit_verdict(
     calibration: Calibration, usable: FilteredSightings, handedness: Handedness, options: CalibrationOptions
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
@@ -72,7 +72,7 @@ def own_verdict(
         *usable.dropped,
     ]
     if usable.static:
-        found.append(Finding("static_positions", {"places": _places(usable)}))
+        found.append(Finding("static_positions", {"places": _positions(usable)}))
     if calibration.evidence.options.get("free") == "pose":
         found.append(Finding("provisional"))
     if options.mirrored == "auto":

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sunarc.calibration.model.covariance import sky_sigma_deg, turn_covariance
+from sunarc.calibration.model.covariance import rotation_covariance, sky_sigma_deg
 from sunarc.calibration.model.result import Calibration
 from sunarc.optics.camera import POSE
 from sunarc.robust_statistics import MAD_TO_SIGMA
@@ -38,8 +38,8 @@ def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float,
         return 0.0, 0.0, 0.0
     sigma = MAD_TO_SIGMA * np.median(np.abs(turns - np.median(turns, axis=0)), axis=0)
     # days differ in how well they tell the pose: the usual one counts, as in the spread
-    own = np.median(np.asarray(sigmas_deg, dtype=np.float64).reshape(-1, 3) ** 2, axis=0)
-    east, north, up = np.sqrt(np.maximum(sigma**2 - own, 0.0)).tolist()
+    estimation_variance = np.median(np.asarray(sigmas_deg, dtype=np.float64).reshape(-1, 3) ** 2, axis=0)
+    east, north, up = np.sqrt(np.maximum(sigma**2 - estimation_variance, 0.0)).tolist()
     return east, north, up
 
 
@@ -58,16 +58,16 @@ def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> C
     return replace(_widened(calibration, 1.0, evidence.pose_spread_deg), evidence=evidence)
 
 
-def own_sky_rms_deg(calibration: Calibration) -> float:
+def fit_direction_sigma_rms_deg(calibration: Calibration) -> float:
     """Return the stated 1-sigma over the sky without what is allowed for the spread of daily poses, degrees."""
     spread = calibration.evidence.pose_spread_deg
     return calibration.sky_rms_deg if spread is None else _widened(calibration, -1.0, spread).sky_rms_deg
 
 
 def _widened(calibration: Calibration, sign: float, spread_deg: Sequence[float] | None) -> Calibration:
-    turn = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
+    enu_covariance = np.diag(np.radians(np.asarray(spread_deg, dtype=np.float64)) ** 2)
     covariance = calibration.covariance.copy()
-    covariance[POSE, POSE] += sign * turn_covariance(calibration.camera, turn)
+    covariance[POSE, POSE] += sign * rotation_covariance(calibration.camera, enu_covariance)
     widened = replace(calibration, covariance=covariance)
     rms, most = sky_sigma_deg(widened)
     return replace(widened, sky_rms_deg=rms, sky_max_deg=most)

@@ -103,28 +103,28 @@ def select_sightings(
     options : the limits.
     left_out_days : local mean solar days, counted from 1970, that are not used.
     """
-    wanted = SelectionOptions() if options is None else options
+    effective = SelectionOptions() if options is None else options
     finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
-    doubtful = finite & (np.abs(np.nan_to_num(points.clock_error_s)) > wanted.largest_clock_error_s)
-    left = np.flatnonzero(finite & ~doubtful)
-    n_finite, day = left.size, solar_days(points.unix_s[left], longitude=site.longitude)
+    doubtful = finite & (np.abs(np.nan_to_num(points.clock_error_s)) > effective.largest_clock_error_s)
+    remaining = np.flatnonzero(finite & ~doubtful)
+    n_finite, day = remaining.size, solar_days(points.unix_s[remaining], longitude=site.longitude)
     if left_out_days is not None:
         used = ~np.isin(day, left_out_days)
-        left, day = left[used], day[used]
-    n_days = n_finite - left.size
-    single = _one_a_slot(points, left, slot_s)
-    n_brackets = left.size - int(single.sum())
-    left, day = left[single], day[single]
-    passes = _passes(points, left, day, site, wanted)
-    fill, kept = _filled(passes, wanted)
-    index = left[kept[passes.rank]]
+        remaining, day = remaining[used], day[used]
+    n_days = n_finite - remaining.size
+    single = _one_a_slot(points, remaining, slot_s)
+    n_brackets = remaining.size - int(single.sum())
+    remaining, day = remaining[single], day[single]
+    passes = _passes(points, remaining, day, site, effective)
+    fill, retained = _filled(passes, effective)
+    index = remaining[retained[passes.rank]]
     return Selection(
         index=index[np.argsort(points.unix_s[index], kind="stable")],
         n_supplied=len(points),
         n_doubtful_clock=int(doubtful.sum()),
         n_other_days=n_days,
         n_brackets=n_brackets,
-        n_repeated=left.size - index.size,
+        n_repeated=remaining.size - index.size,
         n_patches=passes.patches,
         fill=fill,
     )
@@ -138,9 +138,9 @@ def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:
     order = np.lexsort((times, sigma, slot, epoch))
     first = np.ones(among.size, dtype=bool)
     first[1:] = (np.diff(slot[order]) != 0) | (np.diff(epoch[order]) != 0)
-    chosen = np.zeros(among.size, dtype=bool)
-    chosen[order[first]] = True
-    return chosen
+    selected = np.zeros(among.size, dtype=bool)
+    selected[order[first]] = True
+    return selected
 
 
 def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
@@ -175,11 +175,11 @@ def _patches(unix_s: FloatArray, site: Site, width_deg: float) -> IntArray:
 
 def _grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
     """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where nobody states one."""
-    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
-    if not np.any(stated):
+    has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    if not np.any(has_sigma):
         return np.zeros(count.size, dtype=np.int64)
-    usual = float(np.median(sigma_px[stated]))
-    logs = np.log2(np.where(stated, sigma_px, usual) / usual)
+    usual = float(np.median(sigma_px[has_sigma]))
+    logs = np.log2(np.where(has_sigma, sigma_px, usual) / usual)
     mean = np.bincount(member, weights=logs, minlength=count.size) / np.maximum(count, 1)
     return np.maximum(np.rint(mean), 0.0).astype(np.int64)
 
@@ -207,11 +207,11 @@ def _filled(passes: _Passes, options: SelectionOptions) -> tuple[int, BoolArray]
     """Return the largest fill with which no more than `most` are used, and which passes it takes."""
     share = options.most_per_epoch / options.most_per_patch
     low, high = 1, options.most_per_patch
-    kept = (passes.before < high) & (passes.before_in_epoch < options.most_per_epoch)
-    if int(passes.n[kept].sum()) <= options.most:
-        return high, kept
+    retained = (passes.before < high) & (passes.before_in_epoch < options.most_per_epoch)
+    if int(passes.n[retained].sum()) <= options.most:
+        return high, retained
     while high - low > 1:
         fill = (low + high) // 2
-        kept = (passes.before < fill) & (passes.before_in_epoch < max(1.0, share * fill))
-        low, high = (fill, high) if int(passes.n[kept].sum()) <= options.most else (low, fill)
+        retained = (passes.before < fill) & (passes.before_in_epoch < max(1.0, share * fill))
+        low, high = (fill, high) if int(passes.n[retained].sum()) <= options.most else (low, fill)
     return low, (passes.before < low) & (passes.before_in_epoch < max(1.0, share * low))

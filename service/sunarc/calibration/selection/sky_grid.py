@@ -27,8 +27,8 @@ def sky_patches(directions: FloatArray, *, width_deg: float) -> IntArray:
     cells = np.maximum(1, np.rint(2.0 * math.pi * np.sin(np.minimum(middle, math.pi)) / width)).astype(np.int64)
     first = np.cumsum(cells) - cells
     # modulo 1, so that north's both sides are the first and the last cell
-    turn = np.arctan2(east, north) / (2.0 * math.pi) % 1.0
-    cell = np.minimum((turn * cells[ring]).astype(np.int64), cells[ring] - 1)
+    fraction = np.arctan2(east, north) / (2.0 * math.pi) % 1.0
+    cell = np.minimum((fraction * cells[ring]).astype(np.int64), cells[ring] - 1)
     return np.asarray(first[ring] + cell)
 
 
