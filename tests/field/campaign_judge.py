@@ -49,7 +49,7 @@ class Findings:
     silent : times at which /readyz was "ready" while no sighting had been stored for 10 slots of clear sun.
     copies : accepted sightings in a repeated image whose first delivery was never evaluated (the service was down, or
         too busy); nothing in the image shows that it is a copy, so up to one in each of those faults is no fault.
-    own_exits : exit codes of the service that nobody asked for.
+    own_exits : exit codes of the service's unexpected exits.
     served : every calibration that was served, its true and its stated error.
     not_calibrated : why a calibration was due and none was served; empty where that is not so.
     left_out : faults that cannot be done here.
