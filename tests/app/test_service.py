@@ -52,10 +52,10 @@ def test_days_wait_for_a_synchronised_clock_and_are_then_judged(service: Service
     service.archive.add_sun_points([rejected])
     clock.advance(timedelta(days=1).total_seconds())
     clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))
-    service.look_around()
+    service.judge_completed_days()
     assert service.archive.days("imager") == ()
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
-    service.look_around()
+    service.judge_completed_days()
     assert [day.verdict for day in service.archive.days("imager")] == ["unusable"]
 
 

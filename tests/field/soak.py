@@ -178,7 +178,7 @@ class Soak:
         """Wait, and note which slot it is when."""
         until = self.clock.monotonic() + seconds
         while (now := self.clock.monotonic()) < until:
-            if self.frame_time.known:
+            if self.frame_time.is_known:
                 self.slots.append((now, int(self.frame_time.now().timestamp() // self.cadence_s)))
             self.clock.wait(self.stop, min(0.2, until - now))
 

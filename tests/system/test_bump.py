@@ -84,8 +84,8 @@ def test_a_bumped_camera_is_followed_frame_by_frame(
         clock.advance(CADENCE_S - clock.now().timestamp() % CADENCE_S)
         capture.cycle(camera, clock.now(), within_s=CADENCE_S)
         while (frame := service.sun_frames.get(timeout_s=0.0)) is not None:
-            detect.look_at(frame)
-        while service.watch.look():
+            detect.process(frame)
+        while service.watch.process_next():
             pass
     (event,) = [event for event in archive.events("imager") if event.severity == "alarm"]
     assert event.kind == "bump"

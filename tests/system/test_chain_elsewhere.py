@@ -58,13 +58,13 @@ class Imager:
             if self.service.predictor.apparent_zenith(self.clock.now()) < 89.6:
                 capture.cycle(camera, self.clock.now(), within_s=CADENCE_S / 2)
                 while (frame := self.service.sun_frames.get(timeout_s=0.0)) is not None:
-                    detect.look_at(frame)
+                    detect.process(frame)
             else:
                 self.service.frame_time.note(self.clock.now())
 
     def judge_and_refit(self) -> None:
         """End the day; the fit is made here, for a process of its own is another test's matter."""
-        self.service.look_around()
+        self.service.judge_completed_days()
         with patch("sunarc.app.service.RefitWorker", partial(RefitWorker, solve=solve_here)):
             worker = self.service.refit_worker()
         for refit in self.archive.refits(self.service.settings.name, unfinished=True):
@@ -138,7 +138,7 @@ def test_a_day_is_judged_once_however_often_one_asks(state: Path) -> None:
     imager.clock.advance(86_400.0)
     imager.service.frame_time.note(imager.clock.now())
     for _ in range(3):
-        imager.service.look_around()
+        imager.service.judge_completed_days()
     (verdict,) = imager.archive.days("imager")
     assert verdict.verdict == "unusable"
     assert imager.archive.refits("imager") == ()

@@ -107,7 +107,7 @@ class Imager:
     def boot(self) -> None:
         """Start the service (anew): nothing but the archive and the clock is kept."""
         self.service = Service(self._settings, archive=self.archive, clock=self.clock, open_camera=self.open_camera)
-        self.service.clock_watch.look()
+        self.service.clock_watch.check()
         self.service.watch.remember()
 
     @property
@@ -121,7 +121,7 @@ class Imager:
             for _ in range(round(CADENCE_S / 2.0)):
                 self.clock.advance(2.0)
                 self.clock.step(2.0 * creep)
-                self.service.clock_watch.look()
+                self.service.clock_watch.check()
             self._see()
 
     def _see(self) -> None:
@@ -153,7 +153,7 @@ class Imager:
         point = sun_point_of(detection, camera="roof", pose_epoch="", time=moment, clock_error_s=error_s)
         self.service.keeper.keep(point)
         self.service.report(frame, detection)
-        while self.service.watch.look():
+        while self.service.watch.process_next():
             pass
 
     def trusted_wrong(self) -> int:

@@ -66,15 +66,15 @@ def test_a_clock_a_year_ahead_stays_distrusted_for_a_day_also_after_a_restart_an
     imager.boot()
     imager.clock.advance(3600.0)
     watch = imager.service.clock_watch
-    watch.look()
+    watch.check()
     assert not watch.trusted()
     assert watch.cleaning_time() is None
     assert "clock_settling" in imager.codes()
     assert watch.error_s(imager.clock.now()) == UNKNOWN_ERROR_S
     imager.clock.advance(86_400.0)
-    watch.look()
+    watch.check()
     assert watch.trusted()
-    imager.service.disk_worker().look()
+    imager.service.disk_worker().check()
     assert imager.service.images.usage().oldest_image_at == START.replace(microsecond=0) - timedelta(days=29)
 
 
@@ -82,17 +82,17 @@ def test_images_are_not_removed_by_age_within_an_hour_of_a_step_or_a_start(tmp_p
     imager = Imager(tmp_path)
     watch = imager.service.clock_watch
     imager.clock.advance(3590.0)
-    watch.look()
+    watch.check()
     assert watch.cleaning_time() is None
     imager.clock.advance(20.0)
-    watch.look()
+    watch.check()
     assert watch.cleaning_time() == imager.clock.now()
     imager.clock.step(1.0)
-    watch.look()
+    watch.check()
     assert watch.trusted()
     assert watch.cleaning_time() is None
     imager.clock.advance(3600.0)
-    watch.look()
+    watch.check()
     assert watch.cleaning_time() == imager.clock.now()
 
 
@@ -102,15 +102,15 @@ def test_a_sighting_taken_before_the_clock_was_right_and_stored_after_has_no_bou
     imager.clock.step(40.0)
     imager.boot()
     imager.clock.advance(10.0)
-    imager.service.clock_watch.look()
+    imager.service.clock_watch.check()
     taken = imager.clock.now()
     imager.clock.advance(5.0)
-    imager.service.clock_watch.look()
+    imager.service.clock_watch.check()
     imager.clock.step(-40.0)
     imager.synchronise()
     for _ in range(5):
         imager.clock.advance(2.0)
-        imager.service.clock_watch.look()
+        imager.service.clock_watch.check()
     assert imager.service.clock_watch.error_s(taken) == UNKNOWN_ERROR_S
     assert imager.service.clock_watch.error_s(imager.clock.now()) < 0.1
 

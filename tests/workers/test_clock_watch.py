@@ -51,7 +51,7 @@ def watch_with(clock: VirtualClock, archive: Archive, board: StatusRegistry) -> 
             finds_steps=finds_steps,
             board=board,
         )
-        made.look()
+        made.check()
         return made
 
     return make
@@ -100,12 +100,12 @@ def test_a_clock_without_its_time_service_has_no_bound_stops_calibration_and_say
     assert watch.trusted()
     assert reasons(board) == set()
     clock.set_state(UNSYNCHRONISED)
-    watch.look()
+    watch.check()
     assert not watch.trusted()
     assert watch.error_s(clock.now()) == UNKNOWN_ERROR_S
     assert reasons(board) == {"clock_unsynchronised"}
     clock.set_state(ClockState(synchronised=True, error_bound_s=0.01))
-    watch.look()
+    watch.check()
     assert watch.trusted()
     assert reasons(board) == set()
 
@@ -125,11 +125,11 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     watch: ClockWatch, clock: VirtualClock, archive: Archive, board: StatusRegistry, step_s: float
 ) -> None:
     clock.advance(1.0)
-    watch.look()
+    watch.check()
     clock.advance(0.4)
     clock.step(step_s)
     clock.advance(0.6)
-    watch.look()
+    watch.check()
     (event,) = archive.events("roof")
     assert event.kind == "clock_step"
     assert event.details["step_s"] == pytest.approx(step_s, abs=1e-6)
@@ -141,7 +141,7 @@ def test_a_step_is_found_remembered_and_shown_for_a_while(
     assert reasons(board) - {"clock_settling"} == {"clock_stepped"}
     assert ("clock_settling" in reasons(board)) == (abs(step_s) >= 60.0)
     clock.advance(SHOW_STEP_S + 86_400.0)
-    watch.look()
+    watch.check()
     assert reasons(board) == set()
     assert len(archive.events("roof")) == 1
 
@@ -159,7 +159,7 @@ def test_sightings_around_a_step_carry_its_size_whether_they_were_stored_before_
     just_after = clock.now()
     assert watch.error_s(just_after) == pytest.approx(7.0)
     assert watch.error_s(just_before) == pytest.approx(7.0)
-    watch.look()
+    watch.check()
     assert {p.time: p.clock_error_s for p in archive.sun_points("roof")} == {
         long_before: 0.01,
         just_before: pytest.approx(7.0),
@@ -172,7 +172,7 @@ def test_a_slew_of_500_ppm_for_a_day_is_no_step(watch: ClockWatch, clock: Virtua
     for _ in range(2000):
         clock.advance(30.0)
         clock.step(30.0 * 500e-6)
-        watch.look()
+        watch.check()
     assert archive.events("roof") == ()
 
 
@@ -184,7 +184,7 @@ def test_a_leap_second_is_no_step_but_its_second_is_in_doubt(
     clock.advance(0.5)
     clock.step(step_s)
     within = clock.now()
-    watch.look()
+    watch.check()
     assert archive.events("roof") == ()
     assert reasons(board) == set()
     assert watch.error_s(within) == pytest.approx(1.0)
@@ -199,9 +199,9 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
     clock.step(3.0)
     with monkeypatch.context() as patched:
         patched.setattr(archive, "add_event", full)
-        watch.look()
+        watch.check()
     assert archive.events("roof") == ()
-    watch.look()
+    watch.check()
     assert [event.kind for event in archive.events("roof")] == ["clock_step"]
 
 
@@ -213,7 +213,7 @@ def test_a_start_long_after_the_record_is_distrusted_until_the_clock_has_settled
     watch = watch_with()
     assert watch.trusted() == trusted
     clock.advance(SETTLE_S + 1.0)
-    watch.look()
+    watch.check()
     assert watch.trusted()
 
 
@@ -228,7 +228,7 @@ def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_b
         patched.setattr(archive, "newest_sighting_time", locked)
         watch = watch_with()
     assert watch.trusted()
-    watch.look()
+    watch.check()
     assert not watch.trusted()
 
 
@@ -241,15 +241,15 @@ def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_unt
     for _ in range(20):  # frames come a little late
         clock.advance(30.0)
         frame_time.note(clock.now() - timedelta(seconds=0.3))
-        watch.look()
+        watch.check()
     assert archive.events("roof") == ()
     frame_time.note(datetime.fromtimestamp(0.0, NOON.tzinfo))  # rebooted
-    watch.look()
+    watch.check()
     assert watch.error_s(frame_time.now()) > 1e8
     assert not watch.trusted()
     assert reasons(board) == {"clock_stepped", "clock_unsynchronised"}
     frame_time.note(clock.now())  # has its PTP master again
-    watch.look()
+    watch.check()
     assert watch.trusted()
     assert reasons(board) == {"clock_stepped"}
     clock.advance(60.0)
@@ -266,7 +266,7 @@ def dated_by_camera(
     for _ in range(frames):
         clock.advance(30.0)
         frame_time.note(clock.now() + timedelta(seconds=offset_s), host_offset_s=offset_s)
-        watch.look()
+        watch.check()
     return watch, frame_time
 
 
@@ -284,7 +284,7 @@ def test_a_camera_that_tells_tai_is_named_with_the_setting_that_mends_it(
     clock.advance(30.0)
     for _ in range(4):  # after the setting was changed
         frame_time.note(clock.now(), host_offset_s=0.002)
-    watch.look()
+    watch.check()
     assert "camera_clock_offset" not in reasons(board)
 
 
@@ -321,7 +321,7 @@ def test_one_late_trigger_widens_a_few_bounds_and_is_no_condition(
 ) -> None:
     watch, frame_time = dated_by_camera(watch_with, clock, offset_s=0.002)
     frame_time.note(clock.now(), host_offset_s=0.9)
-    watch.look()
+    watch.check()
     assert watch.error_s(frame_time.now()) == pytest.approx(0.9)
     assert reasons(board) == set()
 
@@ -340,7 +340,7 @@ def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: 
     watch = watch_with(frame_time=frame_time, camera_error_s=0.001, finds_steps=False)
     for day in range(3):
         frame_time.note(NOON + timedelta(days=day))
-        watch.look()
+        watch.check()
     assert archive.events("roof") == ()
     assert watch.trusted()
 

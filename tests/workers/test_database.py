@@ -45,7 +45,7 @@ def codes(board: StatusRegistry) -> set[str]:
 
 
 def test_a_database_in_place_is_not_worth_a_word(archive: Archive, clock: VirtualClock, board: StatusRegistry) -> None:
-    worker_of(archive, clock, board).look()
+    worker_of(archive, clock, board).check()
     assert codes(board) == set()
     assert archive.events() == ()
 
@@ -59,7 +59,7 @@ def test_no_sighting_is_lost_when_the_database_is_deleted(
     keeper.keep(sighting(1))
     assert keeper.waiting == 1
     assert "sightings_not_stored" in codes(board)
-    worker.look()
+    worker.check()
     keeper.store()
     assert keeper.waiting == 0
     assert codes(board) == {"database_written_back"}
@@ -75,8 +75,8 @@ def test_what_was_done_at_the_start_is_shown_and_written_down_once(
     done = Recovery(kind="restored", text="the database had 0 bytes; it was restored")
     worker = worker_of(archive, clock, board, done)
     assert codes(board) == {"database_restored"}
-    worker.look()
-    worker.look()
+    worker.check()
+    worker.check()
     assert [(event.kind, event.text) for event in archive.events()] == [("database_restored", done.text)]
 
 
@@ -86,11 +86,11 @@ def test_a_database_that_cannot_be_put_back_is_shown_and_tried_again(
     worker = worker_of(archive, clock, board)
     (tmp_path / "sunarc.sqlite").unlink()
     (tmp_path / "sunarc.sqlite.partial").mkdir()  # no copy can be written
-    worker.look()
-    worker.look()
+    worker.check()
+    worker.check()
     assert codes(board) == {"database_missing"}
     (tmp_path / "sunarc.sqlite.partial").rmdir()
-    worker.look()
+    worker.check()
     assert codes(board) == {"database_written_back"}
 
 
@@ -124,12 +124,12 @@ def test_a_state_folder_out_of_reach_is_shown_and_nothing_is_rebuilt(
     keeper, worker = SightingWriteBuffer(archive, board=board), worker_of(archive, clock, board)
     inode = (state / "sunarc.sqlite").stat().st_ino
     state.chmod(0)
-    worker.look()
+    worker.check()
     keeper.keep(sighting(0))
     assert codes(board) == {"database_missing", "sightings_not_stored"}
     assert "Permission denied" in next(r.text for r in board.snapshot().reasons if r.code == "database_missing")
     state.chmod(0o750)
-    worker.look()
+    worker.check()
     keeper.store()
     assert codes(board) == set()
     assert (state / "sunarc.sqlite").stat().st_ino == inode

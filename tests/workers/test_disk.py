@@ -69,24 +69,24 @@ def test_others_take_the_disk_images_go_then_the_reserve_and_all_comes_back(
     worker = worker_of(store, clock, board)
     for hour in range(3):
         store.write(NOON - timedelta(hours=hour), MB, kind="hdr.png")
-    worker.look()
+    worker.check()
     shown = board.snapshot().disk
     assert shown is not None
     assert (shown.images_bytes, shown.free_bytes) == (3_000_000, 5_000_000)  # the reserve is taken at the end of a look
     disk.others_bytes = 3_500_000
-    worker.look()
+    worker.check()
     assert store.usage().images_bytes == 1_000_000
     assert reasons(board) == set()
     disk.others_bytes = 6_000_000
-    worker.look()
+    worker.check()
     assert store.usage().images_bytes == 0
     assert reasons(board) == {"disk_low"}
     disk.others_bytes = 6_900_000
-    worker.look()
+    worker.check()
     assert reasons(board) == {"disk_full"}
     assert disk.free(disk.folder) == 1_100_000  # what was reserved
     disk.others_bytes = 0
-    worker.look()
+    worker.check()
     assert reasons(board) == set()
     assert disk.free(disk.folder) == 7_000_000
 
@@ -96,9 +96,9 @@ def test_old_images_are_removed_but_not_by_a_clock_that_cannot_be_trusted(
 ) -> None:
     for age_days in range(12):
         store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
-    worker_of(store, clock, board, age_from=lambda: None).look()
+    worker_of(store, clock, board, age_from=lambda: None).check()
     assert oldest_days(store) == 11
-    worker_of(store, clock, board).look()
+    worker_of(store, clock, board).check()
     assert oldest_days(store) == 10
 
 
@@ -108,12 +108,12 @@ def test_a_clock_that_is_a_year_ahead_removes_one_date_of_images_a_day_at_most(
     for age_days in range(10):
         store.write(NOON - timedelta(days=age_days), b"composite", kind="hdr.png")
     ahead = NOON + timedelta(days=400)
-    worker_of(store, clock, board, age_from=lambda: ahead).look()
+    worker_of(store, clock, board, age_from=lambda: ahead).check()
     assert oldest_days(store) == 9
     store.write(ahead, b"composite", kind="hdr.png")
-    worker_of(store, clock, board, age_from=lambda: ahead).look()
+    worker_of(store, clock, board, age_from=lambda: ahead).check()
     assert oldest_days(store) == 8
-    worker_of(store, clock, board).look()  # right again: what is dated in the future makes nothing old
+    worker_of(store, clock, board).check()  # right again: what is dated in the future makes nothing old
     assert oldest_days(store) == 8
 
 

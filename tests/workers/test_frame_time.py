@@ -14,14 +14,14 @@ SIMULATED = datetime(2013, 5, 13, 18, 0, 7, tzinfo=UTC)
 
 def test_the_hosts_time_is_known_at_once() -> None:
     frame_time = FrameTime(VirtualClock(HOST), follows_camera=False)
-    assert frame_time.known
+    assert frame_time.is_known
     assert frame_time.now() == HOST
 
 
 def test_the_cameras_time_is_known_after_its_first_frame_and_runs_on_at_its_speed() -> None:
     clock = VirtualClock(HOST)
     frame_time = FrameTime(clock, follows_camera=True, speed=60.0)
-    assert not frame_time.known
+    assert not frame_time.is_known
     frame_time.note(SIMULATED)
     clock.advance(2.0)
     assert frame_time.now() == SIMULATED + timedelta(minutes=2)

@@ -86,29 +86,29 @@ def test_a_frozen_camera_gives_no_sighting_is_shown_and_is_welcome_when_it_lives
     new_worker: Callable[[], DetectWorker], archive: Archive, board: StatusRegistry
 ) -> None:
     worker = new_worker()
-    assert all(worker.look_at(frame_at(seconds)).accepted for seconds in (0.0, 30.0, 60.0))
-    frozen = [worker.look_at(frame_at(seconds, shown_s=60.0)) for seconds in np.arange(90.0, 240.0, 30.0)]
+    assert all(worker.process(frame_at(seconds)).accepted for seconds in (0.0, 30.0, 60.0))
+    frozen = [worker.process(frame_at(seconds, shown_s=60.0)) for seconds in np.arange(90.0, 240.0, 30.0)]
     assert [(one.accepted, one.verdict) for one in frozen] == [(False, FROZEN)] * 5
     assert frozen[0].findings == (Finding("frame_repeated", {"time": "2013-05-13T18:01:00+00:00"}),)
     assert codes(board) == {"camera_frozen"}
     assert [event.kind for event in archive.events("roof", severity="alarm")] == ["camera_frozen"]
     assert len(archive.sun_points("roof", accepted=True)) == 3
-    assert worker.look_at(frame_at(240.0)).accepted
+    assert worker.process(frame_at(240.0)).accepted
     assert codes(board) == set()
 
 
 def test_a_restart_does_not_accept_the_frozen_image_once_more(
     new_worker: Callable[[], DetectWorker], archive: Archive
 ) -> None:
-    assert new_worker().look_at(frame_at(0.0)).accepted
+    assert new_worker().process(frame_at(0.0)).accepted
     for seconds in (30.0, 60.0):
-        assert new_worker().look_at(frame_at(seconds, shown_s=0.0)).verdict == FROZEN
+        assert new_worker().process(frame_at(seconds, shown_s=0.0)).verdict == FROZEN
     assert len(archive.sun_points("roof", accepted=True)) == 1
 
 
 def test_a_camera_that_alternates_between_two_images_is_frozen_too(new_worker: Callable[[], DetectWorker]) -> None:
     worker = new_worker()
-    shown = [worker.look_at(frame_at(30.0 * n, shown_s=30.0 * (n % 2))).accepted for n in range(6)]
+    shown = [worker.process(frame_at(30.0 * n, shown_s=30.0 * (n % 2))).accepted for n in range(6)]
     assert shown == [True, True, False, False, False, False]
 
 
@@ -116,9 +116,9 @@ def test_a_single_repeated_image_is_rejected_and_is_no_condition(
     new_worker: Callable[[], DetectWorker], board: StatusRegistry
 ) -> None:
     worker = new_worker()
-    assert worker.look_at(frame_at(0.0)).accepted
-    assert not worker.look_at(frame_at(30.0, shown_s=0.0)).accepted
-    assert worker.look_at(frame_at(60.0)).accepted
+    assert worker.process(frame_at(0.0)).accepted
+    assert not worker.process(frame_at(30.0, shown_s=0.0)).accepted
+    assert worker.process(frame_at(60.0)).accepted
     assert codes(board) == set()
 
 
@@ -126,7 +126,7 @@ def test_a_sun_that_hardly_moves_between_frames_is_not_taken_for_frozen(
     new_worker: Callable[[], DetectWorker], board: StatusRegistry
 ) -> None:
     worker = new_worker()
-    assert all(worker.look_at(frame_at(0.1 * n)).accepted for n in range(10))
+    assert all(worker.process(frame_at(0.1 * n)).accepted for n in range(10))
     assert codes(board) == set()
 
 
@@ -188,10 +188,10 @@ def test_slots_with_a_frozen_image_are_not_observed_whatever_it_shows(
 ) -> None:
     worker = new_worker()
     clouds = replace(frame_at(0.0), image=np.random.default_rng(1).integers(90, 110, (SIDE, SIDE), dtype=np.uint16))
-    assert worker.look_at(clouds).verdict == "hidden"
-    assert worker.look_at(replace(clouds, time=START + timedelta(seconds=30))).verdict == FROZEN
-    assert worker.look_at(frame_at(60.0)).accepted
-    assert worker.look_at(frame_at(90.0, shown_s=60.0)).verdict == FROZEN
+    assert worker.process(clouds).verdict == "hidden"
+    assert worker.process(replace(clouds, time=START + timedelta(seconds=30))).verdict == FROZEN
+    assert worker.process(frame_at(60.0)).accepted
+    assert worker.process(frame_at(90.0, shown_s=60.0)).verdict == FROZEN
     observed = archive.observation_times("roof", since=START, until=START + timedelta(hours=1))
     assert observed is not None
     assert (observed - START.timestamp()).tolist() == [0.0, 60.0]

@@ -120,7 +120,7 @@ class Chain:
 
     def cycle(self, number: int) -> None:
         self.compose.compose([frame(number, exposure_us) for exposure_us in EXPOSURES_US])
-        self.detect.look_at(frame(number, 20.0))
+        self.detect.process(frame(number, 20.0))
 
     def stored(self) -> int:
         return len(self.archive.sun_points("roof"))
@@ -146,7 +146,7 @@ def test_images_make_room_and_the_database_is_never_the_victim(
     chain = Chain(state, clock, board)
     for number in range(40):
         chain.cycle(number)
-        chain.disk.look()
+        chain.disk.check()
     kept = sorted(path.name for path in (state / "images").rglob("*_hdr.png"))
     assert 10 < len(kept) < 30
     assert kept[-1].startswith((NOON + timedelta(seconds=30 * 39)).strftime("%Y%m%dT%H%M%S"))
@@ -163,11 +163,11 @@ def test_a_disk_filled_by_a_stranger_costs_images_and_no_sighting(
     chain = Chain(state, clock, board)
     for number in range(10):
         chain.cycle(number)
-    chain.disk.look()
+    chain.disk.check()
     for _ in range(10):  # the images go, and then the reserve
         if (state / "reserve").exists():
             fill(state / "stranger")
-            chain.disk.look()
+            chain.disk.check()
     assert chain.store.usage().images_bytes == 0
     assert not (state / "reserve").exists()
     for number in range(10, 15):
@@ -177,13 +177,13 @@ def test_a_disk_filled_by_a_stranger_costs_images_and_no_sighting(
 
     fill(state / "stranger")  # and now there is nothing
     for number in range(15, 115):
-        chain.detect.look_at(frame(number, 20.0))
+        chain.detect.process(frame(number, 20.0))
     assert "sightings_not_stored" in codes(board)
     assert chain.keeper.waiting > 0
     assert chain.stored() + chain.keeper.waiting == 115
 
     (state / "stranger").unlink()
-    chain.disk.look()
+    chain.disk.check()
     chain.cycle(115)
     assert chain.stored() == 116
     assert codes(board) == set()

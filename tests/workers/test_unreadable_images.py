@@ -60,16 +60,16 @@ def test_an_unreadable_folder_is_a_condition_that_ends_with_its_cause(
     state = tmp_path / "state"
     (state / "images").mkdir(parents=True)
     worker = worker_of(state, clock, board)
-    worker.look()
+    worker.check()
     (state / which).chmod(0)
     with pytest.raises(OutsideError, match=r"Permission denied; make it (readable|writable), or set `state`"):
         prepare_state(state / which)
     worker._clear_up()
-    worker.look()
+    worker.check()
     compose(worker, board)
     assert codes(board) == {"images_unreadable", "images_not_written"}
     (state / which).chmod(0o750)
-    worker.look()
+    worker.check()
     compose(worker, board)
     assert codes(board) == set()
     assert worker._store.newest(kind="hdr.png") is not None
@@ -83,7 +83,7 @@ def test_a_file_system_without_inodes_is_said_to_be_one(
     with mounted(state, "size=50M", "nr_inodes=60"):
         (state / "images").mkdir()
         worker = worker_of(state, clock, board)
-        worker.look()
+        worker.check()
         assert codes(board) == set()
         strangers = 0
         while True:
@@ -92,13 +92,13 @@ def test_a_file_system_without_inodes_is_said_to_be_one(
             except OSError:
                 break
             strangers += 1
-        worker.look()
+        worker.check()
         compose(worker, board)
         assert codes(board) == {"disk_no_inodes", "images_not_written"}
         texts = {reason.code: reason.text for reason in board.snapshot().reasons}
         assert "no inodes are left" in texts["images_not_written"]
         for number in range(strangers):
             (state / f"stranger{number}").unlink()
-        worker.look()
+        worker.check()
         compose(worker, board)
         assert codes(board) == set()

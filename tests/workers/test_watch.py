@@ -124,7 +124,7 @@ class Imager:
         self.archive.add_sun_points([point])
         self.now = moment
         self.watch.notice(moment, x_px=x, y_px=y, sigma_px=0.02)
-        while self.watch.look():
+        while self.watch.process_next():
             pass
 
     def see_many(self, camera: Camera, minutes: range, *, verdict: str = "clear", clock_s: float = 0.0) -> None:
@@ -293,7 +293,7 @@ def test_a_database_that_refuses_for_a_while_does_not_end_the_worker(
     with monkeypatch.context() as patched:
         patched.setattr(imager.archive, "current_epoch", refuse)
         imager.watch.notice(imager.now, x_px=800.0, y_px=800.0, sigma_px=0.02)
-        assert imager.watch.look()
+        assert imager.watch.process_next()
     imager.see_many(TRUTH, range(5))
     assert imager.events() == []
 

@@ -14,7 +14,7 @@ from sunarc.runtime.status import StatusRegistry
 _log = logging.getLogger(__name__)
 
 
-class _Wanted(TypedDict):
+class _Filters(TypedDict):
     until: datetime | None
     largest_clock_error_s: float
     newest_first: bool
@@ -38,11 +38,11 @@ def restore_last_known(
     camera : whose sightings.
     until : now; later times are of a clock that was ahead. None where times jump by nature (replay, simulation).
     """
-    wanted: _Wanted = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
+    filters: _Filters = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
     try:
-        looks = archive.sun_points(camera, **wanted)
-        sightings = archive.sun_points(camera, accepted=True, **wanted)
-        frames: list[datetime] = [look.time for look in looks]
+        points = archive.sun_points(camera, **filters)
+        sightings = archive.sun_points(camera, accepted=True, **filters)
+        frames: list[datetime] = [point.time for point in points]
         if (image_at := images.newest_at(kind="hdr.png", until=until)) is not None:
             frames.append(image_at)
     except (OutsideError, OSError) as error:

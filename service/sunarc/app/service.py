@@ -184,9 +184,9 @@ class Service:
             Refit(id=uuid.uuid4().hex, camera=self.settings.name, requested_at=self.frame_time.now(), reason=reason)
         )
 
-    def look_around(self) -> None:
+    def judge_completed_days(self) -> None:
         """Judge the days that have ended, while the time that dates them is known."""
-        if self.frame_time.known and self.clock_watch.trusted():
+        if self.frame_time.is_known and self.clock_watch.trusted():
             self.days.judge_ended_days()
 
     def open_and_remember(self) -> SkyCamera:
@@ -210,7 +210,7 @@ class Service:
         While the clock is not trusted, or before the camera's time is known, that is just after the newest sighting.
         """
         now = self.frame_time.now()
-        if self.frame_time.known and self.clock_watch.trusted():
+        if self.frame_time.is_known and self.clock_watch.trusted():
             return now
         newest = self.archive.newest_sighting_time(self.settings.name, largest_clock_error_s=MAX_CLOCK_ERROR_S)
         return now if newest is None else newest + MICROSECOND
@@ -331,5 +331,5 @@ class Service:
             clock=self.clock,
             now=self.frame_time.now,
             board=self.board,
-            may_solve=lambda: self.frame_time.known and self.clock_watch.trusted(),
+            may_solve=lambda: self.frame_time.is_known and self.clock_watch.trusted(),
         )

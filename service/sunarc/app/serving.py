@@ -240,7 +240,7 @@ def _supervised(
 
 def _schedule(service: Service) -> Schedule:
     return Schedule(
-        service.look_around,
+        service.judge_completed_days,
         every_s=service.settings.refit.check_every_s,
         clock=service.clock,
         board=service.board,

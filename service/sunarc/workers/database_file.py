@@ -46,16 +46,16 @@ class DatabaseWorker:
         self._board = board
         self._untold = recovered
         if recovered is not None:
-            _show(board, recovered)
+            _publish(board, recovered)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Look until stopped."""
         while not stop.is_set():
             heartbeat()
-            self.look()
+            self.check()
             self._clock.wait(stop, _EVERY_S)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Look once."""
         try:
             done = self._archive.recover(now=self._clock.now())
@@ -65,10 +65,10 @@ class DatabaseWorker:
         self._board.set_condition(_MISSING, None)
         if done is not None:
             self._untold = done
-            _show(self._board, done)
-        self._tell()
+            _publish(self._board, done)
+        self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Write the event of a recovery, as soon as it can be written."""
         if self._untold is None:
             return
@@ -85,6 +85,6 @@ def _finding(done: Recovery) -> Finding:
     return Finding(f"database_{done.kind}", {"text": done.text})
 
 
-def _show(board: StatusRegistry, done: Recovery) -> None:
+def _publish(board: StatusRegistry, done: Recovery) -> None:
     reason = Reason.of(_finding(done), MESSAGES)
     board.set_condition(reason.code, reason, log=False)

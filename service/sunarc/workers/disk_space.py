@@ -58,14 +58,14 @@ class DiskWorker:
         while not stop.is_set():
             heartbeat()
             if self._clock.monotonic() >= due_s:
-                self.look()
+                self.check()
                 due_s = self._clock.monotonic() + _CHECK_EVERY_S
             self._clock.wait(stop, _POLL_S)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Look once; a folder that cannot be read is shown, and looked at again."""
         try:
-            self._look()
+            self._check()
         except (OutsideError, OSError) as error:
             self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
         else:
@@ -77,19 +77,19 @@ class DiskWorker:
         except OutsideError as error:
             self._board.set_condition(_UNREADABLE, condition(_UNREADABLE, error=str(error)))
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         now = self._age_from()
         if now is not None:
             keep = self._options.keep_days
             removed = self._store.expire(now - timedelta(days=keep), keep_newest_days=int(keep))
             if removed:
                 _log.info("%d images older than %g days were removed", removed, self._options.keep_days)
-        roomy = self._store.make_room()
+        has_space = self._store.make_room()
         usage = self._store.usage()
         self._reserve.balance(usage.free_bytes)
-        self._show(usage, roomy=roomy)
+        self._publish(usage, has_space=has_space)
 
-    def _show(self, usage: DiskUsage, *, roomy: bool) -> None:
+    def _publish(self, usage: DiskUsage, *, has_space: bool) -> None:
         self._board.note(
             disk=DiskStatus(
                 free_bytes=usage.free_bytes,
@@ -97,12 +97,12 @@ class DiskWorker:
                 oldest_image_at=usage.oldest_image_at,
             )
         )
-        self._board.set_one_condition(_FULL, self._reason(usage, roomy=roomy))
+        self._board.set_one_condition(_FULL, self._reason(usage, has_space=has_space))
 
-    def _reason(self, usage: DiskUsage, *, roomy: bool) -> Reason | None:
+    def _reason(self, usage: DiskUsage, *, has_space: bool) -> Reason | None:
         if usage.out_of_files:
             code = "disk_no_inodes"
-        elif roomy:
+        elif has_space:
             return None
         else:
             code = "disk_low" if self._reserve.held() else "disk_full"

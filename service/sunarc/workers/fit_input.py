@@ -18,8 +18,8 @@ def points_of(columns: SunPointColumns, *, latest: str | None = None) -> SunPoin
     """
     epoch = columns.epoch
     if latest in columns.epoch_ids[:-1]:
-        wanted = columns.epoch_ids.index(latest)
-        epoch = np.where(epoch == wanted, len(columns.epoch_ids) - 1, epoch - (epoch > wanted))
+        index = columns.epoch_ids.index(latest)
+        epoch = np.where(epoch == index, len(columns.epoch_ids) - 1, epoch - (epoch > index))
     return SunPoints(
         unix_s=columns.unix_s,
         pixels=columns.pixels,

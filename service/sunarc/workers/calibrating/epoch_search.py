@@ -66,7 +66,7 @@ class EpochSearch:
         now = self._now()
         since = since_lens(self._camera, now)
         columns = self._camera.sun_point_columns(since=since, until=now)
-        sizes = {known.name: (known.width, known.height) for known in self._camera.archive.cameras()}
+        sizes = {record.name: (record.width, record.height) for record in self._camera.archive.cameras()}
         if columns.ids.size == 0 or self._camera.name not in sizes:
             return None
         self._last_id = int(columns.ids.max())
@@ -93,9 +93,9 @@ class EpochSearch:
         if not np.any(fresh):
             return fresh
         times, new = columns.unix_s, columns.unix_s[fresh]
-        place = np.searchsorted(new, times)
-        after = np.append(new, np.inf)[place] - times
-        before = times - np.insert(new, 0, -np.inf)[place]
+        index = np.searchsorted(new, times)
+        after = np.append(new, np.inf)[index] - times
+        before = times - np.insert(new, 0, -np.inf)[index]
         return np.asarray(sure & (np.minimum(after, before) <= _BESIDE_S))
 
     def _lens(self) -> Calibration | None:
@@ -128,10 +128,10 @@ class EpochSearch:
 
     def unanswered(self, epoch: str) -> bool:
         """Return whether no calibration of a pose epoch answered since it has its present bounds."""
-        served = self._camera.last_served(pose_epoch=epoch)
+        served_at = self._camera.last_served(pose_epoch=epoch)
         now = self._now()
         divided = [search.time for search in self._searches() if epoch in search.divided]
-        return served is None or any(served < time <= now for time in divided)
+        return served_at is None or any(served_at < time <= now for time in divided)
 
     def _searches(self) -> list[_Search]:
         """Return the searches that were made; one whose event is damaged says nothing."""

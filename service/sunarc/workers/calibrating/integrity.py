@@ -40,9 +40,9 @@ class CalibrationIntegrityCheck:
         self._revision = revision
         current = self._camera.current_calibration()
         if (None if current is None else current.id) != self._current:
-            self.look()
+            self.check()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Look, show what is wrong on the board, and write an event the first time."""
         current = self._camera.current_calibration()
         self._current = None if current is None else current.id
@@ -56,8 +56,8 @@ class CalibrationIntegrityCheck:
         if current is None:
             reason = condition("no_calibration")
         if damaged is not None:
-            served = "no calibration" if current is None else current.id
-            reason = self._report("calibration_damaged", calibration=damaged, served=served)
+            active = "no calibration" if current is None else current.id
+            reason = self._report("calibration_damaged", calibration=damaged, served=active)
         if current is not None:
             try:
                 self._camera.archive.model(current.id)

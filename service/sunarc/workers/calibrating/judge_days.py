@@ -61,8 +61,8 @@ class DayJudge:
         if self._judged_before is not None and self._judged_before > today:
             self._judged_before = None  # the time went back
         judged = {day.date for day in self._camera.days(since=self._judged_before) if self._stands(day)}
-        seen = self._camera.dates_with_points(longitude=longitude, since=self._judged_before)
-        verdicts = [self._measure(day) for day in seen if day < today and day not in judged]
+        observed = self._camera.dates_with_points(longitude=longitude, since=self._judged_before)
+        verdicts = [self._measure(day) for day in observed if day < today and day not in judged]
         worth = [day for day in verdicts if day.verdict in _WORTH_A_REFIT]
         if worth:
             self._request_refit("after " + ", ".join(f"{day.date} ({day.verdict})" for day in worth))
@@ -132,9 +132,9 @@ class DayJudge:
         offsets = {"pose_offset_deg": day.pose_offset_deg, "pose_offset_sigma_deg": day.pose_offset_sigma_deg}
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
-        found, known = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
+        found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
         self._camera.archive.add_event(
-            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, details=known)
+            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, details=details)
         )
 
 

@@ -76,7 +76,7 @@ class WatchWorker:
 
     def notice(
         self,
-        moment: datetime,
+        time: datetime,
         *,
         x_px: float,
         y_px: float,
@@ -85,43 +85,43 @@ class WatchWorker:
     ) -> None:
         """Take note of a sighting, unless its time is doubtful; never waits."""
         if clock_error_s is None or clock_error_s <= MAX_CLOCK_ERROR_S:
-            self._sightings.put(self._watched(moment, x_px, y_px, sigma_px))
+            self._sightings.put(self._observed(time, x_px, y_px, sigma_px))
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; what was seen before the start is remembered first."""
         self.remember()
         while not stop.is_set():
             heartbeat()
-            self.look(timeout_s=_POLL_S)
+            self.process_next(timeout_s=_POLL_S)
 
     def remember(self) -> None:
         """Begin anew with the last sightings of the present pose epoch; none of a doubtful or a later time."""
         self._watch = SightingWindow()
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
-        self._show_future_epochs()
+        self._publish_future_epochs()
         if epoch is None:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
         closed = self._camera.events(kind=EPOCH_CLOSED, until=self._latest(), limit=1)
-        seen = self._camera.sun_points(
+        sighting = self._camera.sun_points(
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
             newest_first=True,
             limit=2 * REMEMBERED,
         )
-        usable = [point for point in seen if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
+        usable = [point for point in sighting if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
         for point in reversed(usable):
-            self._look_safely(_of_point(point, self._watched))
+            self._process_safely(_of_point(point, self._observed))
 
-    def look(self, *, timeout_s: float = 0.0) -> bool:
+    def process_next(self, *, timeout_s: float = 0.0) -> bool:
         """Look at the next sighting, if there is one within `timeout_s`; return whether there was."""
-        seen = self._sightings.get(timeout_s=timeout_s)
-        if seen is not None:
+        sighting = self._sightings.get(timeout_s=timeout_s)
+        if sighting is not None:
             self._begin_anew_if_outdated()
-            self._look_safely(seen)
-        return seen is not None
+            self._process_safely(sighting)
+        return sighting is not None
 
     def _begin_anew_if_outdated(self) -> None:
         try:
@@ -131,7 +131,7 @@ class WatchWorker:
             elif self._is_ahead():
                 self.remember()
             elif self._has_future_epochs:
-                self._show_future_epochs()
+                self._publish_future_epochs()
         except OutsideError as error:
             _log.warning("could not compare the pose epochs with the time: %s", error)
 
@@ -150,24 +150,24 @@ class WatchWorker:
         epoch = self._present_epoch()
         return epoch is not None and epoch.id != self._epoch
 
-    def _look_safely(self, seen: Sighting) -> None:
+    def _process_safely(self, sighting: Sighting) -> None:
         try:
-            self._look_at(seen)
+            self._process(sighting)
         except (np.linalg.LinAlgError, InputError, OutsideError) as error:
             _log.warning("could not compare a sighting with the calibration: %s", error)
 
-    def _look_at(self, seen: Sighting) -> None:
+    def _process(self, sighting: Sighting) -> None:
         current = self._current()
-        if current is None or (len(self._watch) and seen.unix_s <= self._watch.unix_s[-1]):
+        if current is None or (len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]):
             return
-        if seen.unix_s > self._latest().timestamp():
+        if sighting.unix_s > self._latest().timestamp():
             return
-        site = self._camera.site_at(utc_time(seen.unix_s))
+        site = self._camera.site_at(utc_time(sighting.unix_s))
         if site != self._camera.site:  # not in `notice`, which must not wait for the database
-            seen = replace(seen, direction=_sun(seen.unix_s, site))
+            sighting = replace(sighting, direction=_sun(sighting.unix_s, site))
         self._watch, change = update_window(
             self._watch,
-            seen,
+            sighting,
             calibration=current,
             site=site,
             options=self._options,
@@ -175,11 +175,11 @@ class WatchWorker:
             posed_from_few=is_provisional(current),
         )
         if self._fault is not None:
-            self._wait_for_recovery(seen)
+            self._wait_for_recovery(sighting)
         elif change is not None:
             self._act(change)
         if self._reposer.improve():
-            self._show_pose()
+            self._publish_pose()
 
     def _act(self, change: Change) -> None:
         """Tell, and do what the change asks for."""
@@ -187,10 +187,10 @@ class WatchWorker:
         moved = change.kind == "bump" or change.kind in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
         if epoch is not None:
-            self._show(change, epoch.started_at)
+            self._publish(change, epoch.started_at)
             self._camera.readmit(since=at, until=self._latest())
             return
-        self._tell(change, at)
+        self._report(change, at)
         if moved:
             self._open_epoch(change, at)
         else:
@@ -202,8 +202,8 @@ class WatchWorker:
         epoch = self._present_epoch()
         if epoch is None or self._watch.unix_s[0] < change.at_unix_s:
             return None
-        known = self._camera.events(kind=change.kind, since=epoch.started_at, until=self._latest())
-        return epoch if known else None
+        reported = self._camera.events(kind=change.kind, since=epoch.started_at, until=self._latest())
+        return epoch if reported else None
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
         """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
@@ -226,7 +226,7 @@ class WatchWorker:
         else:
             self._watch = self._watch.since(change.at_unix_s)
 
-    def _wait_for_recovery(self, seen: Sighting) -> None:
+    def _wait_for_recovery(self, sighting: Sighting) -> None:
         """Leave out what comes in while the clock, the image or the site is wrong."""
         fault = self._fault
         if fault is None:
@@ -236,11 +236,11 @@ class WatchWorker:
             self._fault = None
             self._board.set_condition(fault.finding.code, None)
             return
-        moment = utc_time(seen.unix_s)
-        until = moment + MICROSECOND
-        self._camera.exclude(since=moment, until=until, reason=f"{fault.kind}: {fault.text}")
+        time = utc_time(sighting.unix_s)
+        until = time + MICROSECOND
+        self._camera.exclude(since=time, until=until, reason=f"{fault.kind}: {fault.text}")
 
-    def _tell(self, change: Change, at: datetime) -> None:
+    def _report(self, change: Change, at: datetime) -> None:
         self._camera.archive.add_event(
             Event.of(
                 change.finding,
@@ -252,9 +252,9 @@ class WatchWorker:
                 details=change.as_details(),
             )
         )
-        self._show(change, at)
+        self._publish(change, at)
 
-    def _show(self, change: Change, at: datetime) -> None:
+    def _publish(self, change: Change, at: datetime) -> None:
         text = f"since {at.isoformat(timespec='seconds')}: {change.text}"
         reason = Reason.of(change.finding, CHANGES)
         self._board.set_condition(reason.code, replace(reason, text=text, data=change.as_details()), log=False)
@@ -263,7 +263,7 @@ class WatchWorker:
         for kind in ("bump", *LENS_KINDS):
             self._board.set_condition(f"changed_{kind}", None)
 
-    def _show_pose(self) -> None:
+    def _publish_pose(self) -> None:
         """Tell how the pose stands; a full fit of the epoch ends the matter."""
         current = self._current()
         if current is None:
@@ -282,7 +282,7 @@ class WatchWorker:
         if record is None:
             self._board.set_condition("provisional_pose", None)
         elif model is not None and before != record.id:
-            self._show_pose()
+            self._publish_pose()
         return model
 
     def _clock_stepped(self) -> bool:
@@ -292,17 +292,17 @@ class WatchWorker:
         since = utc_time(float(self._watch.unix_s[max(len(self._watch) - 12, 0)]))
         return any(event.kind == "clock_step" for event in self._camera.events(since=since))
 
-    def _show_future_epochs(self) -> None:
+    def _publish_future_epochs(self) -> None:
         """Say which pose epochs begin later than now: a clock that was ahead opened them, and they block new ones."""
         later = [epoch for epoch in self._camera.epochs() if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
         self._board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)
 
-    def _watched(self, moment: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
+    def _observed(self, time: datetime, x_px: float, y_px: float, sigma_px: float | None) -> Sighting:
         return Sighting(
-            unix_s=moment.timestamp(),
+            unix_s=time.timestamp(),
             pixel=(x_px, y_px),
-            direction=_sun(moment.timestamp(), self._camera.site),
+            direction=_sun(time.timestamp(), self._camera.site),
             sigma_px=np.nan if sigma_px is None else sigma_px,
         )
 

@@ -129,7 +129,7 @@ class RefitWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped; a refit that was cut short is begun again at the next start."""
-        self._integrity.look()
+        self._integrity.check()
         while not stop.is_set():
             heartbeat()
             self._integrity.follow()
@@ -192,7 +192,7 @@ class RefitWorker:
     def _answer_for_past(self, task: Task, child: Mapping[str, Any]) -> None:
         """Serve each earlier pose epoch that nothing answers for: its own pose, and the lens of all sightings."""
         epochs = self._camera.epochs()
-        ends = {epoch.id: following.started_at for epoch, following in pairwise(epochs)}
+        ends = {epoch.id: next_.started_at for epoch, next_ in pairwise(epochs)}
         starts = {epoch.id: epoch.started_at for epoch in epochs}
         waiting = [epoch for epoch in task.used.epoch_ids[:-1] if epoch in ends and self._epochs.unanswered(epoch)]
         for epoch in reversed(waiting[-_MOST_PAST:]):
@@ -219,10 +219,10 @@ class RefitWorker:
             solved = replace(solved, verdict=self._verdict(task, solved, current))
         record = self._keep(task, solved, current)
         state: RefitState = "accepted" if record.accepted else "marginal" if solved.verdict.marginal else "refused"
-        served = record.accepted and self._camera.archive.activate(record.id).state == "current"
-        pinned = (Finding("active_is_pinned"),) if record.accepted and not served else ()
+        is_active = record.accepted and self._camera.archive.activate(record.id).state == "current"
+        pinned = (Finding("active_is_pinned"),) if record.accepted and not is_active else ()
         self._finish(refit, state, (*record.findings, *pinned), calibration=record.id)
-        self._integrity.look()
+        self._integrity.check()
 
     def _pose_spread(self, epoch: PoseEpoch | None) -> tuple[float, float, float]:
         """Return how the pose wandered on the last days of the epoch that goes on."""
@@ -230,8 +230,10 @@ class RefitWorker:
             return pose_spread_deg((), ())
         since = solar_date(epoch.started_at.timestamp(), longitude=self._camera.site.longitude) + timedelta(days=1)
         days = self._camera.days(since=since, limit=_DAYS_OF_SPREAD)
-        known = [(turn, sigma) for d in days if (turn := d.pose_offset_deg) and (sigma := d.pose_offset_sigma_deg)]
-        return pose_spread_deg([turn for turn, _ in known], [sigma for _, sigma in known])
+        offsets = [
+            (turn_deg, sigma) for d in days if (turn_deg := d.pose_offset_deg) and (sigma := d.pose_offset_sigma_deg)
+        ]
+        return pose_spread_deg([turn for turn, _ in offsets], [sigma for _, sigma in offsets])
 
     def _verdict(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
         if current is None:

@@ -64,7 +64,7 @@ def next_task(
     now: datetime,
 ) -> Task | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
-    sizes = {known.name: (known.width, known.height) for known in camera.archive.cameras()}
+    sizes = {record.name: (record.width, record.height) for record in camera.archive.cameras()}
     columns = camera.sun_point_columns(since=since_lens(camera, now), until=now)
     if camera.name not in sizes or columns.ids.size == 0:
         return Finding("no_accepted_sightings")

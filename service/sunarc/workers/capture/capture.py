@@ -119,7 +119,7 @@ class CaptureWorker:
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
         self._consistency = CycleConsistencyFilter(cadence_s=options.cadence_s)
-        self._served_at_s: float | None = None
+        self._last_slot_at_s: float | None = None
         self._missed_before = 0
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
@@ -144,7 +144,7 @@ class CaptureWorker:
     def _slots(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[datetime]:
         """Serve slot after slot, and yield each that succeeded."""
         exposer = self._exposer(camera, deadline_s=math.inf)
-        if not self._frame_time.known:
+        if not self._frame_time.is_known:
             self._sign_of_life(exposer, camera.info.exposure_min_us)
         while not stop.is_set():
             daylight = self._apparent_zenith() < _DAYLIGHT_ZENITH_DEG
@@ -155,16 +155,16 @@ class CaptureWorker:
             if self._wait(stop, heartbeat, self._frame_time.real_seconds_until(slot) - lead_s):
                 return
             self._follow_speed(camera.check())  # a change is noticed before the slot, and costs it nothing
-            left_s = self._frame_time.real_seconds_until(slot)
-            if not -real_every_s / 2.0 < left_s <= 2.0 * lead_s:
+            remaining_s = self._frame_time.real_seconds_until(slot)
+            if not -real_every_s / 2.0 < remaining_s <= 2.0 * lead_s:
                 continue  # the clock was set meanwhile: another slot is the next one
-            if self._wait(stop, heartbeat, left_s):
+            if self._wait(stop, heartbeat, remaining_s):
                 return
             if daylight:
                 self._serve(real_every_s=real_every_s)
                 self.cycle(camera, slot, within_s=real_every_s - lead_s)
             else:
-                self._served_at_s = None
+                self._last_slot_at_s = None
                 self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
             yield slot
 
@@ -173,7 +173,7 @@ class CaptureWorker:
         slot = self._frame_time.next_slot(every_s=every_s)
         real_every_s = every_s / self._frame_time.speed
         at_s = self._clock.monotonic() + self._frame_time.real_seconds_until(slot)
-        if self._served_at_s is not None and at_s - self._served_at_s < real_every_s / 2.0:
+        if self._last_slot_at_s is not None and at_s - self._last_slot_at_s < real_every_s / 2.0:
             slot += timedelta(seconds=every_s)  # the clock was set back, or repeats a leap second
         return slot
 
@@ -181,10 +181,10 @@ class CaptureWorker:
         """Note that a slot is served, and count those that passed since the last."""
         now_s = self._clock.monotonic()
         self._missed_before = 0
-        if self._served_at_s is not None:
-            self._missed_before = max(round((now_s - self._served_at_s) / real_every_s) - 1, 0)
+        if self._last_slot_at_s is not None:
+            self._missed_before = max(round((now_s - self._last_slot_at_s) / real_every_s) - 1, 0)
         self._report.add(missed=self._missed_before)
-        self._served_at_s = now_s
+        self._last_slot_at_s = now_s
 
     def _follow_speed(self, condition: CameraCondition) -> None:
         """Go as fast as a simulated camera says that its clock goes."""
@@ -227,15 +227,15 @@ class CaptureWorker:
         """Take the sun exposures of a cycle, while there is time."""
         if self._apparent_zenith() >= self._options.sun_zenith_deg:
             return []
-        chosen = self._sun_exposures.choose(camera.info)
-        frames = [exposer.take_consistent_with(e, normal[:1]) if exposer.has_time() else None for e in chosen]
+        selected = self._sun_exposures.choose(camera.info)
+        frames = [exposer.take_consistent_with(e, normal[:1]) if exposer.has_time() else None for e in selected]
         taken = [frame for frame in frames if frame is not None]
         self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that only shows that the camera lives, and what time it has."""
-        self._report.sign_of_life(came=exposer.take(exposure_us) is not None)
+        self._report.sign_of_life(succeeded=exposer.take(exposure_us) is not None)
 
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
         return ExposureSequence(
@@ -263,10 +263,10 @@ class CaptureWorker:
         end = self._clock.monotonic() + seconds
         while not stop.is_set():
             heartbeat()
-            left = end - self._clock.monotonic()
-            if left <= 0.0:
+            remaining_s = end - self._clock.monotonic()
+            if remaining_s <= 0.0:
                 return False
-            self._clock.wait(stop, min(left, _HEARTBEAT_S))
+            self._clock.wait(stop, min(remaining_s, _HEARTBEAT_S))
         return True
 
     def _received(self, frame: Frame) -> None:

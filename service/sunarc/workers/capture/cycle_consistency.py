@@ -44,7 +44,7 @@ class CycleConsistencyFilter:
     def __init__(self, *, cadence_s: float) -> None:
         self._comparing = cadence_s <= COMPARABLE_S / 2.0
         self._reference: _CycleLevel | None = None
-        self._held: tuple[Cycle, _CycleLevel] | None = None
+        self._held_back: tuple[Cycle, _CycleLevel] | None = None
 
     def contradiction(self, frames: Sequence[Frame]) -> str | None:
         """Return how a cycle's normal frames contradict the last accepted cycle, one sentence; None: they do not."""
@@ -61,10 +61,10 @@ class CycleConsistencyFilter:
         """Return what may be handed on now that this cycle is whole: nothing, this one, or one held back and this."""
         level = _level_of_cycle(taken.good)
         if self._reference is not None and self._reference.factor_to(level) is not None:
-            self._reference, self._held = level, None
+            self._reference, self._held_back = level, None
             return [taken]
         if not self._comparing or not level.tells:
-            self._reference = self._held = None
+            self._reference = self._held_back = None
             return [taken]
         return self._first(taken, level)
 
@@ -73,16 +73,16 @@ class CycleConsistencyFilter:
 
         Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
         """
-        held, self._held = self._held, (taken, level)
+        held_back, self._held_back = self._held_back, (taken, level)
         self._reference = None
-        if held is None:
+        if held_back is None:
             return []
-        factor = held[1].factor_to(level)
+        factor = held_back[1].factor_to(level)
         if factor is not None and not _is_possible(factor):
             _log.warning("discarded a cycle: brightness inconsistent with the cycles before and after")
             return []
-        self._reference, self._held = level, None
-        return [held[0], taken]
+        self._reference, self._held_back = level, None
+        return [held_back[0], taken]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

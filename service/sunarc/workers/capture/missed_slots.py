@@ -25,7 +25,7 @@ class MissedSlots:
 
     def __init__(self, board: StatusRegistry) -> None:
         self._board = board
-        self._served: deque[bool] = deque(maxlen=_SLOTS)
+        self._taken: deque[bool] = deque(maxlen=_SLOTS)
         self._after_outage = False
 
     def add(self, *, missed_before: int) -> None:
@@ -37,13 +37,13 @@ class MissedSlots:
             condition of its own.
         """
         if not self._after_outage:
-            self._served.extend([False] * min(missed_before, _SLOTS))
+            self._taken.extend([False] * min(missed_before, _SLOTS))
         self._after_outage = False
-        self._served.append(True)
-        missed = self._served.count(False)
-        if len(self._served) >= _FEWEST_SLOTS and missed >= _SET_SHARE * len(self._served):
-            self._board.set_condition(CODE, condition(CODE, missed=missed, slots=len(self._served)))
-        elif missed <= _CLEAR_SHARE * len(self._served):
+        self._taken.append(True)
+        missed = self._taken.count(False)
+        if len(self._taken) >= _FEWEST_SLOTS and missed >= _SET_SHARE * len(self._taken):
+            self._board.set_condition(CODE, condition(CODE, missed=missed, slots=len(self._taken)))
+        elif missed <= _CLEAR_SHARE * len(self._taken):
             self._board.set_condition(CODE, None)
 
     def outage(self) -> None:

@@ -51,7 +51,7 @@ class OverdueSightings:
     def check(self) -> None:
         """Compare with the last check, and set or clear the condition."""
         now_s, n_stored = self._clock.monotonic(), self._stored()
-        sun_is_up = self._frame_time.known and self._apparent_zenith() < LIT_ZENITH_DEG
+        sun_is_up = self._frame_time.is_known and self._apparent_zenith() < LIT_ZENITH_DEG
         if n_stored != self._n_stored or not sun_is_up:
             self._n_stored, self._since_s = n_stored, now_s
             self._board.set_condition(CODE, None)

@@ -45,10 +45,10 @@ class CaptureReport:
         return self._failure
 
     def add(self, **counts: int) -> None:
-        """Add to counts, by the names of `CaptureStatus`; `show` writes them on the board."""
+        """Add to counts, by the names of `CaptureStatus`; `publish` writes them on the board."""
         self._counts = replace(self._counts, **{name: getattr(self._counts, name) + n for name, n in counts.items()})
 
-    def show(self) -> None:
+    def publish(self) -> None:
         """Write the counts on the board."""
         self._board.note(capture=self._counts)
 
@@ -71,11 +71,11 @@ class CaptureReport:
         worst_s = max(self._counts.jitter_max_s or 0.0, jitter_s or 0.0)
         self._counts = replace(self._counts, jitter_s=jitter_s, jitter_max_s=worst_s, hdr_s=hdr_s)
         self.add(cycles=1, complete=int(complete))
-        self.show()
+        self.publish()
         self._incomplete = 0 if complete else self._incomplete + 1
         self._overrun = self._overrun + 1 if overran else 0
-        self._tell_failing()
-        self._tell_overrun(hdr_s)
+        self._report_failing()
+        self._report_overrun(hdr_s)
 
     def sun_slot(self, *, observed: bool, missed_before: int, dropped: int) -> None:
         """Take note of a slot with the sun up.
@@ -99,18 +99,18 @@ class CaptureReport:
         self.add(frames=1)
         self._board.note(last_frame_at=frame.time)
 
-    def sign_of_life(self, *, came: bool) -> None:
+    def sign_of_life(self, *, succeeded: bool) -> None:
         """Say whether the exposure came that only shows that the camera lives."""
-        self.show()
-        self._incomplete = 0 if came else self._incomplete + 1
+        self.publish()
+        self._incomplete = 0 if succeeded else self._incomplete + 1
         self._overrun = 0
-        self._tell_failing()
+        self._report_failing()
 
-    def _tell_failing(self) -> None:
+    def _report_failing(self) -> None:
         reason = condition(_FAILING, cycles=self._incomplete, error=self._failure)
         self._board.set_condition(_FAILING, reason if self._incomplete else None)
 
-    def _tell_overrun(self, hdr_s: float) -> None:
+    def _report_overrun(self, hdr_s: float) -> None:
         reason = condition(_OVERRUN, cycles=self._overrun, hdr_s=hdr_s)
         self._board.set_condition(_OVERRUN, reason if self._overrun >= _LASTING else None)
 
@@ -129,7 +129,7 @@ class CaptureReport:
         )
         self._board.note(camera=self._camera)
         self.add(openings=1)
-        self.show()
+        self.publish()
 
     def condition(self, condition: CameraCondition) -> None:
         """Show what the camera said of itself."""
@@ -142,8 +142,8 @@ class CaptureReport:
             self._camera.connected
         ):  # it costs a cycle, and is shown until one is complete, though the camera answers again
             self._incomplete, self._failure = self._incomplete + 1, str(error)
-            self._tell_failing()
-        self.show()
+            self._report_failing()
+        self.publish()
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
         self._board.set_condition("camera_lost", condition("camera_lost", error=str(error)))

@@ -56,7 +56,7 @@ class SunExposures:
         self._lock = threading.Lock()
         self._state: SunExposureState | None = None
         self._shortest_us = 0.0
-        self._seen: list[Peak] = []
+        self._peaks: list[Peak] = []
         self._spoiled = False
         self._reported = 0
 
@@ -70,16 +70,16 @@ class SunExposures:
         )
         zenith, clear_level = self._apparent_zenith(), self._clear_level_per_us()
         with self._lock:
-            look = SunLook(
-                peaks=tuple(self._seen), apparent_zenith=zenith, clear_level_per_us=clear_level, spoiled=self._spoiled
+            observation = SunLook(
+                peaks=tuple(self._peaks), apparent_zenith=zenith, clear_level_per_us=clear_level, spoiled=self._spoiled
             )
             if self._state is None:
                 self._state = first_sun_exposures(self._options, bounds)
             elif self._reported:
-                self._state = next_sun_exposures(self._state, look, options=self._options, bounds=bounds)
-                self._show(self._state, bounds)
+                self._state = next_sun_exposures(self._state, observation, options=self._options, bounds=bounds)
+                self._publish(self._state, bounds)
             self._shortest_us = bounds.minimum_us + bounds.step_us
-            self._seen, self._spoiled, self._reported = [], False, 0
+            self._peaks, self._spoiled, self._reported = [], False, 0
             return self._state.exposures_us
 
     def report(self, frame: Frame, detection: Detection) -> None:
@@ -87,15 +87,15 @@ class SunExposures:
         with self._lock:
             self._reported += 1
             burnt = not detection.accepted and _is_burnt(frame)
-            telling = detection.accepted or detection.saturated_px > 0
+            is_informative = detection.accepted or detection.saturated_px > 0
             if burnt:  # whatever was fitted to the streak
                 level = max(detection.peak_fraction or 0.0, _BURNT_LEVEL)
-                self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=level))
-            elif telling and detection.peak_fraction is not None:
-                self._seen.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
+                self._peaks.append(Peak(exposure_us=frame.exposure_us, fraction=level))
+            elif is_informative and detection.peak_fraction is not None:
+                self._peaks.append(Peak(exposure_us=frame.exposure_us, fraction=detection.peak_fraction))
             self._spoiled |= burnt and frame.exposure_us <= self._shortest_us
 
-    def _show(self, state: SunExposureState, bounds: ExposureBounds) -> None:
+    def _publish(self, state: SunExposureState, bounds: ExposureBounds) -> None:
         if self._board is None:
             return
         if state.cycles_spoiled >= SPOILED_AFTER:

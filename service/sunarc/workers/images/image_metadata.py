@@ -55,9 +55,9 @@ def image_document(
     }
 
 
-def _sun(moment: datetime, site: Site, predictor: SunPredictor) -> dict[str, float | None]:
-    angles = sun_angles(moment.timestamp(), site)
-    expected = predictor.expectation(moment)
+def _sun(time: datetime, site: Site, predictor: SunPredictor) -> dict[str, float | None]:
+    angles = sun_angles(time.timestamp(), site)
+    expected = predictor.expectation(time)
     return {
         "apparent_zenith": round(float(angles.apparent_zenith), 5),
         "azimuth": round(float(angles.azimuth), 5),

@@ -23,7 +23,7 @@ _POLL_S = 0.5
 _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
 
 
-class _Look(NamedTuple):
+class _FrameResult(NamedTuple):
     """A frame of the bracket: when, what was seen, where it was due."""
 
     time: datetime
@@ -73,7 +73,7 @@ class DetectWorker:
         self._board = board
         self._frozen = frozen
         self._bracket_of = timedelta(seconds=0.5 * cadence_s)
-        self._bracket: list[_Look] = []
+        self._bracket: list[_FrameResult] = []
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped, and then until nothing waits."""
@@ -81,14 +81,14 @@ class DetectWorker:
             heartbeat()
             frame = self._frames.get(timeout_s=_POLL_S)
             if frame is not None:
-                self.look_at(frame)
+                self.process(frame)
             elif stop.is_set():
                 self._keeper.give_up()
                 return
             elif self._keeper.waiting:
                 self._keeper.store()
 
-    def look_at(self, frame: Frame) -> Detection:
+    def process(self, frame: Frame) -> Detection:
         """Detect, store and report one frame."""
         expectation = self._predictor.expectation(frame.time)
         detection = detect_sun(
@@ -120,12 +120,11 @@ class DetectWorker:
         if self._bracket and not timedelta(0) <= frame.time - self._bracket[0].time < self._bracket_of:
             self._bracket = []
         earlier = tuple(self._bracket)
-        self._bracket.append(_Look(frame.time, detection, expectation))
-        shifts = [_shift(look.expectation, expectation) for look in earlier]
+        self._bracket.append(_FrameResult(frame.time, detection, expectation))
+        shifts = [_shift(result.expectation, expectation) for result in earlier]
         known = [shift for shift in shifts if shift is not None]
-        return beside(
-            [look.detection for look in earlier], detection, shifts=known if len(known) == len(shifts) else None
-        )
+        complete = known if len(known) == len(shifts) else None
+        return beside([result.detection for result in earlier], detection, shifts=complete)
 
     def _or_elsewhere(self, frame: Frame, found: Detection, expectation: Expectation | None) -> Detection:
         """Return what was found, or a clean disc anywhere in a frame that has none where it is due."""
@@ -138,11 +137,11 @@ class DetectWorker:
         findings = (Finding("sun_elsewhere"), *found.findings)
         return replace(anywhere, accepted=False, verdict="elsewhere", findings=findings)
 
-    def _with_brightness(self, moment: datetime) -> DiscOptions:
+    def _with_brightness(self, time: datetime) -> DiscOptions:
         """Return the detector's settings with the clear sun's level as it was learned, unless it was set."""
         if self._disc.clear_level_per_us:
             return self._disc
-        return replace(self._disc, clear_level_per_us=self._predictor.clear_level_per_us(moment))
+        return replace(self._disc, clear_level_per_us=self._predictor.clear_level_per_us(time))
 
 
 def _shift(before: Expectation | None, now: Expectation | None) -> tuple[float, float] | None:

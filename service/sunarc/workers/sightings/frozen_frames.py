@@ -22,9 +22,9 @@ from sunarc.sky import angular_distance, sun_directions
 from sunarc.workers.messages import MESSAGES
 
 _log = logging.getLogger(__name__)
-_IMAGES_KEPT = 256
+_MAX_IMAGES = 256
 """Digests of 16 bytes; a cycle has about eight frames."""
-_PIXELS_KEPT = 32
+_MAX_POSITIONS = 32
 _FEWEST_PIXELS = 100
 """An image that differs from a constant in fewer pixels (hot ones) may truly come again: black, without noise."""
 _SAME_PX = 1e-6
@@ -36,7 +36,7 @@ _CODE = "camera_frozen"
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Position:
     time: datetime
     x_px: float
     y_px: float
@@ -56,7 +56,7 @@ class FrozenFrames:
         self._board = board
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
-        self._places: deque[_Place] | None = None
+        self._positions: deque[_Position] | None = None
         self._in_a_row = 0
 
     def remember(self, frame: Frame) -> None:
@@ -71,9 +71,9 @@ class FrozenFrames:
         """Return the detection, or its rejection where the frame repeats an earlier one."""
         earlier = self._same_image(frame)
         if earlier is None:
-            earlier = self._same_place(frame.time, detection)
+            earlier = self._same_position(frame.time, detection)
         if earlier is None:
-            if self._in_a_row and _tells(frame.image):
+            if self._in_a_row and _is_informative(frame.image):
                 self._clear()
             return detection
         self._count(frame.time, earlier)
@@ -82,50 +82,50 @@ class FrozenFrames:
 
     def _same_image(self, frame: Frame) -> datetime | None:
         """Return the time of an earlier frame with the same bytes; None where there is none, or they say nothing."""
-        if not _tells(frame.image):
+        if not _is_informative(frame.image):
             return None
         digest = hashlib.blake2b(np.ascontiguousarray(frame.image).data, digest_size=16).digest()
         with self._lock:
             earlier = self._images.setdefault(digest, frame.time)
             self._images.move_to_end(digest)
-            if len(self._images) > _IMAGES_KEPT:
+            if len(self._images) > _MAX_IMAGES:
                 self._images.popitem(last=False)
         return None if earlier == frame.time else earlier  # the frame itself; a replay may play the same file twice
 
-    def _same_place(self, moment: datetime, detection: Detection) -> datetime | None:
+    def _same_position(self, time: datetime, detection: Detection) -> datetime | None:
         """Return when the sun was seen in exactly the same place though it has moved since; None where it was not."""
         if detection.x_px is None or detection.y_px is None or not _is_sun(detection):
             return None
-        if self._places is None:
-            self._places = self._stored(moment)
+        if self._positions is None:
+            self._positions = self._stored(time)
         x_px, y_px = detection.x_px, detection.y_px
-        for place in self._places:
-            if abs(place.x_px - x_px) < _SAME_PX and abs(place.y_px - y_px) < _SAME_PX:
-                before, now = sun_directions(np.array([place.time.timestamp(), moment.timestamp()]), self._camera.site)
+        for position in self._positions:
+            if abs(position.x_px - x_px) < _SAME_PX and abs(position.y_px - y_px) < _SAME_PX:
+                before, now = sun_directions(np.array([position.time.timestamp(), time.timestamp()]), self._camera.site)
                 if float(angular_distance(before, now)) > _SUN_MOVED_RAD:
-                    return place.time
-        self._places.append(_Place(moment, x_px, y_px))
+                    return position.time
+        self._positions.append(_Position(time, x_px, y_px))
         return None
 
-    def _stored(self, moment: datetime) -> deque[_Place]:
+    def _stored(self, time: datetime) -> deque[_Position]:
         """Return where the sun was seen before this process began."""
         try:
-            points = self._camera.sun_points(until=moment, newest_first=True, limit=_PIXELS_KEPT)
+            points = self._camera.sun_points(until=time, newest_first=True, limit=_MAX_POSITIONS)
         except OutsideError as error:
             _log.warning("could not read earlier sightings: %s", error)
             points = ()
         suns = [p for p in points if _is_sun(p)]
-        found = [_Place(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
-        return deque(reversed(found), maxlen=_PIXELS_KEPT)
+        found = [_Position(p.time, p.x_px, p.y_px) for p in suns if p.x_px is not None and p.y_px is not None]
+        return deque(reversed(found), maxlen=_MAX_POSITIONS)
 
-    def _count(self, moment: datetime, earlier: datetime) -> None:
+    def _count(self, time: datetime, earlier: datetime) -> None:
         self._in_a_row += 1
         if self._in_a_row < _LASTING:
             return
         finding = Finding(_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
         self._board.set_condition(_CODE, Reason.of(finding, MESSAGES), log=False)
         if self._in_a_row == _LASTING:
-            self._store(Event.of(finding, MESSAGES, time=moment, severity="alarm", camera=self._camera.name))
+            self._store(Event.of(finding, MESSAGES, time=time, severity="alarm", camera=self._camera.name))
 
     def _clear(self) -> None:
         self._in_a_row = 0
@@ -138,11 +138,11 @@ class FrozenFrames:
             _log.warning("could not store an event: %s", error)
 
 
-def _is_sun(seen: Detection | SunPoint) -> bool:
+def _is_sun(sighting: Detection | SunPoint) -> bool:
     """Return whether a disc was fitted: only its place is never the same twice."""
-    return seen.accepted or seen.verdict in {FROZEN, ELSEWHERE}
+    return sighting.accepted or sighting.verdict in {FROZEN, ELSEWHERE}
 
 
-def _tells(image: Image) -> bool:
+def _is_informative(image: Image) -> bool:
     """Return whether an image differs from a constant in more than a few pixels."""
     return int(np.count_nonzero(image != image.flat[0])) > _FEWEST_PIXELS

@@ -34,26 +34,26 @@ class SunPredictor:
         self._lock = threading.Lock()
         self._clear: tuple[datetime, ClearSun | None] | None = None
 
-    def apparent_zenith(self, moment: datetime) -> float:
+    def apparent_zenith(self, time: datetime) -> float:
         """Return the sun's apparent zenith angle in degrees."""
-        return float(sun_angles(moment.timestamp(), self._camera.site).apparent_zenith)
+        return float(sun_angles(time.timestamp(), self._camera.site).apparent_zenith)
 
-    def clear_level_per_us(self, moment: datetime) -> float:
+    def clear_level_per_us(self, time: datetime) -> float:
         """Return the clear sun's level over full scale in 1 µs, learned from the last 5 days; 0 while unknown.
 
         What is older is forgotten, so that a filter, dirt or another gain change the answer within 5 days, even where
         they had every sighting refused. The archive is asked once an hour of the frames' time.
         """
         with self._lock:
-            if self._clear is None or not timedelta(0) <= moment - self._clear[0] < _BRIGHTNESS_EVERY:
-                self._clear = (moment, self._learned(moment))
+            if self._clear is None or not timedelta(0) <= time - self._clear[0] < _BRIGHTNESS_EVERY:
+                self._clear = (time, self._learned(time))
             clear = self._clear[1]
-        return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(moment))
+        return 0.0 if clear is None else clear.level_per_us(self.apparent_zenith(time))
 
-    def _learned(self, moment: datetime) -> ClearSun | None:
+    def _learned(self, time: datetime) -> ClearSun | None:
         unix_s, levels = self._camera.sun_levels(
-            since=moment - _BRIGHTNESS_OF,
-            until=moment,
+            since=time - _BRIGHTNESS_OF,
+            until=time,
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
         )
         zenith = sun_angles(unix_s, self._camera.site).apparent_zenith
@@ -65,7 +65,7 @@ class SunPredictor:
         record = self._camera.current_calibration()
         return None if record is None else record.id
 
-    def expectation(self, moment: datetime) -> Expectation | None:
+    def expectation(self, time: datetime) -> Expectation | None:
         """Return where the sun should be, in the day's air where it was measured.
 
         None before there is a calibration, or outside its field.
@@ -73,8 +73,8 @@ class SunPredictor:
         calibration = self._camera.current_model()
         if calibration is None:
             return None
-        site = self._camera.site_at(moment)
-        direction = sun_directions(moment.timestamp(), site)
+        site = self._camera.site_at(time)
+        direction = sun_directions(time.timestamp(), site)
         pixel, covariance = project_with_covariance(calibration, direction)
         if not np.all(np.isfinite(pixel)):
             return None
@@ -85,5 +85,5 @@ class SunPredictor:
             y_px=float(pixel[1]),
             uncertainty_px=max(uncertainty, _LEAST_UNCERTAINTY_PX),
             stretch_px_per_rad=((a, b), (c, d)),
-            apparent_zenith=math.radians(float(sun_angles(moment.timestamp(), site).apparent_zenith)),
+            apparent_zenith=math.radians(float(sun_angles(time.timestamp(), site).apparent_zenith)),
         )

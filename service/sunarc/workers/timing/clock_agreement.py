@@ -38,22 +38,22 @@ class ClockAgreement:
             return 0.0
         return max(self._settling.began_s + self._settling.wait_s - monotonic_s, 0.0)
 
-    def begin(self, reading: ClockReading, *, newest_stored: datetime | None, left_s: float) -> None:
+    def begin(self, reading: ClockReading, *, newest_stored: datetime | None, remaining_s: float) -> None:
         """Take the first reading of the process that can be compared with the record.
 
         Parameters
         ----------
         reading : wall time and monotonic time.
         newest_stored : the newest time in the record with a good clock; None without one.
-        left_s : what is left of a wait that an earlier process began, seconds.
+        remaining_s : what is left of a wait that an earlier process began, seconds.
         """
         self._began_s, self._newest_stored = reading.monotonic_s, newest_stored
         if newest_stored is not None:
             gap = reading.wall - newest_stored
             if not -timedelta(seconds=LARGE_STEP_S) <= gap <= _LONGEST_GAP:  # not one service's end and start
-                left_s = max(left_s, SETTLE_S)
-        if left_s > self.wait_s(reading.monotonic_s):
-            self._settling = _Settling(reading.monotonic_s, min(left_s, IMPLAUSIBLE_SETTLE_S))
+                remaining_s = max(remaining_s, SETTLE_S)
+        if remaining_s > self.wait_s(reading.monotonic_s):
+            self._settling = _Settling(reading.monotonic_s, min(remaining_s, IMPLAUSIBLE_SETTLE_S))
 
     def stepped(self, reading: ClockReading) -> float:
         """Begin to wait after a large or gradual step, and return for how long, seconds."""

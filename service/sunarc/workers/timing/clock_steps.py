@@ -45,9 +45,9 @@ class ClockStep:
         """Seconds between the two readings."""
         return (self.doubted[0][1] - self.doubted[0][0]).total_seconds()
 
-    def doubts(self, moment: datetime) -> bool:
+    def doubts(self, time: datetime) -> bool:
         """Return whether this wall time may be from either side of the step."""
-        return any(since <= moment <= until for since, until in self.doubted)
+        return any(since <= time <= until for since, until in self.doubted)
 
 
 def step_between(before: ClockReading, now: ClockReading, *, least_s: float) -> ClockStep | None:
@@ -118,6 +118,6 @@ class UntrustedTimes:
     def _grow(self, until: datetime) -> None:
         self._intervals[-1] = (self._intervals[-1][0], until)
 
-    def covers(self, moment: datetime) -> bool:
+    def covers(self, time: datetime) -> bool:
         """Return whether a wall time is in an interval in which the clock could not be trusted."""
-        return any(since <= moment < until for since, until in self._intervals)
+        return any(since <= time < until for since, until in self._intervals)

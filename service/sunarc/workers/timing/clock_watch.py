@@ -31,7 +31,7 @@ UNKNOWN_ERROR_S = 1e9
 """What stands for "no bound": a host without a battery starts years off."""
 _TRANSPORT_S = 1.0  # a camera's time is learnt when its frame has come
 _LEAP_WITHIN_S = 0.1
-_DOUBTS_KEPT = 16
+_MAX_STEPS = 16
 _CAMERA_OFFSET_S = 0.5
 """Largest difference between camera and host that is not reported: a busy host triggers late by tenths of a second."""
 _CLEANING_WAIT_S = 3600.0
@@ -99,14 +99,14 @@ class ClockWatch:
         self._board = board
         self._lock = threading.Lock()
         self._last: ClockReading | None = None
-        self._left_alone_since_s = clock.monotonic()
+        self._undisturbed_since_s = clock.monotonic()
         self._agreement = ClockAgreement()
         self._gradual = GradualSteps()
         self._untrusted = UntrustedTimes()
         self._is_compared_with_record = False
         self._camera_off_s = 0.0
-        self._doubts: deque[ClockStep] = deque(maxlen=_DOUBTS_KEPT)
-        self._unwritten: deque[tuple[ClockStep, float]] = deque(maxlen=_DOUBTS_KEPT)
+        self._doubts: deque[ClockStep] = deque(maxlen=_MAX_STEPS)
+        self._unwritten: deque[tuple[ClockStep, float]] = deque(maxlen=_MAX_STEPS)
         self._last_step: ClockStep | None = None
         self._is_offset_written = False
 
@@ -114,17 +114,17 @@ class ClockWatch:
         """Look until stopped."""
         while not stop.is_set():
             heartbeat()
-            self.look()
+            self.check()
             self._clock.wait(stop, _CHECK_EVERY_S)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Look at the clock once; write down a step, and show how the clock is."""
         self._compare()
         with self._lock:
             if self._last is not None and not self._is_compared_with_record:  # the database could not be read
                 self._begin(self._last)
         self._write_down()
-        self._show()
+        self._publish()
 
     def trusted(self) -> bool:
         """Whether sightings made now can be calibrated with."""
@@ -132,21 +132,21 @@ class ClockWatch:
             self._compare()
         return self._bound_s() < UNKNOWN_ERROR_S and not self._camera_off_s and not self._is_camera_far_off()
 
-    def error_s(self, moment: datetime) -> float:
+    def error_s(self, time: datetime) -> float:
         """Return the bound of the error of a frame's time; `UNKNOWN_ERROR_S` where there is none."""
         self._compare()
         with self._lock:
-            doubts = [abs(step.step_s) for step in self._doubts if step.doubts(moment)]
-            if self._untrusted.covers(moment):
+            doubts = [abs(step.step_s) for step in self._doubts if step.doubts(time)]
+            if self._untrusted.covers(time):
                 doubts.append(UNKNOWN_ERROR_S)
         return max([self._bound_s(), *doubts])
 
     def cleaning_time(self) -> datetime | None:
         """Return the time that the age of images is counted from; None while the clock is not to be trusted with it."""
-        if not self._frame_time.known or not self.trusted():
+        if not self._frame_time.is_known or not self.trusted():
             return None
-        left_alone_s = self._clock.monotonic() - self._left_alone_since_s
-        return self._frame_time.now() if left_alone_s >= _CLEANING_WAIT_S or not self._finds_steps else None
+        undisturbed_s = self._clock.monotonic() - self._undisturbed_since_s
+        return self._frame_time.now() if undisturbed_s >= _CLEANING_WAIT_S or not self._finds_steps else None
 
     def _bound_s(self) -> float:
         if self._camera_error_s is not None:
@@ -172,7 +172,7 @@ class ClockWatch:
         return abs(smallest_s) > MAX_CLOCK_ERROR_S
 
     def _compare(self) -> None:
-        if not self._finds_steps or not self._frame_time.known:
+        if not self._finds_steps or not self._frame_time.is_known:
             return
         with self._lock:
             before, now = self._last, self._read()
@@ -200,10 +200,10 @@ class ClockWatch:
             _log.warning("could not compare the clock with the record: %s", error)
             return
         last = next((event for event in events if event.kind == "clock_step"), None)
-        left_s = 0.0
+        remaining_s = 0.0
         if last is not None and self._camera_error_s is None:
-            left_s = float(last.details.get("distrusted_s", 0.0)) - (now.wall - last.time).total_seconds()
-        self._agreement.begin(now, newest_stored=newest, left_s=left_s)
+            remaining_s = float(last.details.get("distrusted_s", 0.0)) - (now.wall - last.time).total_seconds()
+        self._agreement.begin(now, newest_stored=newest, remaining_s=remaining_s)
         self._is_compared_with_record = True
 
     def _take(self, step: ClockStep, now: ClockReading) -> None:
@@ -212,7 +212,7 @@ class ClockWatch:
         if self._is_leap_second(step):
             return
         self._gradual.restart(now)
-        self._left_alone_since_s = now.monotonic_s
+        self._undisturbed_since_s = now.monotonic_s
         self._last_step = step
         wait_s = 0.0
         if self._camera_error_s is not None:
@@ -237,8 +237,8 @@ class ClockWatch:
     def _camera_off(self, step_s: float) -> float:
         """Return how far the camera's clock may be off: nothing when it stepped back, or agrees with a good host."""
         off_s = self._camera_off_s + step_s
-        apart_s = abs((self._frame_time.now() - self._clock.now()).total_seconds())
-        agrees = self._clock.state().synchronised and apart_s < _TRANSPORT_S
+        difference_s = abs((self._frame_time.now() - self._clock.now()).total_seconds())
+        agrees = self._clock.state().synchronised and difference_s < _TRANSPORT_S
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
     def _write_down(self) -> None:
@@ -275,7 +275,7 @@ class ClockWatch:
     def _whose(self) -> str:
         return "host" if self._camera_error_s is None else "camera"
 
-    def _show(self) -> None:
+    def _publish(self) -> None:
         state = self._clock.state()
         last = self._last_step
         self._board.note(
@@ -288,9 +288,9 @@ class ClockWatch:
         )
         recent = last is not None and self._clock.monotonic() - last.found_s < SHOW_STEP_S
         self._put("clock_stepped", stepped("clock_stepped", self._whose, last) if last and recent else None)
-        self._show_trust()
+        self._publish_trust()
 
-    def _show_trust(self) -> None:
+    def _publish_trust(self) -> None:
         """Show why the time cannot be calibrated with."""
         wait_s = self._agreement.wait_s(self._clock.monotonic())
         offset_s = min(self._camera_offsets_s(), key=abs, default=0.0)

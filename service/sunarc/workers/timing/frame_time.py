@@ -51,7 +51,7 @@ class FrameTime:
             self._speed = speed
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the frame time is known: at once from the host, after the first frame from a camera."""
         return not self._follows_camera or self._last is not None
 
@@ -83,9 +83,9 @@ class FrameTime:
         captured_at, at = last
         return captured_at + timedelta(seconds=(self._clock.monotonic() - at) * self._speed)
 
-    def real_seconds_until(self, moment: datetime) -> float:
+    def real_seconds_until(self, time: datetime) -> float:
         """Return how long to wait for a moment in frame time; negative when it is past."""
-        return (moment - self.now()).total_seconds() / self._speed
+        return (time - self.now()).total_seconds() / self._speed
 
     def next_slot(self, *, every_s: float) -> datetime:
         """Return the next moment that is a whole multiple of `every_s` since 1970-01-01 UTC."""
