@@ -158,7 +158,7 @@ def test_a_camera_whose_packets_never_arrive_is_told_from_one_that_loses_some(st
     silent = stub.Camera()
     _, outcome, text = frames_of_trial(opened(silent), (100.0,))
     assert outcome == "fail"
-    assert text.startswith("0 of 12 came whole; the camera answers commands, but no packet of a frame arrives: ")
+    assert text.startswith("0 of 12 frames complete; the camera answers commands, but no packet of a frame arrives: ")
     lossy = stub.Camera()
     lossy.stream.answers.extend([stub.Buffer(status=stub.BufferStatus.MISSING_PACKETS) for _ in range(30)])
     _, outcome, text = frames_of_trial(opened(lossy), (100.0,))

@@ -14,7 +14,7 @@ import pytest
 from sunarc.app.cameras import require_stored_site
 from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive
 from sunarc.calibration import CalibrationOptions
-from sunarc.diagnostics.checks import examine
+from sunarc.diagnostics.checks import run_checks
 from sunarc.errors import InputError
 from sunarc.optics import project
 from sunarc.runtime.clock import VirtualClock
@@ -171,10 +171,10 @@ def test_the_check_says_that_a_lost_database_is_restored_and_that_the_site_is_an
     elsewhere = config.with_name("elsewhere.toml")
     elsewhere.write_text(config.read_text().replace("36.604043", "48.1"))
     clock = VirtualClock(NOW)
-    (other,) = [found for found in examine(load_settings(elsewhere), clock=clock) if found.what == "database"]
+    (other,) = [found for found in run_checks(load_settings(elsewhere), clock=clock) if found.what == "database"]
     assert (other.outcome, "set `name` to a new one" in other.text) == ("fail", True)
     (state / "sunarc.sqlite").write_bytes(b"")
-    (lost,) = [found for found in examine(load_settings(config), clock=clock) if found.what == "database"]
+    (lost,) = [found for found in run_checks(load_settings(config), clock=clock) if found.what == "database"]
     assert (lost.outcome, "restores it from" in lost.text) == ("warn", True)
     refused = sunarc("points", "import", str(points), "--config", str(config), "--image-size", "1748,1748")
     assert (refused.code, "sunarc db restore --latest" in refused.err) == (2, True)

@@ -142,7 +142,7 @@ def test_what_was_said_once_is_forgotten() -> None:
     repeats = Repeats(allowed=1, window_s=60.0)
     for at in range(10_000):
         repeats.filter(record(f"name {chr(65 + at % 26)}{chr(65 + at // 26 % 26)}{chr(65 + at // 676)}", at=at * 10.0))
-    assert len(repeats._seen) < 20
+    assert len(repeats._windows) < 20
 
 
 def test_only_the_stream_that_systemd_gave_is_the_journal(tmp_path: Path) -> None:

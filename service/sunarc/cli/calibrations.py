@@ -58,8 +58,8 @@ def activate(
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
     with open_archive(load_settings(config).database) as archive:
-        row = _row(archive.reinstate(calibration, at=_moment(start), reason=reason))
-    _say(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
+        row = _row(archive.reinstate(calibration, at=_time_or_now(start), reason=reason))
+    _print_result(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -69,8 +69,8 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
     with open_archive(load_settings(config).database) as archive:
-        row = _row(archive.pin(calibration, at=_moment(None), reason=reason))
-    _say(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
+        row = _row(archive.pin(calibration, at=_time_or_now(None), reason=reason))
+    _print_result(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
 
 @calibrations_cli.command()
@@ -80,8 +80,8 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
     with open_archive(load_settings(config).database) as archive:
-        row = _row(archive.unpin(calibration, at=_moment(None), reason=reason))
-    _say(row, f"{row['id']} may be replaced again", as_json=as_json)
+        row = _row(archive.unpin(calibration, at=_time_or_now(None), reason=reason))
+    _print_result(row, f"{row['id']} may be replaced again", as_json=as_json)
 
 
 @epochs_cli.command("list")
@@ -116,13 +116,13 @@ def close_epoch(
     Example: sunarc epochs close imager-2 --reason "the clock was ahead"
     """
     with open_archive(load_settings(config).database) as archive:
-        current = archive.close_epoch(epoch, at=_moment(None), reason=reason)
+        current = archive.close_epoch(epoch, at=_time_or_now(None), reason=reason)
     row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"
-    _say(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
+    _print_result(row, f"pose epoch {epoch} is closed; {said}", as_json=as_json)
 
 
-def _say(row: dict[str, Any], text: str, *, as_json: bool) -> None:
+def _print_result(row: dict[str, Any], text: str, *, as_json: bool) -> None:
     if as_json:
         print_json(row)
     else:
@@ -158,5 +158,5 @@ def _cells(row: dict[str, Any]) -> list[str]:
     return [row["id"], state, *times, "" if sky is None else f"{sky:.4f}°"]
 
 
-def _moment(text: str | None) -> datetime:
+def _time_or_now(text: str | None) -> datetime:
     return SystemClock().now() if text is None else parse_time(text, where="--from")

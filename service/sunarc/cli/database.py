@@ -71,7 +71,12 @@ def export_points(
 
     Example: sunarc points export --config sunarc.toml > points.csv
     """
-    write_points(load_settings(config), sys.stdout, since=_moment(since, "--since"), until=_moment(until, "--until"))
+    write_points(
+        load_settings(config),
+        sys.stdout,
+        since=_optional_time(since, "--since"),
+        until=_optional_time(until, "--until"),
+    )
 
 
 @db_cli.command()
@@ -156,15 +161,15 @@ def restore_database(
     """
     if latest == (source is not None):
         raise InputError(field="SOURCE", problem="give either a copy or --latest", remedy="see --help")
-    chosen = source or newest_sound_copy(state / "backups")
-    if chosen is None:
+    copy = source or newest_sound_copy(state / "backups")
+    if copy is None:
         raise InputError(
             field="--latest", problem=f"no sound copy is in {state / 'backups'}", remedy="name a copy of the database"
         )
     path = database_of(state)
     with _locked(state):
-        kept = restore(path, chosen, now=SystemClock().now())
-    print(f"{path} is what {chosen} was" + ("" if kept is None else f"; the former one is kept as {kept.name}"))
+        former = restore(path, copy, now=SystemClock().now())
+    print(f"{path} is what {copy} was" + ("" if former is None else f"; the former one is kept as {former.name}"))
 
 
 @db_cli.command("export")
@@ -207,5 +212,5 @@ def note_running_service(state: Path) -> None:
         )
 
 
-def _moment(text: str | None, option: str) -> datetime | None:
+def _optional_time(text: str | None, option: str) -> datetime | None:
     return None if text is None else parse_time(text, where=option)

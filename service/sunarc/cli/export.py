@@ -20,7 +20,7 @@ _MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
 def export_calibration(
     calibration: CalibrationFile,
     *,
-    wanted: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
+    format_: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
     target: Annotated[
         Path | None, typer.Option("--output", "-o", help="File to write; standard output unless given.")
     ] = None,
@@ -29,26 +29,26 @@ def export_calibration(
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
-    made = _made(_document(calibration), wanted)
+    made = _made(_document(calibration), format_)
     if target is None:
         sys.stdout.buffer.write(made.content)
     else:
         _write(target, made.content)
         for name, content in made.beside.items():
             _write(target.parent / name, content)
-            print(f"{wanted}: wrote {name} beside it", file=sys.stderr)
-    print(f"{wanted}: {made.error}", file=sys.stderr)
+            print(f"{format_}: wrote {name} beside it", file=sys.stderr)
+    print(f"{format_}: {made.error}", file=sys.stderr)
 
 
-def _made(document: dict[str, object], wanted: str) -> Exported:
+def _made(document: dict[str, object], format_: str) -> Exported:
     for name in MAP_FORMATS:
-        if wanted == f"map-{name}":
+        if format_ == f"map-{name}":
             return Exported(content=export_map(document, name), error="in single precision")
-    for chosen in FORMATS:
-        if wanted == chosen:
-            return export(document, chosen)
-    known = ", ".join((*FORMATS, *_MAPS))
-    raise InputError(field="--format", problem=f"{wanted!r} is unknown", remedy=f"use one of {known}")
+    for known in FORMATS:
+        if format_ == known:
+            return export(document, known)
+    choices = ", ".join((*FORMATS, *_MAPS))
+    raise InputError(field="--format", problem=f"{format_!r} is unknown", remedy=f"use one of {choices}")
 
 
 def _document(path: Path) -> dict[str, object]:

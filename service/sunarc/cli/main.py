@@ -23,7 +23,7 @@ from sunarc.cli.options import Altitude, AsJson, CalibrationFile, Config, Latitu
 from sunarc.cli.output import print_json, table
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
-from sunarc.diagnostics import checks as doctor
+from sunarc.diagnostics import checks
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
@@ -162,9 +162,10 @@ def detect(
     """
     if overlay is not None and len(images) != 1:
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
-    chosen = _choice("--method", method, offline.METHODS)
     mosaic = None if bayer is None else _choice("--bayer", bayer, BAYERS)
-    found = offline.detect_in_files(images, method=chosen, full_scale=full_scale, bayer=mosaic)
+    found = offline.detect_in_files(
+        images, method=_choice("--method", method, offline.METHODS), full_scale=full_scale, bayer=mosaic
+    )
     if as_json:
         print_json(found)
     else:
@@ -271,13 +272,13 @@ def check(
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
-    examine = doctor.examine_camera if camera else doctor.examine
-    findings = list(examine(load_settings(config), clock=SystemClock()))
+    run = checks.run_camera_checks if camera else checks.run_checks
+    results = list(run(load_settings(config), clock=SystemClock()))
     if as_json:
-        print_json([asdict(finding) for finding in findings])
+        print_json([result._asdict() for result in results])
     else:
-        _out.print(table(("", "", ""), [[finding.outcome, finding.what, finding.text] for finding in findings]))
-    if any(finding.outcome == "fail" for finding in findings):
+        _out.print(table(("", "", ""), [[result.outcome, result.what, result.text] for result in results]))
+    if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
 
 

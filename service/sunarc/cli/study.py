@@ -77,7 +77,7 @@ def uncertainty(
     shown = {float(study.sigma_px[i * (levels - 1) // (_SHOWN_LEVELS - 1)]) for i in range(_SHOWN_LEVELS)}
     errors = [row for row in rows if row["sigma_px"] in shown and str(row["quantity"]).endswith("rmse_px")]
     sheets = {"true errors of the calibration, px": (_UNCERTAINTY, errors)}
-    _tell(rows, sheets, files=files, as_json=as_json)
+    _print_tables(rows, sheets, files=files, as_json=as_json)
 
 
 @study_cli.command()
@@ -94,7 +94,7 @@ def tables(*, out: Out, seed: Seed = 1, method: Methods = "both", as_json: AsJso
         "Tables 1 and 3, and the true error on the arc and over the sky, px": (_ERRORS, rows),
         "Table 2, px and degrees": (_CAMERAS, rows),
     }
-    _tell(rows, sheets, files=write_tables(rows, folder=out), as_json=as_json)
+    _print_tables(rows, sheets, files=write_tables(rows, folder=out), as_json=as_json)
 
 
 def _methods(text: str) -> tuple[Method, ...]:
@@ -118,7 +118,7 @@ def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
-def _tell(
+def _print_tables(
     rows: Sequence[AnyRow],
     sheets: Mapping[str, tuple[Sheet, Sequence[AnyRow]]],
     *,

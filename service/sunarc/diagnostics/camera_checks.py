@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from sunarc.app import camera_opener
 from sunarc.cameras import AravisCamera, SkyCamera
@@ -12,7 +12,7 @@ from sunarc.errors import CameraError, CameraSilentError, CameraTimeoutError, Su
 from sunarc.runtime.clock import Clock
 from sunarc.settings import Settings
 
-Look = tuple[str, Literal["ok", "warn", "fail"], str]
+Outcome = Literal["ok", "warn", "fail"]
 _TRIAL_FRAMES = 12
 _SHORT_US = 100.0
 _SILENT = (
@@ -21,49 +21,66 @@ _SILENT = (
 )
 
 
-def survey(settings: Settings, *, clock: Clock) -> Iterator[Look]:
-    """Open the camera as the service would, and tell one thing after the other: what, outcome, text."""
+class CheckResult(NamedTuple):
+    """Result of one check.
+
+    Attributes
+    ----------
+    what : what was checked.
+    outcome : "ok", "warn" (the service runs, with less) or "fail".
+    text : what was found, with the remedy where one is needed.
+    """
+
+    what: str
+    outcome: Outcome
+    text: str
+
+
+def survey(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
+    """Open the camera as the service would, and run the checks of it."""
     try:
         camera = camera_opener(settings, clock)()
     except SunarcError as error:
-        yield "camera", "fail", str(error)
+        yield CheckResult("camera", "fail", str(error))
         return
     with closing(camera):
         yield _identity(camera)
         if isinstance(camera, AravisCamera):
-            yield from ((what, "ok", text) for what, text in camera.abilities())
+            yield from (CheckResult(what, "ok", text) for what, text in camera.abilities())
             yield from _stream(camera)
         yield _exposures(camera, settings.capture.hdr_exposures_us)
         yield _trial(camera, settings.capture.hdr_exposures_us)
 
 
-def _identity(camera: SkyCamera) -> Look:
+def _identity(camera: SkyCamera) -> CheckResult:
     info = camera.info
     text = f"{info.vendor} {info.model} ({info.serial or 'no serial number'}) at {info.address}"
-    return "camera", "ok", f"{text}: {info.width}x{info.height} px in {info.pixel_format} will be used"
+    return CheckResult("camera", "ok", f"{text}: {info.width}x{info.height} px in {info.pixel_format} will be used")
 
 
-def _stream(camera: AravisCamera) -> Iterator[Look]:
+def _stream(camera: AravisCamera) -> Iterator[CheckResult]:
     if camera.link is not None:
-        yield "stream", "ok", camera.link.text
-        yield from (("stream", "warn", text) for text in camera.link.complaints)
+        yield CheckResult("stream", "ok", camera.link.text)
+        yield from (CheckResult("stream", "warn", text) for text in camera.link.complaints)
 
 
-def _exposures(camera: SkyCamera, wanted_us: Sequence[float]) -> Look:
+def _exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckResult:
     info = camera.info
     step = f" in steps of {info.exposure_step_us:g}" if info.exposure_step_us > 0.0 else ""
     text = f"{info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} us{step}"
-    beyond = [e for e in wanted_us if not info.exposure_min_us <= e <= info.exposure_max_us]
+    beyond = [e for e in requested_us if not info.exposure_min_us <= e <= info.exposure_max_us]
     if beyond:
         listed = ", ".join(f"{e:.8g}" for e in beyond)
-        return "exposures", "fail", f"{text}; {listed} us is beyond that: change capture.hdr_exposures_us"
+        return CheckResult("exposures", "fail", f"{text}; {listed} us is beyond that: change capture.hdr_exposures_us")
     if info.exposure_min_us > _SHORT_US:
-        return "exposures", "warn", f"{text}; that is long for the sun: see that its disc stays small, or fit a filter"
-    return "exposures", "ok", text
+        return CheckResult(
+            "exposures", "warn", f"{text}; that is long for the sun: see that its disc stays small, or fit a filter"
+        )
+    return CheckResult("exposures", "ok", text)
 
 
-def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> Look:
-    """Take some frames, and say how many came whole."""
+def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> CheckResult:
+    """Take some frames, and say how many were complete."""
     lost, silent, refused, last = 0, 0, 0, ""
     for number in range(_TRIAL_FRAMES):
         try:
@@ -72,11 +89,11 @@ def _trial(camera: SkyCamera, exposures_us: Sequence[float]) -> Look:
             lost, silent, last = lost + 1, silent + isinstance(error, CameraSilentError), str(error)
         except CameraError as error:
             refused, last = refused + 1, str(error)
-    whole = _TRIAL_FRAMES - lost - refused
-    text = f"{whole} of {_TRIAL_FRAMES} came whole"
-    if whole == _TRIAL_FRAMES:
-        return "frames", "ok", text
+    complete = _TRIAL_FRAMES - lost - refused
+    text = f"{complete} of {_TRIAL_FRAMES} frames complete"
+    if complete == _TRIAL_FRAMES:
+        return CheckResult("frames", "ok", text)
     if silent == _TRIAL_FRAMES:
-        return "frames", "fail", f"{text}; {_SILENT}"
+        return CheckResult("frames", "fail", f"{text}; {_SILENT}")
     remedy = "look at packet size, MTU and net.core.rmem_max" if lost else "see what else sets the camera"
-    return "frames", "warn" if whole else "fail", f"{text}; the last fault: {last}; {remedy}"
+    return CheckResult("frames", "warn" if complete else "fail", f"{text}; the last fault: {last}; {remedy}")

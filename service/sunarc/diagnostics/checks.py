@@ -1,4 +1,4 @@
-"""Looks at everything the service needs, and says of each whether it will do, and the remedy where it will not."""
+"""Checks of everything that the service needs, each with the remedy where it fails."""
 
 from __future__ import annotations
 
@@ -8,76 +8,57 @@ import sys
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from datetime import timedelta
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any
 
 import sunarc
 from sunarc.app import camera_opener, require_stored_site
 from sunarc.archive import check, newest_sound_copy, open_archive
-from sunarc.diagnostics.camera_checks import survey
+from sunarc.diagnostics.camera_checks import CheckResult, Outcome, survey
 from sunarc.errors import SunarcError
 from sunarc.runtime.clock import Clock, host_clock_state
 from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.settings import Settings
 from sunarc.utc import utc_time
 
-Outcome = Literal["ok", "warn", "fail"]
 _LEAST_FREE_BYTES = 2_000_000_000
 _LARGEST_CLOCK_ERROR_S = 1.0
 _OLDEST_BACKUP = timedelta(days=3)
 _ANSWER_S = 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """Result of one check.
-
-    Attributes
-    ----------
-    what : what was looked at.
-    outcome : "ok", "warn" (the service runs, with less) or "fail".
-    text : what was seen, with the remedy where there is need of one.
-    """
-
-    what: str
-    outcome: Outcome
-    text: str
-
-
-def examine(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
+def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Run all checks; the results are what `sunarc check` prints."""
     running = _running(settings)
-    yield Finding(what="settings", outcome="ok", text=f"camera {settings.name!r}, state in {settings.state}")
-    yield _looked("versions", _versions)
-    yield _looked("state folder", lambda: _state(settings))
-    yield _looked("database", lambda: _database(settings))
-    yield _looked("backups", lambda: _backups(settings, clock))
-    yield _looked("port", lambda: _port(settings, running))
-    yield _looked("clock", _clock)
-    yield _looked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
+    yield CheckResult("settings", "ok", f"camera {settings.name!r}, state in {settings.state}")
+    yield _checked("versions", _versions)
+    yield _checked("state folder", lambda: _state(settings))
+    yield _checked("database", lambda: _database(settings))
+    yield _checked("backups", lambda: _backups(settings, clock))
+    yield _checked("port", lambda: _port(settings, running))
+    yield _checked("clock", _clock)
+    yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
 
-def examine_camera(settings: Settings, *, clock: Clock) -> Iterator[Finding]:
+def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     """Run the checks of the camera alone; the results are what `sunarc check --camera` prints."""
     running = _running(settings)
     if running is not None:
         outcome, text = _camera_in_use(running)
-        yield Finding(what="camera", outcome=outcome, text=f"{text}; stop the service to look closer")
+        yield CheckResult("camera", outcome, f"{text}; stop the service to look closer")
         return
-    for what, outcome, text in survey(settings, clock=clock):
-        yield Finding(what=what, outcome=outcome, text=text)
+    yield from survey(settings, clock=clock)
 
 
-def _looked(what: str, look: Callable[[], tuple[Outcome, str]]) -> Finding:
+def _checked(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:
     try:
-        outcome, text = look()
+        outcome, text = check_it()
     except SunarcError as error:
         outcome, text = "fail", str(error)
     except PermissionError as error:
         outcome, text = "fail", f"{error.filename} is not for this user; look as root, or as the service's user"
-    return Finding(what=what, outcome=outcome, text=text)
+    return CheckResult(what, outcome, text)
 
 
 def _state(settings: Settings) -> tuple[Outcome, str]:
@@ -163,5 +144,5 @@ def _camera(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
         )
     return "ok", (
         f"{info.vendor} {info.model} at {info.address}: {info.width}x{info.height} {info.pixel_format}, "
-        f"{info.exposure_min_us:g} to {info.exposure_max_us:g} us; a frame of {frame.exposure_us:g} us came whole"
+        f"{info.exposure_min_us:g} to {info.exposure_max_us:g} us; a frame of {frame.exposure_us:g} us was complete"
     )

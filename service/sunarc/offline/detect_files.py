@@ -67,8 +67,8 @@ def detect_in_image(
     exposure_us : returned in the result.
     """
     top = full_scale or _full_scale_of(image)
-    chosen = _method_for(image, top) if method == "auto" else method
-    if chosen == "paper":
+    selected = _method_for(image, top) if method == "auto" else method
+    if selected == "paper":
         return detect_sun_in_photo(image, full_scale=top, expectation=expectation, exposure_us=exposure_us)
     if image.ndim != 2:
         raise InputError(

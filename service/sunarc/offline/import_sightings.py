@@ -94,9 +94,9 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             reason=reason,
             x_px=float(x),
             y_px=float(y),
-            sigma_px=_known(sigma),
-            temperature_c=_known(temperature),
-            pressure_hpa=_known(pressure / PA_PER_HPA),
+            sigma_px=_finite_or_none(sigma),
+            temperature_c=_finite_or_none(temperature),
+            pressure_hpa=_finite_or_none(pressure / PA_PER_HPA),
         )
         for time, (x, y), sigma, temperature, pressure in zip(
             times, table.pixels, table.sigma_px, table.temperature, table.pressure, strict=True
@@ -104,5 +104,5 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
     ]
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return None if np.isnan(value) else float(value)

@@ -153,9 +153,9 @@ def _from_name(name: str, offset: timedelta) -> datetime | None:
         return None
     *numbers, fraction = match.groups()
     try:
-        moment = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
-        moment += timedelta(seconds=float(fraction or 0.0))
-        return moment if name[match.end() :].startswith("Z") else moment - offset
+        time = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
+        time += timedelta(seconds=float(fraction or 0.0))
+        return time if name[match.end() :].startswith("Z") else time - offset
     except (ValueError, OverflowError):
         return None
 
@@ -190,13 +190,13 @@ def _from_exif(path: Path, offset: timedelta) -> datetime | None:
     text = details.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
     zone = details.get(ExifTags.Base.OffsetTimeOriginal)
     try:
-        moment = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - zoned below
+        time = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - zoned below
         if zone:
-            return datetime.fromisoformat(moment.isoformat() + str(zone)).astimezone(UTC)
-        return _zoned(moment, offset)
+            return datetime.fromisoformat(time.isoformat() + str(zone)).astimezone(UTC)
+        return _zoned(time, offset)
     except (ValueError, OverflowError):
         return None
 
 
-def _zoned(moment: datetime, offset: timedelta) -> datetime:
-    return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC) - offset
+def _zoned(time: datetime, offset: timedelta) -> datetime:
+    return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC) - offset

@@ -26,7 +26,7 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
         points = points_of(archive.sightings_of(calibration_id), latest=record.pose_epoch)
     past = from_document(record.document)
     solved = reproduce_calibration(past, points)
-    apart_px = distance_px(past, solved)
+    separation_px = distance_px(past, solved)
     document = to_document(
         solved,
         id=f"{calibration_id}-again",
@@ -38,4 +38,9 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
         pose_epoch=record.pose_epoch or "",
         software_version=sunarc.__version__,
     )
-    return {"same": apart_px <= _ROUNDING_PX, "apart_px": apart_px, "sightings": len(points), "calibration": document}
+    return {
+        "same": separation_px <= _ROUNDING_PX,
+        "apart_px": separation_px,
+        "sightings": len(points),
+        "calibration": document,
+    }

@@ -85,16 +85,16 @@ class Repeats(logging.Filter):
         super().__init__()
         self._allowed = allowed
         self._window_s = window_s
-        self._seen: dict[tuple[str, int, str], _Window] = {}
+        self._windows: dict[tuple[str, int, str], _Window] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Decide on one record by its own time."""
         key = (record.name, record.levelno, re.sub(r"\d+(\.\d+)?", "#", record.getMessage()))
-        window = self._seen.get(key)
+        window = self._windows.get(key)
         if window is None or not 0.0 <= record.created - window.since < self._window_s:
             held_back = window.held_back if window else 0
             self._forget(record.created)
-            self._seen[key] = _Window(record.created)
+            self._windows[key] = _Window(record.created)
             if held_back:
                 record.msg, record.args = f"{record.getMessage()} ({held_back} more like this before)", None
             return True
@@ -104,10 +104,10 @@ class Repeats(logging.Filter):
 
     def _forget(self, now: float) -> None:
         """Keep the record of what was said from growing; a window that held something back waits for its next."""
-        for key, window in list(self._seen.items()):
+        for key, window in list(self._windows.items()):
             age = now - window.since
             if (age > self._window_s and not window.held_back) or abs(age) > 12.0 * self._window_s:
-                del self._seen[key]
+                del self._windows[key]
 
 
 class _Window:

@@ -232,7 +232,7 @@ class _Life:
         self._enter("restarting")
         if not self._blocked and deaths > 1:
             within_s = self._worker.options.within_s
-            self._show("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
+            self._publish("worker_restarting", severity=self._worker.severity, deaths=deaths, within_s=within_s)
         self._clock.wait(self._stop, _back_off_s(deaths))
         return True
 
@@ -245,7 +245,7 @@ class _Life:
         except OutsideError as error:
             self._blocked = True
             self._last_error = str(error)
-            self._show("worker_hindered")
+            self._publish("worker_hindered")
             return self._last_error
         except BaseException as error:  # noqa: BLE001 - whatever ends a worker is its death, an exit too
             _log.exception("%s died", self.name)
@@ -281,9 +281,9 @@ class _Life:
         self._enter("failed")
         self._clear("worker_restarting")
         retried = "the service is restarted" if self.failed else f"it is retried every {_RETRY_FAILED_S:g} s"
-        self._show("worker_failed", severity=self._worker.severity, retried=retried)
+        self._publish("worker_failed", severity=self._worker.severity, retried=retried)
 
-    def _show(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
+    def _publish(self, code: str, *, severity: Severity = "degraded", **data: float | str) -> None:
         reason = of_worker(code, self.name, severity=severity, error=self._last_error or "", **data)
         self._board.set_condition(reason.code, reason)
 

@@ -49,14 +49,14 @@ class DatabaseWorker:
             _publish(board, recovered)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Look until stopped."""
+        """Check until stopped."""
         while not stop.is_set():
             heartbeat()
             self.check()
             self._clock.wait(stop, _EVERY_S)
 
     def check(self) -> None:
-        """Look once."""
+        """Check once."""
         try:
             done = self._archive.recover(now=self._clock.now())
         except OutsideError as error:

@@ -52,7 +52,7 @@ class DiskWorker:
         self._board = board
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Look until stopped."""
+        """Check until stopped."""
         self._clear_up()
         due_s = self._clock.monotonic()
         while not stop.is_set():
@@ -63,7 +63,7 @@ class DiskWorker:
             self._clock.wait(stop, _POLL_S)
 
     def check(self) -> None:
-        """Look once; a folder that cannot be read is shown, and looked at again."""
+        """Check once; a folder that cannot be read becomes a condition, and is checked again."""
         try:
             self._check()
         except (OutsideError, OSError) as error:

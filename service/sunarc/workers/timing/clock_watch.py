@@ -111,14 +111,14 @@ class ClockWatch:
         self._is_offset_written = False
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Look until stopped."""
+        """Check until stopped."""
         while not stop.is_set():
             heartbeat()
             self.check()
             self._clock.wait(stop, _CHECK_EVERY_S)
 
     def check(self) -> None:
-        """Look at the clock once; write down a step, and show how the clock is."""
+        """Check the clock once, store a step, and publish the clock's state."""
         self._compare()
         with self._lock:
             if self._last is not None and not self._is_compared_with_record:  # the database could not be read
