@@ -123,10 +123,10 @@ def oldest_days(store: ImageStore) -> int:
     return (NOON - oldest).days
 
 
-def test_it_looks_every_five_seconds_until_stopped(
+def test_it_checks_every_five_seconds_until_stopped(
     store: ImageStore, clock: VirtualClock, board: StatusRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker, stop, looks = worker_of(store, clock, board), threading.Event(), []
-    monkeypatch.setattr(worker, "look", lambda: looks.append(clock.monotonic()))
+    monkeypatch.setattr(worker, "check", lambda: looks.append(clock.monotonic()))
     worker.run(stop, lambda: stop.set() if clock.monotonic() > 35.0 else None)
     assert looks == pytest.approx([0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0])

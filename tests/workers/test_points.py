@@ -15,7 +15,7 @@ from tests.api.conftest import LENS, document
 from tests.fixtures.calibrations import SITE
 
 from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
-from sunarc.calibration import CalibrationOptions, SelectionOptions, SunPoints, measure_day
+from sunarc.calibration import CalibrationOptions, SunPoints, measure_day
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
 from sunarc.workers import SunPredictor
@@ -68,7 +68,7 @@ def check_air(points: SunPoints) -> None:
 
 def test_a_refit_is_given_the_measured_air(archive: Archive) -> None:
     task = next_task(
-        CameraArchive(archive, name="roof", site=SITE), cadence_s=30.0, limits=SelectionOptions(),
+        CameraArchive(archive, name="roof", site=SITE), cadence_s=30.0,
         options=CalibrationOptions(), circle=None, now=NOON + timedelta(days=2),
     )  # fmt: skip
     assert isinstance(task, Task)

@@ -86,6 +86,7 @@ async def compute(
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
+        # On the event loop only where nothing has to be read or made: that would hold up every other request.
         ours_now = at is None and not request.path_params["camera"]
         if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
             return _json(computation, context, request, body, at)

@@ -65,6 +65,7 @@ class SingleFlightCache(Generic[Input, Value]):
     def get(self, requested: Input) -> Value:
         """Return what is asked for; it may have to be made."""
         key = self._key(requested)
+        # Made under the lock: who asks for the same meanwhile waits for it, and does not make it again.
         with self._lock:
             found = self._cache.get(key)
             if found is None:
@@ -89,6 +90,7 @@ class DaySites:
 
     def get(self, camera: str, site: Site, day: date) -> Site:
         """Return a camera's site in the measured air of a solar day."""
+        # Before the site, so that a commit between the two is seen at the next question.
         revision = self._archive.revision()
         cached = self._sites.get(camera)
         if cached is None or cached[:2] != (revision, day):

@@ -51,6 +51,7 @@ class FaultLog:
             self._kinds.move_to_end(name)
             if len(self._kinds) > _MAX_KINDS:
                 self._kinds.popitem(last=False)
+        # Outside the lock: formatting a stack takes milliseconds.
         if kind is None:
             _log.error("fault %s: %s failed at %s", name, request, location, exc_info=error)
         else:

@@ -196,6 +196,7 @@ def _stop_on_signals(server: uvicorn.Server) -> None:
 
 
 def _stop_serving(server: uvicorn.Server) -> None:
+    # A flag that the loop reads: a signal handler may interrupt any line, also one that holds a lock.
     server.should_exit = True
 
 

@@ -100,6 +100,7 @@ def restore(path: Path, source: Path, *, now: datetime) -> Path | None:
     former = None
     if path.exists():
         former = _keep_former(path, keep_aside(path, "before-restore", now=now))
+    # A write-ahead log belongs to one database: beside another it would be replayed into it.
     for leftover in ("-wal", "-shm"):
         path.with_name(path.name + leftover).unlink(missing_ok=True)
     backup(source, path, replace=True)

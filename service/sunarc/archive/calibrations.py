@@ -136,6 +136,8 @@ class Calibrations(Store):
         """
         if at is not None:
             return self._read_answering(camera, at)
+        # Read before the record: a commit between the two makes the pair stale, and it is read again; the other
+        # order would keep an old record under the new number.
         revision = self.revision()
         cached = self._current.get(camera)
         if cached is None or cached[0] != revision:

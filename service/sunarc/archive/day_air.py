@@ -102,6 +102,7 @@ def air_of_days(connection: Connection, camera: str, unix_s: FloatArray) -> tupl
         return unknown[0], unknown[1]
     day = solar_days(unix_s, longitude=longitude)
     days = np.array([day_of_date(air.date) for air in of_days])
+    # A day after the last known one would be beyond the end; it differs from the last, and is NaN below.
     index = np.minimum(np.searchsorted(days, day), days.size - 1)
     temperature, pressure = _numbers(of_days)
     is_measured = days[index] == day

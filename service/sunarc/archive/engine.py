@@ -40,6 +40,8 @@ def create_archive_engine(
         connection.isolation_level = None  # the driver begins nothing by itself
         connection.text_factory = _text  # else one flipped bit makes every query that meets it fail
         connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
+        # WAL: readers never wait for a writer. FULL: each commit is on the disk before it is reported, since a field
+        # computer loses power without notice.
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")
         connection.execute(f"PRAGMA foreign_keys={'ON' if foreign_keys else 'OFF'}")
@@ -47,6 +49,7 @@ def create_archive_engine(
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get(_WRITES, False)
+        # IMMEDIATE: a transaction that reads first and writes later could find another's commit between, and fail.
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine

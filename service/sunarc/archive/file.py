@@ -55,6 +55,7 @@ class DatabaseFile:
         """Open a connection; never to another file than the one in use, and to a new one only with `create`."""
         mode = "rwc" if create else "rw"
         connection = sqlite3.connect(f"file:{quote(str(self.path))}?mode={mode}", uri=True, check_same_thread=False)
+        # Checked after opening: a file that was exchanged just before would else be taken for the one in use.
         problem = None if create else self.problem()
         if problem is not None:
             connection.close()

@@ -101,6 +101,8 @@ class ImageStore:
         """
         target = self.path(captured_at, kind=kind)
         while True:
+            # What the file system calls free may not be free to this user (quota, reserved blocks): where the write
+            # itself fails for want of room, one more image goes and it is tried again.
             if not self.make_room(len(encoded)):
                 raise OutsideError(f"image {target.name} was not written: the disk has too little room")
             try:
@@ -219,6 +221,7 @@ class ImageStore:
         while self._oldest and not self._oldest[0].exists():
             self._oldest.popleft()
         if not self._oldest:
+            # One day at a time: a month has a hundred thousand files, and only the oldest are asked for.
             for folder in sorted(self.folder.glob(_DAYS)):
                 self._oldest.extend(path for path in sorted(folder.iterdir()) if _OURS.fullmatch(path.name))
                 if self._oldest:

@@ -32,6 +32,7 @@ class Reserve:
             with part.open("wb") as file:
                 # Blocks are taken, not a hole: a sparse file would set nothing aside.
                 os.posix_fallocate(file.fileno(), 0, self.size_bytes)
+            # Renamed when it has its size: one that a full disk cut short must not count as a reserve.
             part.replace(self._path)
         except OSError:
             part.unlink(missing_ok=True)

@@ -67,6 +67,7 @@ class Store:
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
         with self._lock:
+            # A deleted file stays writable in the connections that are open, and is lost with the process.
             self._file.require_in_place()
             with writing(self._engine) as connection:
                 yield connection

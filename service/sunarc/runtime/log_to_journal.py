@@ -105,6 +105,7 @@ class Repeats(logging.Filter):
     def _forget(self, now: float) -> None:
         """Keep the record of what was said from growing; a window that held something back waits for its next."""
         for key, window in list(self._windows.items()):
+            # A negative age is that of a window from before the clock was set back: it would never grow old.
             age = now - window.since
             if (age > self._window_s and not window.held_back) or abs(age) > 12.0 * self._window_s:
                 del self._windows[key]
@@ -142,6 +143,7 @@ def fields_of(record: logging.LogRecord) -> dict[str, str]:
 
 def _field(name: str, text: str) -> bytes:
     value = text.encode()
+    # The journal's native protocol: a value with a line break follows its length, 64 bits, little-endian.
     if b"\n" in value:
         return name.encode() + b"\n" + len(value).to_bytes(8, "little") + value + b"\n"
     return name.encode() + b"=" + value + b"\n"

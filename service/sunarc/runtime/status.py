@@ -209,6 +209,7 @@ class StatusRegistry:
             before = self._reasons.pop(code, None)
             if reason is not None:
                 self._reasons[code] = reason
+        # Logged outside the lock: the log's handler may block on the journal's socket.
         if not log or (before is None) == (reason is None):
             return
         if reason is None:
@@ -233,6 +234,7 @@ class StatusRegistry:
             now = self._monotonic()
             workers = tuple(_aged(status, now - at) for _, (status, at) in sorted(self._workers.items()))
             reasons = tuple(reason for _, reason in sorted(self._reasons.items()))
+            # Parts are frozen and replaced as wholes: a snapshot shares them with later ones.
             return replace(self._noted, workers=workers, reasons=reasons)
 
 

@@ -141,6 +141,7 @@ class Supervisor:
         """
         self._stop.set()
         with self._lock:
+            # A worker's own failure may be what stops the service, and a thread cannot join itself.
             others = [thread for thread in self._threads if thread is not threading.current_thread()]
         deadline = self._clock.monotonic() + within_s
         for thread in others:
@@ -171,6 +172,7 @@ class Supervisor:
         if not life.failed:
             return
         with self._lock:
+            # Two essential workers may fail at the same time; the service is told once.
             first = not self.failed.is_set()
             self.failed.set()
         if first and self._on_failed is not None:
@@ -259,6 +261,7 @@ class _Life:
     def _clear_blocked(self) -> None:
         if self._blocked:
             self._blocked = False
+            # What came from outside says nothing of the worker: it does not count against its restarts.
             self._deaths.clear()
             self._clear("worker_hindered")
 
@@ -293,6 +296,7 @@ class _Life:
 
     def _enter(self, state: WorkerState) -> None:
         with self._lock:
+            # A back-off may be longer than a heartbeat may be old: the age is counted from the change of state.
             self._state = state
             self._beat.beat()
             self._write(0.0)

@@ -19,6 +19,7 @@ class Notifier:
     """
 
     def __init__(self, address: str) -> None:
+        # systemd writes the zero byte that begins an abstract socket's name as "@".
         self._address = "\0" + address[1:] if address.startswith("@") else address
 
     def ready(self, status: str) -> None:

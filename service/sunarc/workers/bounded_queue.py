@@ -35,6 +35,7 @@ class DropOldestQueue(Generic[T]):
     def get(self, *, timeout_s: float) -> T | None:
         """Return the oldest thing waiting, or None when none came within `timeout_s` real seconds."""
         with self._changed:
+            # One wait and no loop: a wake-up without an entry is to the caller a time-out that came early.
             if not self._waiting:
                 self._changed.wait(timeout_s)
             return self._waiting.popleft() if self._waiting else None

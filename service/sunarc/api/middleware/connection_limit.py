@@ -67,6 +67,7 @@ class BoundedConnection(H11Protocol):
         super().handle_events()
         if self.cycle is not before:
             self._stop_head_timer()
+        # h11 keeps what it cannot parse yet: bytes of a head that has begun and does not go on.
         if self._head_timer is None and self.idle and self.conn.trailing_data[0]:
             self._head_timer = self.loop.call_later(self._patience_s, self.transport.abort)
 
@@ -74,6 +75,7 @@ class BoundedConnection(H11Protocol):
         """Go idle; a body that nobody reads any more ends with its connection."""
         self.idle_since_s = self.loop.time()
         super().on_response_complete()
+        # Answered before its body had come (a refusal): to read the rest only to drop it would serve the sender.
         if self.conn.their_state is h11.SEND_BODY:
             self.transport.close()
 

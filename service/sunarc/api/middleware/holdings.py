@@ -53,6 +53,7 @@ class Holdings:
             if self._of_client[holding.client] + amount >= most:
                 fault = Fault(field="request", problem="too much at once", remedy="ask again in a second, or in parts")
                 raise RefusedError(HTTPStatus.TOO_MANY_REQUESTS, fault, headers={"retry-after": "1"})
+            # A dictionary keeps the order of insertion: the first is the oldest.
             oldest = next(one for one in self._open if one.client == heaviest and one.amount)
             self.leave(oldest)
             oldest.end()
@@ -126,6 +127,7 @@ async def answer_held(
     except TimeoutError:
         if not holding.ended:
             raise
+        # A status line that is sent cannot be taken back: then the answer is cut off.
         if not started:
             problem, remedy = "ended, since others need the room that it held", "ask again, in parts"
             refused = UnreadError(

@@ -68,6 +68,7 @@ class BodyReader:
                 async with asyncio.timeout_at(progress.end_s):
                     message = await receive()
             except TimeoutError:
+                # Two deadlines end in the same error: this one is another client's claim to the memory.
                 if holding.ended:
                     raise
                 problem = f"too little of it came within {self._within_s:g} s"

@@ -6,7 +6,7 @@ import logging
 import threading
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Annotated, Any, TypeVar
@@ -21,7 +21,6 @@ from sunarc.calibration import (
     CalibrationOptions,
     ImageCircle,
     PoseStep,
-    SelectionOptions,
     Verdict,
     accept,
     pose_spread_deg,
@@ -65,13 +64,11 @@ class RefitOptions:
     check_every_s : how often ended days are looked for, real seconds.
     time_limit_s : longest duration of a solve, real seconds.
     image_circle_px : x, y and radius of the circle that the lens draws at 90 degrees, where they are known.
-    selection : how many sightings of the record a fit uses, and which never.
     """
 
     check_every_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
     time_limit_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 900.0
     image_circle_px: tuple[CirclePx, CirclePx, CirclePx] | None = None
-    selection: SelectionOptions = field(default_factory=SelectionOptions)
 
     def __post_init__(self) -> None:
         """Refuse durations that are none, and a circle without a radius."""
@@ -149,12 +146,12 @@ class RefitWorker:
             "heartbeat": heartbeat,
         }
         self._search_epochs(child)
+        # Left unfinished in the archive: the next start begins it again.
         if stop.is_set():
             return
         task = next_task(
             self._camera,
             cadence_s=self._cadence_s,
-            limits=self._options.selection,
             options=self._calibration,
             circle=self._circle(),
             now=self._now(),
@@ -230,10 +227,9 @@ class RefitWorker:
             return pose_spread_deg((), ())
         since = solar_date(epoch.started_at.timestamp(), longitude=self._camera.site.longitude) + timedelta(days=1)
         days = self._camera.days(since=since, limit=_DAYS_OF_SPREAD)
-        offsets = [
-            (turn_deg, sigma) for d in days if (turn_deg := d.pose_offset_deg) and (sigma := d.pose_offset_sigma_deg)
-        ]
-        return pose_spread_deg([turn for turn, _ in offsets], [sigma for _, sigma in offsets])
+        offsets = [(d.pose_offset_deg, d.pose_offset_sigma_deg) for d in days]
+        known = [(offset, sigma) for offset, sigma in offsets if offset and sigma]
+        return pose_spread_deg([offset for offset, _ in known], [sigma for _, sigma in known])
 
     def _verdict(self, task: Task, solved: Calibration, current: CalibrationRecord | None) -> Verdict:
         if current is None:

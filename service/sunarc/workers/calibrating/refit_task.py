@@ -22,6 +22,8 @@ from sunarc.workers.calibrating.epoch_search import since_lens
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
 
+_LIMITS = SelectionOptions()
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Task:
@@ -31,13 +33,12 @@ class Task:
     ----------
     problem : for the child process.
     used : the sightings, as columns of the archive.
-    selection, limits : how they were picked, and by which options.
+    selection : how they were picked.
     """
 
     problem: Problem
     used: SunPointColumns
     selection: Selection
-    limits: SelectionOptions
 
     @property
     def pose_epoch(self) -> str:
@@ -50,7 +51,7 @@ class Task:
 
     def with_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence tells how its sightings were picked."""
-        counts = {**asdict(self.limits), **self.selection.counts()}
+        counts = {**asdict(_LIMITS), **self.selection.counts()}
         return replace(solved, evidence=replace(solved.evidence, selection=counts))
 
 
@@ -58,7 +59,6 @@ def next_task(
     camera: CameraArchive,
     *,
     cadence_s: float,
-    limits: SelectionOptions,
     options: CalibrationOptions,
     circle: ImageCircle | None,
     now: datetime,
@@ -70,7 +70,7 @@ def next_task(
         return Finding("no_accepted_sightings")
     left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
-        points_of(columns), site=camera.site, slot_s=cadence_s, options=limits, left_out_days=np.array(left_out)
+        points_of(columns), site=camera.site, slot_s=cadence_s, options=_LIMITS, left_out_days=np.array(left_out)
     )
     if selection.index.size == 0:
         counts = {
@@ -83,4 +83,4 @@ def next_task(
     problem = Problem(
         points=points_of(used), site=camera.site, image_size=sizes[camera.name], options=options, circle=circle
     )
-    return Task(problem=problem, used=used, selection=selection, limits=limits)
+    return Task(problem=problem, used=used, selection=selection)

@@ -132,6 +132,7 @@ class CaptureWorker:
                     self._require_exposures(camera)
                     self._report.opened(camera.info)
                     for _ in self._slots(camera, stop, heartbeat):
+                        # Only a slot that succeeded ends the back-off: a camera may open and then fail at once.
                         pause_s = self._options.reopen_after_s
             except CameraError as error:
                 self._report.lost(error)
@@ -144,6 +145,7 @@ class CaptureWorker:
     def _slots(self, camera: SkyCamera, stop: threading.Event, heartbeat: Callable[[], None]) -> Iterator[datetime]:
         """Serve slot after slot, and yield each that succeeded."""
         exposer = self._exposer(camera, deadline_s=math.inf)
+        # The camera dates the frames: before its first one there is no time to find a slot by.
         if not self._frame_time.is_known:
             self._sign_of_life(exposer, camera.info.exposure_min_us)
         while not stop.is_set():
@@ -218,6 +220,7 @@ class CaptureWorker:
         )
 
     def _hand_over(self, taken: Cycle) -> None:
+        # A composite needs every normal exposure; the sun's frames are of use one by one.
         if taken.complete:
             self._cycles.put(taken.good)
         for frame in taken.sun:

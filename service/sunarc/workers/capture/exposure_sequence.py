@@ -44,6 +44,7 @@ class ExposureSequence:
             self.report.add(retries=int(attempt > 0))
             try:
                 frame = self.camera.expose(exposure_us)
+            # Not worth a second try: only opening the camera anew helps, which the worker does.
             except CameraLostError:
                 raise
             except CameraError as error:
@@ -68,7 +69,7 @@ class ExposureSequence:
         ----------
         exposures_us : in the order of taking.
         taken : called after each round, before anything is judged.
-        doubt_about : says what else speaks against a round as a whole, one sentence.
+        inconsistency_of : says what else speaks against a round as a whole, one sentence.
 
         Raises
         ------
@@ -82,6 +83,7 @@ class ExposureSequence:
             frames = [self.take(exposure_us) for exposure_us in exposures_us]
             taken()
             good = [frame for frame in frames if frame is not None]
+            # Neighbours alone are compared: of two distant exposures one may be black or saturated.
             inconsistency = next(
                 (d for pair in pairwise(good) if (d := contradiction(*pair)) is not None), inconsistency_of(good)
             )

@@ -59,6 +59,7 @@ class SightingWriteBuffer:
             while self._waiting:
                 some = [self._waiting[number] for number in range(min(len(self._waiting), _AT_A_TIME))]
                 self._archive.add_sun_points([self._placed(point) for point in some])
+                # Removed after the commit: a row that is stored twice is ignored, one that is dropped early is lost.
                 for _ in some:
                     self._waiting.popleft()
                 self._stored += len(some)

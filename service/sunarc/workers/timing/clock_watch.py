@@ -229,6 +229,8 @@ class ClockWatch:
         return self._options.step_s + (0.0 if self._camera_error_s is None else _TRANSPORT_S)
 
     def _read(self) -> ClockReading:
+        # The two clocks cannot be read at once: the wall's lies between two readings of the other, half of whose
+        # distance bounds the error of the pair.
         before_s = self._clock.monotonic()
         wall = self._frame_time.now()
         after_s = self._clock.monotonic()
@@ -252,6 +254,7 @@ class ClockWatch:
             except OutsideError as error:
                 _log.warning("could not store clock step, will retry: %s", error)
                 return
+            # Forgotten only now: widening a bound twice changes nothing, and the event was written last.
             self._unwritten.popleft()
 
     def _event(self, step: ClockStep, wait_s: float) -> Event:

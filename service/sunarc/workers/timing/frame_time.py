@@ -81,6 +81,7 @@ class FrameTime:
         if not self._follows_camera or last is None:
             return self._clock.now()
         captured_at, at = last
+        # Between frames the time goes on by the monotonic clock, which no time service sets.
         return captured_at + timedelta(seconds=(self._clock.monotonic() - at) * self._speed)
 
     def real_seconds_until(self, time: datetime) -> float:
