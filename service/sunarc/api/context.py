@@ -121,11 +121,10 @@ class ApiContext:
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
-        record = next((camera for camera in self.archive.cameras() if camera.name == name), None)
+        record = self.archive.camera(name)
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
-        site = Site(latitude=record.latitude, longitude=record.longitude, altitude=record.altitude)
-        return replace(self, camera=name, site=site, latest_image=lambda: None, request_refit=_refuse_refit)
+        return replace(self, camera=name, site=record.site, latest_image=lambda: None, request_refit=_refuse_refit)
 
     def site_at(self, time: datetime) -> Site:
         """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""

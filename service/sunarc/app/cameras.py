@@ -34,9 +34,9 @@ def camera_opener(settings: Settings, clock: Clock) -> Callable[[], SkyCamera]:
 
 def require_stored_site(archive: Archive, settings: Settings) -> None:
     """Raise `InputError` when the archive has the settings' camera at another site."""
-    for stored in archive.cameras():
-        if stored.name == settings.name:
-            require_same_site(stored, settings.site)
+    stored = archive.camera(settings.name)
+    if stored is not None:
+        require_same_site(stored, settings.site)
 
 
 def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> None:
@@ -44,11 +44,11 @@ def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> Non
 
     What is stored (sightings, poses, calibrations) is in the pixels of those images.
     """
-    stored = next((camera for camera in archive.cameras() if camera.name == name), None)
+    stored = archive.camera(name)
     if stored is None:
         return
     remedy = f"set the region, binning and pixel format as they were, or begin anew under another name than {name!r}"
-    if (stored.width, stored.height) != (info.width, info.height):
+    if stored.image_size != (info.width, info.height):
         raise InputError(
             field="camera",
             problem=f"its images have {info.width}×{info.height} px, those stored {stored.width}×{stored.height}",
@@ -78,7 +78,7 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     -------
     What to store of the camera.
     """
-    stored = next((camera for camera in archive.cameras() if camera.name == record.name), None)
+    stored = archive.camera(record.name)
     if stored is None or not stored.serial:
         return record
     if not record.serial:
@@ -118,11 +118,9 @@ def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
 
 def camera_record(info: CameraInfo, *, name: str, site: Site) -> CameraRecord:
     """Return what the archive stores of an open camera at a site."""
-    return CameraRecord(
+    return CameraRecord.at(
+        site,
         name=name,
-        latitude=site.latitude,
-        longitude=site.longitude,
-        altitude=site.altitude,
         width=info.width,
         height=info.height,
         model=f"{info.vendor} {info.model}".strip(),

@@ -35,6 +35,7 @@ class CameraArchive:
         self.observation_times = partial(archive.observation_times, name)
         self.open_epoch = partial(archive.open_epoch, name)
         self.readmit = partial(archive.readmit, name)
+        self.record = partial(archive.camera, name)
         self.refits = partial(archive.refits, name)
         self.site_at = partial(archive.site_at, name, site)
         self.split_epoch = partial(archive.split_epoch, name)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from datetime import datetime
 
 from sunarc.archive.values import SunPoint
 from sunarc.detection import Detection
+
+_SHARED = {field.name for field in fields(SunPoint)} & {field.name for field in fields(Detection)} - {"exposure_us"}
+"""What both have under the same name; the exposure of a detection may be unknown."""
 
 
 def sun_point_of(
@@ -22,20 +26,8 @@ def sun_point_of(
         camera=camera,
         pose_epoch=pose_epoch,
         time=time,
-        method=detection.method,
-        accepted=detection.accepted,
-        verdict=detection.verdict,
         reason=detection.reason,
         exposure_us=exposure_us,
-        x_px=detection.x_px,
-        y_px=detection.y_px,
-        sigma_px=detection.sigma_px,
-        peak_fraction=detection.peak_fraction,
-        background_fraction=detection.background_fraction,
-        radius_px=detection.radius_px,
-        ellipticity=detection.ellipticity,
-        residual_chi2=detection.residual_chi2,
-        snr=detection.snr,
-        saturated_px=detection.saturated_px,
         clock_error_s=clock_error_s,
+        **{name: getattr(detection, name) for name in _SHARED},
     )

@@ -62,6 +62,10 @@ class Sightings(Store):
         """Return the known cameras by name."""
         return self._values(select(tables.camera).order_by(tables.camera.c.name), CameraRecord)
 
+    def camera(self, name: str) -> CameraRecord | None:
+        """Return the camera of a name; None where it is not known."""
+        return next(iter(self._values(select(tables.camera).where(tables.camera.c.name == name), CameraRecord)), None)
+
     def open_epoch(self, camera: str, *, at: datetime, reason: str) -> PoseEpoch:
         """Begin a new pose epoch: the one before ends, and sightings from `at` on move to the new one."""
         epochs = tables.pose_epoch.c

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, computed_field
@@ -17,6 +17,7 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
+from sunarc.sky import Site
 
 CalibrationState = Literal["candidate", "current", "retired", "refused"]
 DayVerdict = Literal["clear", "partly", "cloudy", "unusable"]
@@ -37,6 +38,21 @@ class CameraRecord(Returned):
     model: Annotated[str, described("Vendor and model, as the camera states them.", "Vendor Model")] = ""
     serial: Annotated[str, described("Serial number, as the camera states it.", "SIM-0001")] = ""
     pixel_format: Annotated[str, Field(exclude=True)] = ""
+
+    @classmethod
+    def at(cls, site: Site, **fields: Any) -> Self:  # noqa: ANN401 - of several types
+        """Return the record of a camera at a site; `fields` are all others."""
+        return cls(latitude=site.latitude, longitude=site.longitude, altitude=site.altitude, **fields)
+
+    @property
+    def site(self) -> Site:
+        """Where it stands, in the site's own air."""
+        return Site(latitude=self.latitude, longitude=self.longitude, altitude=self.altitude)
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of its image, px."""
+        return self.width, self.height
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:
     ------
     InputError : it stands at another site.
     """
-    found = next((camera for camera in archive.cameras() if camera.name == settings.name), None)
+    found = archive.camera(settings.name)
     if found is not None:
         require_same_site(found, settings.site)
     return found
@@ -29,17 +29,9 @@ def register_camera(archive: Archive, settings: Settings, size: tuple[int, int])
     """
     known = known_camera(archive, settings)
     if known is None:
-        site = settings.site
-        known = CameraRecord(
-            name=settings.name,
-            latitude=site.latitude,
-            longitude=site.longitude,
-            altitude=site.altitude,
-            width=size[0],
-            height=size[1],
-        )
+        known = CameraRecord.at(settings.site, name=settings.name, width=size[0], height=size[1])
         archive.save_camera(known)
-    if (known.width, known.height) != size:
+    if known.image_size != size:
         raise InputError(
             field="image size",
             problem=f"{size[0]}x{size[1]} px, and camera {settings.name!r} makes {known.width}x{known.height}",

@@ -66,7 +66,7 @@ def _status(context: ApiContext) -> Status:
     snapshot = context.status()
     record = context.archive.current_calibration(context.camera)
     days = days_out(context, context.archive.days(context.camera, limit=1))
-    sizes = {camera.name: [camera.width, camera.height] for camera in context.archive.cameras()}
+    camera = context.archive.camera(context.camera)
     return Status(
         health=snapshot.health,
         reasons=snapshot.reasons,
@@ -85,5 +85,5 @@ def _status(context: ApiContext) -> Status:
         last_sighting_at=snapshot.last_sighting_at,
         calibration=None if record is None else summary(record),
         last_day=days[0] if days else None,
-        image_size=sizes.get(context.camera),
+        image_size=None if camera is None else list(camera.image_size),
     )

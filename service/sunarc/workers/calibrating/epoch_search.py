@@ -66,8 +66,8 @@ class EpochSearch:
         now = self._now()
         since = since_lens(self._camera, now)
         columns = self._camera.sun_point_columns(since=since, until=now)
-        sizes = {record.name: (record.width, record.height) for record in self._camera.archive.cameras()}
-        if columns.ids.size == 0 or self._camera.name not in sizes:
+        record = self._camera.record()
+        if columns.ids.size == 0 or record is None:
             return None
         self._last_id = int(columns.ids.max())
         near = self._near_new(columns)
@@ -76,7 +76,7 @@ class EpochSearch:
         return Problem(
             points=points_of(columns.select(near)),
             site=self._camera.site,
-            image_size=sizes[self._camera.name],
+            image_size=record.image_size,
             options=self._options,
             circle=self._circle,
             lens=self._lens(),

@@ -64,9 +64,9 @@ def next_task(
     now: datetime,
 ) -> Task | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
-    sizes = {record.name: (record.width, record.height) for record in camera.archive.cameras()}
+    record = camera.record()
     columns = camera.sun_point_columns(since=since_lens(camera, now), until=now)
-    if camera.name not in sizes or columns.ids.size == 0:
+    if record is None or columns.ids.size == 0:
         return Finding("no_accepted_sightings")
     left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
@@ -81,6 +81,6 @@ def next_task(
         return Finding("no_usable_sightings", counts)
     used = columns.select(selection.index)
     problem = Problem(
-        points=points_of(used), site=camera.site, image_size=sizes[camera.name], options=options, circle=circle
+        points=points_of(used), site=camera.site, image_size=record.image_size, options=options, circle=circle
     )
     return Task(problem=problem, used=used, selection=selection)
