@@ -39,7 +39,7 @@ def load_settings(path: Path | None) -> Settings:
     given = _merged({} if path is None else _read_toml(path), _environment())
     try:
         _refuse_names(given)
-        given = {name: value for name, value in given.items() if name not in _REMOVED_SECTIONS}
+        given = _without_removed_sections(given)
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
         return Settings.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
@@ -103,6 +103,15 @@ def _refuse_names(given: Mapping[str, Any]) -> None:
             near = get_close_matches(name, _KNOWN, n=1)
             remedy = f"did you mean {near[0]}?" if near else "remove it or correct its spelling"
             raise InputError(field=name, problem="unknown setting", remedy=remedy)
+
+
+def _without_removed_sections(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested tables without the sections that went away; they are empty, since their settings are refused."""
+    return {
+        name: _without_removed_sections(value, f"{prefix}{name}.") if isinstance(value, dict) else value
+        for name, value in table.items()
+        if prefix + name not in _REMOVED_SECTIONS
+    }
 
 
 def _leaves(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
