@@ -48,7 +48,7 @@ def test_episodes_last_twelve_frames_in_the_mean() -> None:
 
 @pytest.mark.parametrize(("share", "sd_px"), [(0.12, 2.49), (0.22, 5.21)])
 def test_all_errors_scatter_as_asked_and_those_between_the_clouds_less(share: float, sd_px: float) -> None:
-    noise = cloud_noise(np.random.default_rng(4), 3000, core_px=0.43, share=share, sd_px=sd_px)
+    noise = cloud_noise(np.random.default_rng(4), 3000, inlier_px=0.43, share=share, sd_px=sd_px)
     covered = _episodes_of(np.random.default_rng(4), 3000, share)
     assert np.std(np.linalg.norm(noise, axis=-1)) == pytest.approx(sd_px, rel=1e-6)
     assert noise[~covered].std() == pytest.approx(0.43, rel=0.05)
@@ -62,11 +62,11 @@ def _episodes_of(rng: np.random.Generator, n: int, share: float) -> np.ndarray:
 
 
 def test_errors_within_an_episode_are_correlated_and_bounded() -> None:
-    noise = cloud_noise(np.random.default_rng(5), 4000, core_px=0.43, share=0.9, sd_px=20.0)
+    noise = cloud_noise(np.random.default_rng(5), 4000, inlier_px=0.43, share=0.9, sd_px=20.0)
     assert np.abs(noise).max() <= 50.0
     assert float(np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]) == pytest.approx(0.7, abs=0.12)
 
 
 def test_the_same_seed_draws_the_same() -> None:
-    one, other = (cloud_noise(np.random.default_rng(6), 300, core_px=0.4, share=0.2, sd_px=3.0) for _ in range(2))
+    one, other = (cloud_noise(np.random.default_rng(6), 300, inlier_px=0.4, share=0.2, sd_px=3.0) for _ in range(2))
     assert (one == other).all()

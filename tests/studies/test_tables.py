@@ -38,7 +38,7 @@ def test_a_simulated_case_has_the_paper_s_count_and_scatter(case: Case) -> None:
 
 
 def test_clouds_come_in_episodes_and_are_as_wide_as_asked_for() -> None:
-    noise = cloud_noise(np.random.default_rng(5), 4000, core_px=0.43, share=0.22, sd_px=5.21)
+    noise = cloud_noise(np.random.default_rng(5), 4000, inlier_px=0.43, share=0.22, sd_px=5.21)
     distance = np.linalg.norm(noise, axis=-1)
     assert np.std(distance) == pytest.approx(5.21, rel=1e-6)
     assert np.abs(noise).max() <= 50.0

@@ -77,7 +77,7 @@ def calibrate(
 
 
 def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted:
-    """Return the fit by the method that was asked for."""
+    """Return the fit by the method of the options."""
     options = job.options
     if options.method == "paper":
         return fit_as_paper(observed, job.usable, cameras, options=options)

@@ -48,7 +48,7 @@ _RADIAL_PX, _DECENTERING_PX = 16.0, 3.0
 _SPREAD_PER_MEDIAN = 1.2533
 """1-sigma of a median of many Gaussian numbers over that of their mean."""
 _LOCAL = 4
-"""Neighbours on each side whose running median tells an isolated gross error."""
+"""Neighbours on each side whose running median reveals an isolated gross error."""
 _GROSS_SIGMAS = 3.5
 _UNSEEN_PX = 5e3
 _FLOOR_PX = 1e-3

@@ -1,4 +1,4 @@
-"""What a GenICam camera says it can do, in words for whoever sets it up."""
+"""The abilities of a GenICam camera, in words for its installation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GigE Vision and USB3 Vision cameras, through Aravis: the only file that knows the library.
+"""GigE Vision and USB3 Vision cameras, through Aravis: the only file that imports the library.
 
 A frame is trusted when the camera was idle, was given one software trigger, and answered with one whole frame whose
 count follows the last one's, and whose own note of its exposure (a chunk), where the camera adds one, agrees. Whatever
@@ -150,7 +150,7 @@ class AravisCamera:
             )
 
     def abilities(self) -> tuple[tuple[str, str], ...]:
-        """Return what the camera says it can do, in words: what, and what there is of it."""
+        """Return the camera's abilities: name and description of each."""
         with self._translated("asking what the camera can do"):
             noted = self._noted is not None and self._noted.from_frame
             return tuple(abilities_of(self._camera, exposure=self._control, pins=self._pins, notes_exposures=noted))

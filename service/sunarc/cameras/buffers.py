@@ -1,4 +1,4 @@
-"""What is asked of a frame as it came: whole, next in turn, of the exposure that was set."""
+"""Checks of a received frame: complete, next in number, of the exposure that was set."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureControl:
-    """How exposures are asked for.
+    """How exposures are set.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class ExposureControl:
         return stepped if stepped <= self.maximum_us else stepped - self.step_us
 
     def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types
-        """Set the exposure nearest to the one asked for, and return the one that the camera says it has, µs."""
+        """Set the nearest possible exposure, and return the one read back, µs."""
         steps = self.within(exposure_us) / self.unit_us
         pin = write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
         return float(pin.value) * self.unit_us
 
     def get(self, camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
-        """Return the exposure that the camera says it has, µs."""
+        """Return the exposure read back from the camera, µs."""
         return float(read(camera, self.feature, self.kind)) * self.unit_us
 
 

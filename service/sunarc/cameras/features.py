@@ -1,4 +1,4 @@
-"""A GenICam camera brought into the one state that its frames are trusted in, and asked whether it is still in it.
+"""Configuration of a GenICam camera, and the check that it is still configured so.
 
 Features go by the names of the SFNC (EMVA, "GenICam Standard Features Naming Convention"), then by those that vendors
 use instead. Everything here takes the library's camera object as it is (untyped): only `cameras.aravis` knows the
@@ -133,7 +133,7 @@ def read_pin(camera: Any, name: str) -> Pin:  # noqa: ANN401 - a GObject has no 
 
 
 def read(camera: Any, name: str, kind: Kind) -> Value:  # noqa: ANN401 - a GObject has no types
-    """Return the value of a feature as the camera says it now."""
+    """Return the value of a feature as read from the camera."""
     value: Value = getattr(camera, f"get_{kind}")(name)
     return value
 
@@ -284,7 +284,7 @@ def _largest_region(camera: Any) -> tuple[int, int]:  # noqa: ANN401 - a GObject
 
 
 def _set_levels(camera: Any, options: AravisOptions) -> Iterator[Pin]:  # noqa: ANN401 - a GObject has no types
-    """Pin gain and black level: decibels where the camera knows them, otherwise its lowest gain."""
+    """Pin gain and black level: decibels where the camera supports them, otherwise its lowest gain."""
     for names, requested in ((GAIN, options.gain_db), (BLACK_LEVEL, options.black_level)):
         name = first(camera, names)
         if name is None:

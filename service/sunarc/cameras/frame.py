@@ -1,4 +1,4 @@
-"""What a camera is to the rest of the house: one that can be asked for an exposure."""
+"""The interface of a camera: one exposure after the other."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class CameraCondition:
 
 
 class SkyCamera(Protocol):
-    """A camera that looks at the sky and is asked for one exposure after the other, from one thread at a time."""
+    """A camera that takes one exposure after the other; used from one thread at a time."""
 
     @property
     def info(self) -> CameraInfo:

@@ -65,7 +65,7 @@ class Link:
 
 
 def link_to(address: str, *, packet_bytes: int, frame_bytes: int, packet_socket: bool) -> Link:
-    """Return how a stream from an address will be received; `packet_socket` says whether one is wanted."""
+    """Return how a stream from an address will be received; `packet_socket`: whether to use one."""
     return Link(
         packet_bytes=packet_bytes,
         frame_bytes=frame_bytes,
@@ -76,7 +76,7 @@ def link_to(address: str, *, packet_bytes: int, frame_bytes: int, packet_socket:
 
 
 def route_mtu(address: str) -> int | None:
-    """Return the MTU of the route to an address, as the kernel knows it; nothing is sent."""
+    """Return the MTU of the route to an address, by the kernel's routing table; nothing is sent."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((address, 9))
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)

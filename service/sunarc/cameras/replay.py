@@ -62,7 +62,7 @@ class ReplayCamera:
         return self._info
 
     def expose(self, exposure_us: float) -> Frame:  # noqa: ARG002 - what was exposed was exposed
-        """Return the next image, whatever exposure is asked for; CameraLostError after the last one."""
+        """Return the next image, whatever the exposure; CameraLostError after the last one."""
         frame = self._next
         if frame is None:
             raise CameraLostError(f"{self._options.folder} has been played to its end")

@@ -1,4 +1,4 @@
-"""Requests over HTTP, asked again where the service is busy or not there for a moment."""
+"""Requests over HTTP, repeated where the service is busy or not reachable for a moment."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
 
 
 def calib_results(model: OcamModel, *, width: int, height: int, notes: list[str]) -> bytes:
-    """Return OCamCalib's text file; what it says of itself stands at its end, where readers no longer look."""
+    """Return OCamCalib's text file; its notes stand at the end, which readers ignore."""
 
     def counted(numbers: FloatArray) -> str:
         return " ".join([str(len(numbers)), *(f"{number:.17e}" for number in numbers)])

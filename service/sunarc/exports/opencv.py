@@ -67,7 +67,7 @@ def fisheye_model(camera: Camera) -> FisheyeModel:
 
 
 def opencv_yaml(model: FisheyeModel, *, width: int, height: int, notes: dict[str, str]) -> bytes:
-    """Return the file of a model, with what it says of itself."""
+    """Return the file of a model, with its notes."""
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for name, text in notes.items():
         storage.write(name, text)

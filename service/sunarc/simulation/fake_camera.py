@@ -30,7 +30,7 @@ _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 
 
 class Request(NamedTuple):
-    """What a frame is asked to be, as the registers say."""
+    """The settings of a frame, by the registers."""
 
     exposure_us: int
     gain_steps: int

@@ -215,7 +215,7 @@ class _Imager:
             self._timeline.set_speed(speed, elapsed_s=elapsed_s)
 
     def obey(self) -> None:
-        """Do what is asked for at any time: be switched off and on, or let go of who is in control."""
+        """Carry out the orders that are valid at any time: power off and on, or drop the controlling client."""
         if self._camera.read(genicam.POWER_CYCLE):
             self._switch_on()
         if self._camera.read(genicam.DROP_CONTROL):
@@ -223,7 +223,7 @@ class _Imager:
             self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
 
     def _light_us(self, exposure_us: float) -> float:
-        """Return how long the frame is exposed: what it states, unless a fault is asked for."""
+        """Return how long the frame is exposed: what it states, unless a fault is set."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
         if self._camera.read(genicam.BLACK):

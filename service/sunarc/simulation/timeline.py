@@ -42,7 +42,7 @@ class Timeline:
         self._since_s, self._speed = elapsed_s, speed
 
     def at(self, elapsed_s: float) -> float:
-        """Return the simulated time in seconds since 1970-01-01 UTC; must not be asked for earlier times again."""
+        """Return the simulated time in seconds since 1970-01-01 UTC; must not be called for earlier times again."""
         now = self._start_unix_s + (elapsed_s - self._since_s) * self._speed + self._skipped_s
         if self._skip_nights and _is_night(now, self._site):
             dawn = next_dawn(now, self._site)

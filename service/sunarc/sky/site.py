@@ -1,4 +1,4 @@
-"""Where the camera stands, and the air above it."""
+"""Position of the camera, and the air above it."""
 
 from __future__ import annotations
 

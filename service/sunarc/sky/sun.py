@@ -35,7 +35,7 @@ class SunAngles(NamedTuple):
 def sun_angles(
     unix_s: ArrayLike, site: Site, *, temperature: ArrayLike | None = None, pressure: ArrayLike | None = None
 ) -> SunAngles:
-    """Return where the sun stands.
+    """Return the position of the sun.
 
     Parameters
     ----------

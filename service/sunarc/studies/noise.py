@@ -23,23 +23,23 @@ def clear_noise(rng: np.random.Generator, n: int, *, sd_px: float) -> FloatArray
     return rng.normal(0.0, sd_px / SD_OF_DISTANCE, (n, 2))
 
 
-def cloud_noise(rng: np.random.Generator, n: int, *, core_px: float, share: float, sd_px: float) -> FloatArray:
+def cloud_noise(rng: np.random.Generator, n: int, *, inlier_px: float, share: float, sd_px: float) -> FloatArray:
     """Draw errors with episodes of cloud, (n, 2).
 
     Parameters
     ----------
-    core_px : 1-sigma per axis between the clouds.
+    inlier_px : 1-sigma per axis between the clouds.
     share : share of the sightings in episodes, whose errors are correlated, heavy-tailed (Student's t3) and at most
         50 px long in each axis.
     sd_px : standard deviation of all distances that the episodes' size is chosen for.
     """
-    core = rng.normal(0.0, core_px, (n, 2))
+    inlier = rng.normal(0.0, inlier_px, (n, 2))
     covered = _episodes(rng, n, share)
     shock = rng.standard_t(_HEAVY_TAIL, (n, 2)) * math.sqrt(1.0 - _CORRELATION**2)
     episode = np.array(list(accumulate(shock, lambda before, step: _CORRELATION * before + step)))
 
     def drawn(size: float) -> FloatArray:
-        return np.where(covered[:, None], np.clip(size * episode, -_LONGEST_PX, _LONGEST_PX), core)
+        return np.where(covered[:, None], np.clip(size * episode, -_LONGEST_PX, _LONGEST_PX), inlier)
 
     def too_wide(size: float) -> float:
         return float(np.std(np.linalg.norm(drawn(size), axis=-1))) - sd_px

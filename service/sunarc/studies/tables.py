@@ -35,7 +35,7 @@ COLUMNS = (
 """Of a row. `sd_px` is Eq. 27c as written, `sd_of_distance_px` what the paper's tables contain; what a source does not
 tell is left out."""
 
-_CORE_PX = 0.43
+_INLIER_PX = 0.43
 
 
 def study_tables(
@@ -63,7 +63,7 @@ def simulated_case(case: Case, rng: np.random.Generator) -> tuple[Arc, SunPoints
     complete = arcs(true_camera(0), case.days)
     arc = complete.select(np.sort(rng.choice(len(complete), case.n_points, replace=False)))
     if case.cloud_share > 0.0:
-        noise = cloud_noise(rng, len(arc), core_px=_CORE_PX, share=case.cloud_share, sd_px=case.sd_m_px)
+        noise = cloud_noise(rng, len(arc), inlier_px=_INLIER_PX, share=case.cloud_share, sd_px=case.sd_m_px)
     else:
         noise = clear_noise(rng, len(arc), sd_px=case.sd_m_px)
     return arc, SunPoints(unix_s=arc.unix_s, pixels=arc.pixels + noise)

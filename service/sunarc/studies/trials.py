@@ -25,7 +25,7 @@ QUANTITIES = (
     "principal_point_x_px",
     "principal_point_y_px",
 )
-"""What a trial tells: the true error on the arc (Eq. 28) and over the sky, and four of its parameters."""
+"""Result of a trial: the true error on the arc (Eq. 28) and over the sky, and four of its parameters."""
 
 _CIRCLE_ERROR_PX = 2.0
 """How well a Hough transform finds the image circle, per coordinate."""

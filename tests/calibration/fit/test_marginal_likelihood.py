@@ -42,10 +42,10 @@ class _Case:
         self.residual = rng.standard_normal((n, 2))
         self.information = rng.uniform(0.5, 4.0, n)
         self.at = 0.1 * rng.standard_normal(p)
-        self.waves = basis.values(self.pixels)
+        self.basis_values = basis.values(self.pixels)
 
     def normal(self) -> NormalEquations:
-        return normal_sums(self.rows, self.waves, self.residual, self.information, at=self.at)
+        return normal_sums(self.rows, self.basis_values, self.residual, self.information, at=self.at)
 
 
 def _kernel(a: FloatArray, b: FloatArray, scales: Scales) -> FloatArray:
@@ -75,7 +75,9 @@ def _dense(case: _Case, basis: WaveBasis, scales: Scales) -> float:
     """Return the log density of the residuals under prior, field and noise together."""
     variance = 1.0 / prior_precision(case.at.size, scales.radial_px, scales.decentering_px)
     flat = case.rows.reshape(-1, case.at.size)
-    field = (case.waves * scales.amplitude_px**2 * basis.variances(length_px=scales.length_px)) @ case.waves.T
+    field = (
+        case.basis_values * scales.amplitude_px**2 * basis.variances(length_px=scales.length_px)
+    ) @ case.basis_values.T
     covariance = (flat * variance) @ flat.T + np.kron(field, np.eye(2)) + np.diag(np.repeat(1 / case.information, 2))
     mean = -flat @ case.at  # the prior is about 0, the residuals were taken at `at`
     return float(multivariate_normal(mean, covariance).logpdf(case.residual.ravel()))
@@ -86,7 +88,7 @@ def test_marginal_fit_is_generalised_least_squares(basis: WaveBasis) -> None:
     found = marginal_fit(case.normal(), basis, SCALES)
     precision = prior_precision(case.at.size, SCALES.radial_px, SCALES.decentering_px)
     prior_waves = SCALES.amplitude_px**2 * basis.variances(length_px=SCALES.length_px)
-    field = (case.waves * prior_waves) @ case.waves.T
+    field = (case.basis_values * prior_waves) @ case.basis_values.T
     weight = np.linalg.inv(np.kron(field, np.eye(2)) + np.diag(np.repeat(1.0 / case.information, 2)))
     flat = case.rows.reshape(-1, case.at.size)
     normal = flat.T @ weight @ flat + np.diag(precision)
@@ -94,7 +96,7 @@ def test_marginal_fit_is_generalised_least_squares(basis: WaveBasis) -> None:
     np.testing.assert_allclose(found.unknowns, case.at + step, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-5, atol=1e-9)
     # Cov(θ, c) = -C J' W Φ Λ, for each component of the field
-    x_rows = np.kron(case.waves * prior_waves, [[1.0], [0.0]])
+    x_rows = np.kron(case.basis_values * prior_waves, [[1.0], [0.0]])
     cross = -np.linalg.inv(normal) @ flat.T @ weight @ x_rows
     np.testing.assert_allclose(found.cross[0], cross, rtol=1e-5, atol=1e-7)
 
@@ -113,8 +115,8 @@ def test_sums_over_sightings_by_hand() -> None:
 
 def test_given_wave_products_are_taken_as_they_are(basis: WaveBasis) -> None:
     case = _Case(basis)
-    given = np.eye(case.waves.shape[1])
-    found = normal_sums(case.rows, case.waves, case.residual, case.information, at=case.at, ff=given)
+    given = np.eye(case.basis_values.shape[1])
+    found = normal_sums(case.rows, case.basis_values, case.residual, case.information, at=case.at, ff=given)
     assert found.ff is given
 
 
@@ -129,7 +131,7 @@ def test_prior_precisions_are_those_of_lens_pose_and_air() -> None:
 
 def _log_posterior(case: _Case, basis: WaveBasis, scales: Scales, change: FloatArray, waves: FloatArray) -> float:
     """Return -2 log of what the linear model says of a change of the unknowns and field coefficients (2, m)."""
-    misfit = case.residual - case.rows @ change - (case.waves @ waves.T)
+    misfit = case.residual - case.rows @ change - (case.basis_values @ waves.T)
     prior = prior_precision(case.at.size, scales.radial_px, scales.decentering_px)
     variance = scales.amplitude_px**2 * basis.variances(length_px=scales.length_px)
     likelihood = float(np.sum(case.information[:, None] * misfit**2))
@@ -139,9 +141,9 @@ def _log_posterior(case: _Case, basis: WaveBasis, scales: Scales, change: FloatA
 def test_the_penalty_is_the_log_posterior_with_the_field_at_its_best(basis: WaveBasis) -> None:
     case = _Case(basis)
     nothing = np.zeros(case.at.size)
-    weight = case.information[:, None] * case.waves
+    weight = case.information[:, None] * case.basis_values
     variance = SCALES.amplitude_px**2 * basis.variances(length_px=SCALES.length_px)
-    best = np.linalg.solve(case.waves.T @ weight + np.diag(1.0 / variance), weight.T @ case.residual).T
+    best = np.linalg.solve(case.basis_values.T @ weight + np.diag(1.0 / variance), weight.T @ case.residual).T
     expected = _log_posterior(case, basis, SCALES, nothing, np.asarray(best, dtype=np.float64))
     assert penalty(case.normal(), basis, SCALES) == pytest.approx(expected, rel=1e-9)
 
@@ -150,13 +152,15 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
     case = _Case(basis)
     found = marginal_fit(case.normal(), basis, SCALES)
     step = found.unknowns - case.at
-    lowest = _log_posterior(case, basis, SCALES, step, found.waves)
+    lowest = _log_posterior(case, basis, SCALES, step, found.coefficients)
     rng = np.random.default_rng(1)
     for _ in range(20):
         other = 1e-3 * rng.standard_normal(step.size)
-        bent = np.asarray(found.waves + 1e-3 * rng.standard_normal(found.waves.shape), dtype=np.float64)
+        bent = np.asarray(found.coefficients + 1e-3 * rng.standard_normal(found.coefficients.shape), dtype=np.float64)
         assert _log_posterior(case, basis, SCALES, step + other, bent) > lowest
-    moved = normal_sums(case.rows, case.waves, case.residual - case.rows @ step, case.information, at=found.unknowns)
+    moved = normal_sums(
+        case.rows, case.basis_values, case.residual - case.rows @ step, case.information, at=found.unknowns
+    )
     gain = penalty(case.normal(), basis, SCALES) - penalty(moved, basis, SCALES)
     assert found.gain == pytest.approx(gain, rel=1e-6)
 
@@ -174,11 +178,11 @@ def test_responses_are_by_how_much_the_fit_moves_with_the_sightings(basis: WaveB
     case = _Case(basis)
     displaced = np.random.default_rng(5).standard_normal((3, *case.residual.shape))
     jr = np.einsum("nap,n,kna->kp", case.rows, case.information, displaced)
-    fr = np.einsum("nm,n,kna->kam", case.waves, case.information, displaced)
+    fr = np.einsum("nm,n,kna->kam", case.basis_values, case.information, displaced)
     found = responses(case.normal(), basis, SCALES, jr=jr, fr=fr)
     plain = marginal_fit(case.normal(), basis, SCALES).unknowns
     for k in range(3):
-        moved = normal_sums(case.rows, case.waves, case.residual + displaced[k], case.information, at=case.at)
+        moved = normal_sums(case.rows, case.basis_values, case.residual + displaced[k], case.information, at=case.at)
         np.testing.assert_allclose(found[k], marginal_fit(moved, basis, SCALES).unknowns - plain, atol=1e-9)
 
 
@@ -193,8 +197,8 @@ def test_the_unknowns_scatter_as_the_covariance_says(basis: WaveBasis) -> None:
         truth = rng.standard_normal(case.at.size) / np.sqrt(precision)
         coefficients = rng.standard_normal((2, variance.size)) * np.sqrt(variance)
         noise = rng.standard_normal(case.residual.shape) / np.sqrt(case.information)[:, None]
-        residual = case.rows @ truth + case.waves @ coefficients.T + noise[:, :]
-        normal = normal_sums(case.rows, case.waves, residual, case.information, at=np.zeros(case.at.size))
+        residual = case.rows @ truth + case.basis_values @ coefficients.T + noise[:, :]
+        normal = normal_sums(case.rows, case.basis_values, residual, case.information, at=np.zeros(case.at.size))
         fit = marginal_fit(normal, basis, SCALES)
         off = fit.unknowns - truth
         squares.append(off @ np.linalg.solve(fit.covariance, off))
@@ -215,14 +219,16 @@ class _TwoUnknowns:
         self.rows[..., [6, 14]] = rng.standard_normal((6, 2, 2))  # one radial unknown, and p2
         self.residual = rng.standard_normal((6, 2))
         self.information = rng.uniform(0.5, 2.0, 6)
-        self.waves = self.basis.values(self.pixels)
+        self.basis_values = self.basis.values(self.pixels)
 
     def normal(self) -> NormalEquations:
-        return normal_sums(self.rows, self.waves, self.residual, self.information, at=np.zeros(17))
+        return normal_sums(self.rows, self.basis_values, self.residual, self.information, at=np.zeros(17))
 
     def evidence(self, scales: Scales) -> float:
         """Return the density of the residuals, integrated over the two unknowns on a grid."""
-        field = (self.waves * scales.amplitude_px**2 * self.basis.variances(length_px=scales.length_px)) @ self.waves.T
+        field = (
+            self.basis_values * scales.amplitude_px**2 * self.basis.variances(length_px=scales.length_px)
+        ) @ self.basis_values.T
         covariance = np.kron(field, np.eye(2)) + np.diag(np.repeat(1.0 / self.information, 2))
         density = multivariate_normal(np.zeros(12), covariance)
         flat = self.rows[..., [6, 14]].reshape(12, 2)
@@ -260,7 +266,7 @@ def test_a_field_without_amplitude_leaves_weighted_least_squares(basis: WaveBasi
     flat = case.rows.reshape(-1, 17) * np.sqrt(np.repeat(case.information, 2))[:, None]
     precision = prior_precision(17, SCALES.radial_px, SCALES.decentering_px)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(flat.T @ flat + np.diag(precision)), rtol=1e-6)
-    np.testing.assert_allclose(found.waves, 0.0)
+    np.testing.assert_allclose(found.coefficients, 0.0)
     np.testing.assert_allclose(found.cross, 0.0)
 
 

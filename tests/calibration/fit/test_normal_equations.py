@@ -68,8 +68,8 @@ def test_the_rows_are_the_derivatives_at_the_bin_s_direction(
 
 def test_the_waves_are_taken_where_the_model_sees_the_sun(system: LinearSystem, basis: WaveBasis) -> None:
     modelled = system.observed.pixels - system.residual
-    np.testing.assert_allclose(system.waves, basis.values(modelled), atol=1e-9)
-    np.testing.assert_allclose(system.wave_products, system.waves.T @ (system.waves * 100.0), rtol=1e-12)
+    np.testing.assert_allclose(system.basis_values, basis.values(modelled), atol=1e-9)
+    np.testing.assert_allclose(system.basis_products, system.basis_values.T @ (system.basis_values * 100.0), rtol=1e-12)
 
 
 def test_the_system_about_other_unknowns_has_their_residuals(
@@ -82,7 +82,7 @@ def test_the_system_about_other_unknowns_has_their_residuals(
     np.testing.assert_allclose(moved.at, other)
     # the linear prediction of the residuals holds to second order
     np.testing.assert_allclose(moved.residual, system.residual - system.rows @ (other - at), atol=0.03)
-    np.testing.assert_allclose(moved.waves, system.waves)
+    np.testing.assert_allclose(moved.basis_values, system.basis_values)
 
 
 def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) -> None:
@@ -100,7 +100,7 @@ def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem
     now = penalty(rested.normal(), system.basis, SCALES)
     assert now < penalty(system.normal(), system.basis, SCALES)
     assert marginal_fit(rested.normal(), system.basis, SCALES).gain < 1e-3
-    np.testing.assert_allclose(waves, marginal_fit(rested.normal(), system.basis, SCALES).waves, atol=1e-9)
+    np.testing.assert_allclose(waves, marginal_fit(rested.normal(), system.basis, SCALES).coefficients, atol=1e-9)
 
     def of_pose(change: FloatArray) -> float:
         other = found.copy()

@@ -28,8 +28,8 @@ from sunarc.calibration.pose.error_model import (
     moved,
     predicted,
     rotated,
+    with_coefficients,
     with_parameters,
-    with_waves,
 )
 from sunarc.errors import InputError
 from sunarc.optics import Camera, angle_limit, project, rotation_matrix
@@ -85,7 +85,7 @@ def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: C
     rows = numerical_derivative(lambda change: project(moved(camera, model, change), directions), np.zeros(20))
     np.testing.assert_allclose(found.rows, rows, rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(found.pixels, project(camera, directions), atol=1e-9)
-    np.testing.assert_allclose(found.waves, model.basis.values(found.pixels))
+    np.testing.assert_allclose(found.basis_values, model.basis.values(found.pixels))
 
 
 def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Calibration) -> None:
@@ -106,7 +106,7 @@ def test_the_joint_covariance_is_that_of_draws() -> None:
     rng, n = np.random.default_rng(2), 4000
     change = rng.standard_normal((n, 20)) * np.sqrt(np.diag(model.covariance))
     coefficients = rng.standard_normal((n, 2, model.variances.size)) * np.sqrt(model.variances)
-    errors = np.einsum("nap,kp->kna", at.rows, change) + np.einsum("nm,kam->kna", at.waves, coefficients)
+    errors = np.einsum("nap,kp->kna", at.rows, change) + np.einsum("nm,kam->kna", at.basis_values, coefficients)
     found, expected = joint_covariance(model, at), np.cov(errors.reshape(n, -1).T)
     scale = np.sqrt(np.diag(found))
     np.testing.assert_allclose(expected / np.outer(scale, scale), found / np.outer(scale, scale), atol=0.09)
@@ -130,7 +130,7 @@ def test_the_covariance_of_the_parameters_with_the_prediction(calibration: Calib
     expected = model.covariance @ flat.T
     for n in range(3):
         for axis in (0, 1):
-            expected[:, 2 * n + axis] += model.cross[axis] @ at.waves[n]
+            expected[:, 2 * n + axis] += model.cross[axis] @ at.basis_values[n]
     np.testing.assert_allclose(with_parameters(model, at), expected, rtol=1e-10)
 
 
@@ -139,14 +139,14 @@ def test_the_covariance_of_the_prediction_with_the_field_s_coefficients(calibrat
     at = predicted(model, calibration.camera, spread_directions(3))
     for axis in (0, 1):
         expected = at.rows.reshape(6, 20) @ model.cross[axis]
-        expected[axis::2] += at.waves * model.variances
-        np.testing.assert_allclose(with_waves(model, at, axis), expected, rtol=1e-10)
+        expected[axis::2] += at.basis_values * model.variances
+        np.testing.assert_allclose(with_coefficients(model, at, axis), expected, rtol=1e-10)
 
 
 def test_without_a_field_there_are_no_waves() -> None:
     model = error_model_of(stated_calibration(small_camera()))
     at = predicted(model, small_camera(), spread_directions(3))
-    assert at.waves.shape == (3, 0)
+    assert at.basis_values.shape == (3, 0)
     flat = at.rows.reshape(6, 20)
     np.testing.assert_allclose(joint_covariance(model, at), flat @ model.covariance @ flat.T, rtol=1e-10)
     np.testing.assert_allclose(with_parameters(model, at), model.covariance @ flat.T, rtol=1e-10)
@@ -193,7 +193,7 @@ def test_predictions_are_picked_and_joined_in_order(calibration: Calibration) ->
     again = joined(at.select(np.arange(5) < 2), at.select(np.array([2, 3, 4])))
     np.testing.assert_array_equal(again.pixels, at.pixels)
     np.testing.assert_array_equal(again.rows, at.rows)
-    np.testing.assert_array_equal(again.waves, at.waves)
+    np.testing.assert_array_equal(again.basis_values, at.basis_values)
 
 
 def test_a_camera_turned_as_a_whole_keeps_its_errors() -> None:

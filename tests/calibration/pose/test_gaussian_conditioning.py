@@ -171,8 +171,8 @@ def test_conditioning_is_that_of_the_joint_gaussian(model: CameraErrorModel) -> 
     prior[p:, p:] = np.diag(np.tile(model.variances, 2))
     design = np.zeros((12, p + 2 * m))
     design[:, :p] = flat
-    design[0::2, p : p + m] = at.waves
-    design[1::2, p + m :] = at.waves
+    design[0::2, p : p + m] = at.basis_values
+    design[1::2, p + m :] = at.basis_values
     # the joint covariance takes the field's exact kernel in place of its waves
     total = joint_covariance(model, at) + 0.01 * np.eye(12)
     gain = prior @ design.T @ np.linalg.inv(total)

@@ -39,7 +39,7 @@ a change about once a year, and a first few sightings seldom tell more."""
 _LENS_CLEARER_THAN_CLOUD = 12.0
 """The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
 _CLOCK_PRIOR = 5.0
-"""Powers of e that a clock is less likely than a bump where the host says nothing."""
+"""Powers of e that a clock is less likely than a bump where the host's clock reports no step."""
 _AS_LIKELY = 5.0
 _CLOSE, _CLOSE_PX, _FAR_PX = 5.0, 0.5, 25.0
 _LARGEST_SPREAD_PX2 = 1.0

@@ -56,7 +56,7 @@ class ResidualModel:
 
 
 def window_of(watch: SightingWindow, calibration: Calibration, options: WatchOptions) -> ResidualModel:
-    """Return the sightings held to a calibration."""
+    """Return the residual model of sightings about a calibration."""
     error_model, camera = error_model_of(calibration), at_every_angle(calibration.camera)
     at = predicted(error_model, camera, watch.directions)
     residual = finite(watch.pixels - at.pixels)

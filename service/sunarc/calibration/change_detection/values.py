@@ -17,7 +17,7 @@ from sunarc.optics import Camera
 
 ChangeKind = Literal["bump", "clock", "lens", "refocus", "shift", "mirrored", "site"]
 LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
-"""Kinds after which nothing from before says anything of the lens."""
+"""Kinds after which earlier sightings carry no information on the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

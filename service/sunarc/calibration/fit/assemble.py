@@ -29,7 +29,7 @@ _UNKNOWN_POSE = math.pi**2
 
 
 class Job(NamedTuple):
-    """What a calibration was asked for, and the sightings that it can use."""
+    """Input of a calibration, and the sightings that it can use."""
 
     points: SunPoints
     usable: FilteredSightings
@@ -98,7 +98,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
 
 
 def tidied(camera: Camera, options: CalibrationOptions) -> Camera:
-    """Return the camera with the shortest rotation vector, answering as far as it is asked to and can."""
+    """Return the camera with the shortest rotation vector, valid up to the angle that options and projection allow."""
     rotation = rotation_vector(rotation_matrix(camera.rotation_cam_enu))
     return replace(
         camera,

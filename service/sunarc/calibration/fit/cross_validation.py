@@ -53,7 +53,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
 
 def _variance(fit: RobustFit, without: MarginalFit) -> FloatArray:
     """Return (bins,): trace of the covariance of the prediction by a fit without some days, px²."""
-    rows, basis_values = fit.system.rows, fit.system.waves
+    rows, basis_values = fit.system.rows, fit.system.basis_values
     by_parameters = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
     mixed = np.einsum("nap,apm,nm->n", rows, without.cross, basis_values, optimize=True)
     return np.asarray(np.maximum(by_parameters + 2.0 * mixed + 2.0 * fit.scales.amplitude_px**2, 0.0))

@@ -38,7 +38,7 @@ class HyperparameterGrid:
     ----------
     amplitudes (i,), lengths (j,) of the field; lens_scales (k, 2) of radial distortion and decentering; px.
     log_prior : (i, j, k) how plausible they are before the sightings.
-    basis : the field's waves.
+    basis : the field's basis functions.
     """
 
     amplitudes: FloatArray

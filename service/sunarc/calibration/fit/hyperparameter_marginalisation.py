@@ -128,7 +128,7 @@ def _moments(rows: FloatArray, basis_values: FloatArray, fit: MarginalFit, ampli
 
 
 def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
-    """Return derivatives (n, 2, p) and waves (n, m) of sky that the last epoch's camera shows."""
+    """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
     sky = hemisphere(_PROBES)
     nowhere = np.zeros((_PROBES, 2))
     epoch = np.full(_PROBES, problem.n_epochs - 1)

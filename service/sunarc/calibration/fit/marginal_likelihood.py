@@ -40,7 +40,7 @@ class NormalEquations:
 
     Attributes
     ----------
-    jj, jf, ff : (p, p), (2, p, m), (m, m) products of the derivatives and of the waves (both components share ff).
+    jj, jf, ff : (p, p), (2, p, m), (m, m) products of derivatives and of basis values (both components share ff).
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
     n_air : how many of the last unknowns are the refraction's, of unit prior variance.
@@ -68,20 +68,20 @@ class MarginalFit:
     ----------
     unknowns : (p,) most probable unknowns.
     gain : what the step there is expected to take from the penalty.
-    waves : (2, m) most probable coefficients of the field.
+    coefficients : (2, m) most probable coefficients of the field.
     covariance : (p, p) of the unknowns; cross: (2, p, m) with the coefficients.
     """
 
     unknowns: FloatArray
     gain: float
-    waves: FloatArray
+    coefficients: FloatArray
     covariance: FloatArray
     cross: FloatArray
 
 
 def normal_sums(
     rows: FloatArray,
-    waves: FloatArray,
+    basis_values: FloatArray,
     residual: FloatArray,
     information: FloatArray,
     *,
@@ -89,13 +89,13 @@ def normal_sums(
     ff: FloatArray | None = None,
     n_air: int = 0,
 ) -> NormalEquations:
-    """Return the sums over sightings: rows (n, 2, p), waves (n, m), residual (n, 2), information (n,).
+    """Return the sums over sightings: rows (n, 2, p), basis_values (n, m), residual (n, 2), information (n,).
 
     `ff` does not change with the camera: who has it already gives it.
     """
     root = np.sqrt(information)
     j = rows * root[:, None, None]
-    f = waves * root[:, None]
+    f = basis_values * root[:, None]
     r = residual * root[:, None]
     flat = j.reshape(-1, j.shape[-1])
     return NormalEquations(
@@ -142,7 +142,7 @@ def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> Marginal
     return MarginalFit(
         unknowns=normal.at + step,
         gain=float(step @ vector),
-        waves=(shrink * residual) @ reduced.transform.T,
+        coefficients=(shrink * residual) @ reduced.transform.T,
         covariance=covariance,
         cross=-(covariance @ (reduced.rows * shrink)) @ reduced.transform.T,
     )
@@ -155,7 +155,7 @@ def responses(
 
     Parameters
     ----------
-    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the waves with each displacement, see
+    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the basis values with each displacement, see
         `NormalEquations`.
     """
     reduced = _Reduced.of(normal, basis, scales.length_px)

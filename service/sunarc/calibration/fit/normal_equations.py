@@ -18,24 +18,24 @@ _REST = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearSystem:
-    """residual = rows · change of the unknowns + waves · coefficients + noise, one line a bin.
+    """residual = rows · change of the unknowns + basis values · coefficients + noise, one line a bin.
 
     Attributes
     ----------
     observed : (b) one observation a bin, its pixel such that the residual is the bin's mean.
-    rows : (b, 2, p); waves: (b, m); residual: (b, 2) px; at: (p,) where it was made.
-    wave_products : (m, m) products of the waves over the bins, the same for every camera.
-    basis : the field's waves.
+    rows : (b, 2, p); basis_values: (b, m); residual: (b, 2) px; at: (p,) where it was made.
+    basis_products : (m, m) products of the basis functions over the bins, the same for every camera.
+    basis : the field's basis functions.
     member : (n,) the bin of every sighting.
     n_air : how many of the unknowns are the refraction's.
     """
 
     observed: Observations
     rows: FloatArray
-    waves: FloatArray
+    basis_values: FloatArray
     residual: FloatArray
     at: FloatArray
-    wave_products: FloatArray
+    basis_products: FloatArray
     basis: WaveBasis
     member: IntArray
     n_air: int
@@ -44,17 +44,17 @@ class LinearSystem:
         """Return the sums over all bins."""
         return normal_sums(
             self.rows,
-            self.waves,
+            self.basis_values,
             self.residual,
             self.observed.information,
             at=self.at,
-            ff=self.wave_products,
+            ff=self.basis_products,
             n_air=self.n_air,
         )
 
     def normal_of(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
-        picked = self.rows[which], self.waves[which], self.residual[which], self.observed.information[which]
+        picked = self.rows[which], self.basis_values[which], self.residual[which], self.observed.information[which]
         return normal_sums(*picked, at=self.at, n_air=self.n_air)
 
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
@@ -74,8 +74,8 @@ def linear_system(
 ) -> LinearSystem:
     """Return the equations of sightings about some unknowns.
 
-    The waves are taken where the model sees the sun. Taken where it was seen, a field x_seen beside a change of the
-    lens by -x_modelled would be the noise itself, and a large enough field would explain it away.
+    The basis is evaluated where the model predicts the sun. Evaluated where it was detected, a field x_detected with a
+    change of the lens by -x_modelled would be the noise itself, and a large enough field would explain it away.
     """
     gathered, residual = bins.gathered(observed, problem.residuals(unknowns, observed), information)
     offset, rows = problem.linearised(unknowns, gathered)
@@ -83,10 +83,10 @@ def linear_system(
     return LinearSystem(
         observed=replace(gathered, pixels=gathered.pixels + residual - offset),
         rows=rows,
-        waves=basis_values,
+        basis_values=basis_values,
         residual=residual,
         at=unknowns,
-        wave_products=basis_values.T @ (basis_values * gathered.information[:, None]),
+        basis_products=basis_values.T @ (basis_values * gathered.information[:, None]),
         basis=basis,
         member=bins.member,
         n_air=problem.n_air,
@@ -112,4 +112,4 @@ def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> tu
                 break
         if gain < _REST:
             break
-    return system.at, marginal_fit(normal, system.basis, scales).waves
+    return system.at, marginal_fit(normal, system.basis, scales).coefficients

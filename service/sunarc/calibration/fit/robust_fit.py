@@ -57,7 +57,7 @@ class RobustFit:
     unknowns : the most probable ones.
     posterior : their covariance and the field's part in it, over all plausible scales.
     scales : those of the fit, as found in the data.
-    grid : the scales that were tried, and the field's waves.
+    grid : the scales that were tried, and the field's basis functions.
     residual : (n, 2) observed minus modelled, px.
     weight : (n,) how much each sighting counted, 0 to 1.
     sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
@@ -209,7 +209,7 @@ def _as_good_as_least_squares(
 def _judged(problem: Problem, observed: Observations, system: LinearSystem, state: _State) -> _State:
     """Return the state with what a large field beside the model leaves over; the camera stays."""
     marginal = marginal_fit(system.normal(), system.basis, state.scales)
-    explained = system.rows @ (marginal.unknowns - system.at) + system.waves @ marginal.waves.T
+    explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
     return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[system.member])
 
 
@@ -217,7 +217,7 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
     """Return the state after a solve with the scales that the data speak for."""
     scales = likely_scales(system.normal(), grid)
     unknowns, coefficients = irls_converged(problem, system, scales)
-    smooth = (system.waves @ coefficients.T)[system.member]
+    smooth = (system.basis_values @ coefficients.T)[system.member]
     return _State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed) - smooth, scales=scales)
 
 

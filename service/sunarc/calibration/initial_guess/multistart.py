@@ -33,7 +33,7 @@ _FOCAL_STEPS = (-0.5, 0.5)
 _SETTLING = 3
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
-"""Prior precisions of plain least squares: the paper's method knows no prior."""
+"""Prior precisions of plain least squares: the paper's method has no prior."""
 
 
 def best_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:

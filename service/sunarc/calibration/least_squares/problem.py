@@ -22,7 +22,7 @@ def _no_refraction() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observations:
-    """Where the sun was seen, and how much each sighting tells.
+    """Where the sun was detected, and the information of each sighting.
 
     Attributes
     ----------

@@ -47,7 +47,7 @@ class Uncertain(Protocol):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """What the covariance speaks of, in its order."""
+        """Names of the covariance's rows, in order."""
 
     @property
     def covariance(self) -> FloatArray:
@@ -55,7 +55,7 @@ class Uncertain(Protocol):
 
     @property
     def field(self) -> Field:
-        """What no lens model says."""
+        """The discrepancy field."""
 
 
 def project_with_covariance(calibration: Uncertain, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -33,7 +33,7 @@ class BackProjectionMap:
 
 
 def back_projection_map(ready: Lookup) -> BackProjectionMap:
-    """Return what `Lookup.back_project` says of every pixel of the image."""
+    """Return what `Lookup.back_project` returns for every pixel of the image."""
     height, width = ready.camera.height, ready.camera.width
     zenith, azimuth, sigma = (np.empty((height, width), dtype=np.float32) for _ in range(3))
     directions = np.empty((height, width, 3), dtype=np.float32)

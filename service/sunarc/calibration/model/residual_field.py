@@ -1,4 +1,4 @@
-"""What no lens model says: a smooth random field of displacements over the image, in a low-rank basis.
+"""What no lens model describes: a smooth random field of displacements over the image, in a low-rank basis.
 
 Both components are independent Gaussian processes with the kernel A² exp(-d²/2L²), written as a sum over the sine waves
 that vanish on a box around the image; A and L enter only through the variances of the coefficients.

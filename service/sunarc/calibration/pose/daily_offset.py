@@ -44,7 +44,7 @@ class PoseOffset:
 
 
 def daily_pose_offset(points: SunPoints, *, calibration: Calibration, site: Site) -> PoseOffset | None:
-    """Return how a camera stood turned on a day, on average; None with fewer than 20 believable sightings.
+    """Return the mean rotation of a camera on a day; None with fewer than 20 inliers.
 
     The lens is the calibration's; what that says of its own errors along the day's track widens the sigmas.
 

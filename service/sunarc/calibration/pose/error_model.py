@@ -1,4 +1,4 @@
-"""What a calibration says of its own errors, as one Gaussian for lens, pose and field that sightings can be held to.
+"""The errors of a calibration as one Gaussian of lens, pose and field, which sightings can be compared with.
 
 The errors of the lens's parameters, a small turn of the camera *in its own frame*, and the field's coefficients are
 jointly Gaussian. In that frame a camera that is turned as a whole keeps its errors: what of a tilt may be a shifted
@@ -63,12 +63,12 @@ class Predicted:
     ----------
     pixels : (n, 2) px, NaN where it sees nothing.
     rows : (n, 2, p) derivatives by the parameters of an error model.
-    waves : (n, m) of its field.
+    basis_values : (n, m) of its field.
     """
 
     pixels: FloatArray
     rows: FloatArray
-    waves: FloatArray
+    basis_values: FloatArray
 
     def select(self, which: Rows) -> Predicted:
         """Return those that a slice, an index or a mask picks."""
@@ -80,12 +80,12 @@ def joined(first: Predicted, second: Predicted) -> Predicted:
     return Predicted(
         pixels=np.concatenate([first.pixels, second.pixels]),
         rows=np.concatenate([first.rows, second.rows]),
-        waves=np.concatenate([first.waves, second.waves]),
+        basis_values=np.concatenate([first.basis_values, second.basis_values]),
     )
 
 
 def error_model_of(calibration: Calibration) -> CameraErrorModel:
-    """Return what a calibration says of its errors.
+    """Return the error model that a calibration states.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _none(basis: WaveBasis) -> WaveBasis:
 
 
 def _spread(basis: WaveBasis, cross: FloatArray, complete: WaveBasis) -> FloatArray:
-    """Return the cross terms (2, p, m) on a basis that has more waves; those that it has not are lost."""
+    """Return the cross terms (2, p, m) on a basis of more functions; those that it does not have are lost."""
     index = {(int(x), int(y)): k for k, (x, y) in enumerate(complete.orders)}
     shared = [(k, index[int(x), int(y)]) for k, (x, y) in enumerate(basis.orders) if (int(x), int(y)) in index]
     result = np.zeros((2, cross.shape[1], len(complete.orders)))
@@ -137,7 +137,7 @@ def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatAr
     to_rotation = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
     selected = np.ascontiguousarray(rows[..., error_model.selected])
     selected[..., error_model.rotation] = selected[..., error_model.rotation] @ to_rotation
-    return Predicted(pixels=pixels, rows=selected, waves=error_model.basis.values(np.nan_to_num(pixels)))
+    return Predicted(pixels=pixels, rows=selected, basis_values=error_model.basis.values(np.nan_to_num(pixels)))
 
 
 def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
@@ -161,16 +161,16 @@ def with_parameters(error_model: CameraErrorModel, prediction: Predicted) -> Flo
     return np.asarray(result + _with_field(error_model, prediction) if error_model.amplitude_px > 0.0 else result)
 
 
-def with_waves(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
+def with_coefficients(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
     """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
     result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.cross[axis]
-    result[axis::2] += prediction.waves * error_model.variances
+    result[axis::2] += prediction.basis_values * error_model.variances
     return np.asarray(result)
 
 
 def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
-    both = np.stack([error_model.cross[axis] @ prediction.waves.T for axis in (0, 1)], axis=-1)
+    both = np.stack([error_model.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
 
 

@@ -13,13 +13,13 @@ from sunarc.calibration.pose.error_model import (
     CameraErrorModel,
     Predicted,
     joint_covariance,
+    with_coefficients,
     with_parameters,
-    with_waves,
 )
 from sunarc.calibration.robust_loss import finite
 
 _EXCLUDED_PX2 = 1e6
-"""Variance of a sighting that is left out: it stays in the equations, and says nothing."""
+"""Variance of a sighting that is left out: it stays in the equations, without information."""
 _FALSE_SHARE = 0.2
 _HALO_PX = 15.0
 _SWEEPS = 8
@@ -27,7 +27,7 @@ _SWEEPS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
-    """Sightings held to a prediction.
+    """Residuals of sightings about a prediction.
 
     Attributes
     ----------
@@ -166,5 +166,5 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: Sightin
         error_model,
         mean=error_model.mean + gain @ residual,
         covariance=0.5 * (covariance + covariance.T),
-        cross=np.stack([error_model.cross[axis] - gain @ with_waves(error_model, at, axis) for axis in (0, 1)]),
+        cross=np.stack([error_model.cross[axis] - gain @ with_coefficients(error_model, at, axis) for axis in (0, 1)]),
     )

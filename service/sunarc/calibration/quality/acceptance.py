@@ -31,7 +31,7 @@ _PROOF = 100.0
 """By how much the sightings since must be met better, as a difference of chi-squares."""
 _OUTLIER = 9.0
 _NEW = 1e-3
-"""Change of the camera or of what is stated, as a share of what is stated, below which a fit says nothing new."""
+"""Change of the camera or of what is stated, as a share of what is stated, below which a fit adds no information."""
 
 
 def accept(
@@ -94,7 +94,7 @@ def _held_out_problems(candidate: Calibration) -> _Found:
 def _compared(
     candidate: Calibration, current: Calibration, *, same_pose: bool, unseen: SunPoints | None
 ) -> list[_Found]:
-    """Return what speaks against the candidate beside the current one."""
+    """Return the findings against the candidate in comparison with the current one."""
     if candidate.camera.mirrored != current.camera.mirrored:
         return [([Finding("handedness_differs")], [])]
     if not same_pose:

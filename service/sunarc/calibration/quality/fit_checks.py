@@ -1,4 +1,4 @@
-"""What speaks against a fit."""
+"""Checks that refuse a fit."""
 
 from __future__ import annotations
 

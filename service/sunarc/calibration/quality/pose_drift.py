@@ -44,7 +44,7 @@ def pose_spread_deg(turns_deg: ArrayLike, sigmas_deg: ArrayLike) -> tuple[float,
 
 
 def with_pose_spread(calibration: Calibration, spread_deg: Sequence[float]) -> Calibration:
-    """Return a calibration whose uncertainty allows for a daily spread of the pose; its evidence tells it.
+    """Return a calibration whose uncertainty allows for a daily spread of the pose, which its provenance states.
 
     Parameters
     ----------

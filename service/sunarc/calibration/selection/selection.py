@@ -1,4 +1,4 @@
-"""Which sightings of a long record a fit uses: what each direction tells, and not how often it was seen.
+"""Which sightings of a long record a fit uses: the information of each direction, not how often it was observed.
 
 A *pass* is the sun's way through one patch of the sky on one day. Passes are taken whole, so that neighbouring
 sightings still show how alike they err. Each patch takes passes up to its fill: those of the latest pose first, among

@@ -82,9 +82,9 @@ def beside(
     if shifts is None:
         return latest
     for one, (dx, dy) in zip(earlier, shifts, strict=True):
-        there = _moved(one, (-dx, -dy))
-        if there.accepted and _distance_px(there, latest) > _AGREE_PX:
-            joined = combine([there, latest])
+        shifted = _moved(one, (-dx, -dy))
+        if shifted.accepted and _distance_px(shifted, latest) > _AGREE_PX:
+            joined = combine([shifted, latest])
             if not joined.accepted:
                 return replace(latest, accepted=False, verdict=joined.verdict, findings=joined.findings)
     return latest

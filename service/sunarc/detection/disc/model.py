@@ -225,6 +225,6 @@ def normal_equations(problem: Problem, state: State, evaluation: Evaluation) -> 
 
 
 def _pulls(prior: Prior, state: State) -> tuple[float, float]:
-    """Return what the prior says of ln psf and the wings' share, in its sigmas."""
+    """Return the prior's residuals of ln psf and the wings' share, in its sigmas."""
     log_psf, share = state.nonlinear[PSF : WINGS + 1].tolist()
     return (prior.log_psf - log_psf) / prior.log_psf_sigma, -share / prior.wings_sigma

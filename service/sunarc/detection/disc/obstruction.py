@@ -42,11 +42,11 @@ def obstruction(image: Image, *, sensor: Sensor, expectation: Expectation, reach
         return None
     noise = math.hypot(sensor.read_noise_e / sensor.gain_e_per_count, 0.3)
     part = np.minimum(part, float(np.median(part)) + 5.0 * noise)  # hot pixels are clipped
-    here, sky = float(part.mean()) - sensor.black_level, float(np.quantile(tiles, 0.75)) - sensor.black_level
+    level, sky = float(part.mean()) - sensor.black_level, float(np.quantile(tiles, 0.75)) - sensor.black_level
     sigma = math.hypot(float(part.std()), noise) / math.sqrt(part.size)
-    if here > _DARK_SHARE * sky or sky - here < _SIGNIFICANT * sigma:
+    if level > _DARK_SHARE * sky or sky - level < _SIGNIFICANT * sigma:
         return None
-    return Finding("sun_obstructed", {"level": here / sensor.full_scale, "sky": sky / sensor.full_scale})
+    return Finding("sun_obstructed", {"level": level / sensor.full_scale, "sky": sky / sensor.full_scale})
 
 
 def _tile_means(image: Image) -> FloatArray:

@@ -121,10 +121,10 @@ def _ringed(pixels: _Pixels, state: FloatArray, inner: float, *, cut: float) -> 
     profile = np.array(
         [np.quantile(flat[ring == k], _LOW) if np.sum(ring == k) >= _LEAST_RING else np.nan for k in range(_RINGS)]
     )
-    known = np.isfinite(profile) & np.isfinite(middle)
-    if np.count_nonzero(known) < _RINGS // 2:
+    valid = np.isfinite(profile) & np.isfinite(middle)
+    if np.count_nonzero(valid) < _RINGS // 2:
         return None
-    profile, middle = profile[known], middle[known]
+    profile, middle = profile[valid], middle[valid]
     # Where the profile rises (a cloud's rim), its slope says nothing of the centre.
     slope = np.minimum(np.interp(distance, middle, np.gradient(profile, middle)), 0.0)
     residual = flat - np.interp(distance, middle, profile)
