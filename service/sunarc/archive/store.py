@@ -13,6 +13,7 @@ from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDe
 from sunarc.archive.data_version import Changes
 from sunarc.archive.engine import reading, writing
 from sunarc.archive.file import DatabaseFile
+from sunarc.errors import InputError
 
 _log = logging.getLogger(__name__)
 
@@ -93,10 +94,20 @@ def values_of(connection: Connection, statement: Select[Any], kind: type[Value])
         for row in rows
         if all(row[number] is not None for number in needed) and not any(_UNREADABLE in str(row[key]) for key in keys)
     ]
-    if len(complete) < len(rows):
-        lost, name = len(rows) - len(complete), kind.__name__
+    made = (_made(kind, dict(zip(names, row, strict=True))) for row in complete)
+    found = tuple(value for value in made if value is not None)
+    if len(found) < len(rows):
+        lost, name = len(rows) - len(found), kind.__name__
         _log.warning("left out %d damaged rows of kind %s; sunarc db check lists what else is wrong", lost, name)
-    return tuple(kind(**dict(zip(names, row, strict=True))) for row in complete)
+    return found
+
+
+def _made(kind: type[Value], fields: dict[str, Any]) -> Value | None:
+    """Return the value of a row; None where its fields contradict one another."""
+    try:
+        return kind(**fields)
+    except InputError:
+        return None
 
 
 def _required(column: ColumnElement[Any]) -> bool:

@@ -21,7 +21,7 @@ from sqlalchemy import (
     text,
 )
 
-from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, NumberTuple, UtcTime, Word
+from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, Number, NumberTuple, UtcTime, Word
 from sunarc.archive.values import CalibrationState, DayVerdict, EventSeverity, RefitState
 
 metadata = MetaData(
@@ -71,13 +71,13 @@ sun_point = Table(
     Column("pose_epoch", Text, ForeignKey("pose_epoch.id"), nullable=False),
     Column("time", UtcTime, nullable=False),
     Column("body", Text, nullable=False),
-    Column("exposure_us", Float, nullable=False),
+    Column("exposure_us", Number, nullable=False),
     Column("method", Text, nullable=False),
     Column("accepted", Boolean, nullable=False),
     Column("verdict", Text, nullable=False),
     Column("reason", Text, nullable=False),
     *(
-        Column(name, Float)
+        Column(name, Number)
         for name in (
             "x_px",
             "y_px",
@@ -91,9 +91,9 @@ sun_point = Table(
         )
     ),
     Column("saturated_px", Integer),
-    Column("clock_error_s", Float),
-    Column("temperature_c", Float),
-    Column("pressure_hpa", Float),
+    Column("clock_error_s", Number),
+    Column("temperature_c", Number),
+    Column("pressure_hpa", Number),
     UniqueConstraint("camera", "time", "body", "exposure_us", "method"),
 )
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from datetime import date, datetime
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Date, Dialect, Text, TypeDecorator
+from sqlalchemy import JSON, BigInteger, Date, Dialect, Float, Text, TypeDecorator
 
 from sunarc.findings import Finding, from_json
 from sunarc.utc import from_microseconds, to_microseconds
@@ -33,6 +33,17 @@ class UtcTime(TypeDecorator[datetime]):
             return from_microseconds(value)
         except OverflowError:  # no year that a datetime can hold
             return None
+
+
+class Number(TypeDecorator[float]):
+    """A number; a text that stands in its place is None."""
+
+    impl = Float
+    cache_ok = True
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> float | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
+        """Return the stored number."""
+        return value if isinstance(value, int | float) else None
 
 
 class CalendarDate(TypeDecorator[date]):
