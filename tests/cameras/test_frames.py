@@ -20,6 +20,7 @@ from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.packed import pack
 from sunarc.cameras.timestamps import utc_of_timestamp
 from sunarc.errors import CameraError, CameraTimeoutError, InputError
+from sunarc.imaging import ExposureBounds
 from sunarc.runtime.clock import VirtualClock
 
 
@@ -126,9 +127,7 @@ def control(**changes: Any) -> ExposureControl:  # noqa: ANN401 - the control's 
         "feature": "ExposureTime",
         "kind": "float",
         "unit_us": 1.0,
-        "minimum_us": 12.0,
-        "maximum_us": 1000.0,
-        "step_us": 5.0,
+        "bounds": ExposureBounds(minimum_us=12.0, maximum_us=1000.0, step_us=5.0),
     }
     return ExposureControl(**(values | changes))
 
@@ -146,7 +145,8 @@ def control(**changes: Any) -> ExposureControl:  # noqa: ANN401 - the control's 
     ],
 )
 def test_an_exposure_is_the_nearest_step_within_the_bounds(asked: float, step: float, taken: float) -> None:
-    assert control(step_us=step).within(asked) == pytest.approx(taken)
+    bounds = ExposureBounds(minimum_us=12.0, maximum_us=1000.0, step_us=step)
+    assert bounds.nearest(asked) == pytest.approx(taken)
 
 
 class Features:
@@ -182,18 +182,18 @@ class Features:
 def test_a_float_exposure_is_set_in_microseconds(name: str) -> None:
     found = exposure_control(Features({name: 100.0}))
     assert (found.feature, found.kind, found.unit_us) == (name, "float", 1.0)
-    assert (found.minimum_us, found.maximum_us, found.step_us) == (10.0, 5000.0, 1.0)
+    assert (found.bounds.minimum_us, found.bounds.maximum_us, found.bounds.step_us) == (10.0, 5000.0, 1.0)
 
 
 def test_a_raw_exposure_has_its_own_unit() -> None:
     found = exposure_control(Features({"ExposureTimeRaw": 3.0, "ExposureTimeBaseAbs": 20.0}, floats=False))
     assert (found.kind, found.unit_us) == ("integer", 20.0)
-    assert (found.minimum_us, found.maximum_us, found.step_us) == (40.0, 100_000.0, 20.0)
+    assert (found.bounds.minimum_us, found.bounds.maximum_us, found.bounds.step_us) == (40.0, 100_000.0, 20.0)
 
 
 @pytest.mark.parametrize(("increment", "step"), [(0.5, 0.5), (0.0, 0.0), (float("nan"), 0.0), (1e-9, 0.0), (1e7, 0.0)])
 def test_an_increment_that_is_none_is_not_used(increment: float, step: float) -> None:
-    assert exposure_control(Features({"ExposureTime": 1.0}, increment=increment)).step_us == step
+    assert exposure_control(Features({"ExposureTime": 1.0}, increment=increment)).bounds.step_us == step
 
 
 def test_a_camera_without_an_exposure_is_refused() -> None:

@@ -196,9 +196,9 @@ class AravisCamera:
             height=int(height),
             pixel_format=pixel_format,
             full_scale=full_scale_of(pixel_format),
-            exposure_min_us=exposure.minimum_us,
-            exposure_max_us=exposure.maximum_us,
-            exposure_step_us=exposure.step_us,
+            exposure_min_us=exposure.bounds.minimum_us,
+            exposure_max_us=exposure.bounds.maximum_us,
+            exposure_step_us=exposure.bounds.step_us,
         )
 
     def _open_stream(self) -> None:
@@ -236,7 +236,7 @@ class AravisCamera:
 
     def _warm_up(self, exposure: ExposureControl) -> None:
         """Take and discard a frame: the library enlarges the socket's buffer only when the first one arrives."""
-        exposure.set(self._camera, exposure.minimum_us)
+        exposure.set(self._camera, exposure.bounds.minimum_us)
         self._camera.software_trigger()
         buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
         if buffer is None:

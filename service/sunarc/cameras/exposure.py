@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from sunarc.cameras.features import has, read, write
 from sunarc.errors import CameraError
+from sunarc.imaging import ExposureBounds
 
 _FLOATS = ("ExposureTime", "ExposureTimeAbs")
 _RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
@@ -22,28 +23,17 @@ class ExposureControl:
     ----------
     feature, kind : the camera's feature, and whether it holds a float or whole steps.
     unit_us : microseconds in a step of the feature.
-    minimum_us, maximum_us : bounds.
-    step_us : increment; 0 where the camera does not tell.
+    bounds : shortest and longest exposure, and its step.
     """
 
     feature: str
     kind: Literal["float", "integer"]
     unit_us: float
-    minimum_us: float
-    maximum_us: float
-    step_us: float
-
-    def within(self, exposure_us: float) -> float:
-        """Return the nearest exposure that the camera can take."""
-        clipped = min(max(exposure_us, self.minimum_us), self.maximum_us)
-        if self.step_us <= 0.0:
-            return clipped
-        stepped = self.minimum_us + round((clipped - self.minimum_us) / self.step_us) * self.step_us
-        return stepped if stepped <= self.maximum_us else stepped - self.step_us
+    bounds: ExposureBounds
 
     def set(self, camera: Any, exposure_us: float) -> float:  # noqa: ANN401 - a GObject has no types
         """Set the nearest possible exposure, and return the one read back, µs."""
-        steps = self.within(exposure_us) / self.unit_us
+        steps = self.bounds.nearest(exposure_us) / self.unit_us
         pin = write(camera, self.feature, self.kind, round(steps) if self.kind == "integer" else steps)
         return float(pin.value) * self.unit_us
 
@@ -73,9 +63,9 @@ def _control(
         feature=feature,
         kind=kind,
         unit_us=unit_us,
-        minimum_us=float(bounds[0]) * unit_us,
-        maximum_us=float(bounds[1]) * unit_us,
-        step_us=step * unit_us,
+        bounds=ExposureBounds(
+            minimum_us=float(bounds[0]) * unit_us, maximum_us=float(bounds[1]) * unit_us, step_us=step * unit_us
+        ),
     )
 
 

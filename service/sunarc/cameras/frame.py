@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Protocol
 
 from sunarc.array_types import Image
 from sunarc.errors import InputError
+from sunarc.imaging import ExposureBounds
 
 _SINGLE_CHANNEL = re.compile(r"(?:Mono|Bayer(?:RG|BG|GR|GB))(?:(8|14|16)|(10|12)(?:p|Packed)?)")
 
@@ -66,6 +68,21 @@ class CameraInfo:
     exposure_min_us: float
     exposure_max_us: float
     exposure_step_us: float
+
+    @property
+    def exposure_bounds(self) -> ExposureBounds:
+        """Bounds and step of what may be asked for."""
+        return ExposureBounds(
+            minimum_us=self.exposure_min_us, maximum_us=self.exposure_max_us, step_us=self.exposure_step_us
+        )
+
+    def unreachable(self, exposures_us: Sequence[float]) -> str | None:
+        """Return which exposures the camera can not take, one sentence; None when it can take all."""
+        beyond = [e for e in exposures_us if not self.exposure_min_us <= e <= self.exposure_max_us]
+        if not beyond:
+            return None
+        listed = ", ".join(f"{e:.8g}" for e in beyond)
+        return f"{listed} µs is beyond the camera's {self.exposure_min_us:.8g} to {self.exposure_max_us:.8g} µs"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

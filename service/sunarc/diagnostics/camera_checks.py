@@ -68,10 +68,9 @@ def _exposures(camera: SkyCamera, requested_us: Sequence[float]) -> CheckResult:
     info = camera.info
     step = f" in steps of {info.exposure_step_us:g}" if info.exposure_step_us > 0.0 else ""
     text = f"{info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} us{step}"
-    beyond = [e for e in requested_us if not info.exposure_min_us <= e <= info.exposure_max_us]
-    if beyond:
-        listed = ", ".join(f"{e:.8g}" for e in beyond)
-        return CheckResult("exposures", "fail", f"{text}; {listed} us is beyond that: change capture.hdr_exposures_us")
+    beyond = info.unreachable(requested_us)
+    if beyond is not None:
+        return CheckResult("exposures", "fail", f"{beyond}: change capture.hdr_exposures_us")
     if info.exposure_min_us > _SHORT_US:
         return CheckResult(
             "exposures", "warn", f"{text}; that is long for the sun: see that its disc stays small, or fit a filter"

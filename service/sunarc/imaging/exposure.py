@@ -55,6 +55,15 @@ class ExposureBounds:
     maximum_us: float
     step_us: float = 0.0
 
+    def nearest(self, exposure_us: float) -> float:
+        """Return the nearest exposure that the camera can do."""
+        bounded = min(max(exposure_us, self.minimum_us), self.maximum_us)
+        if self.step_us <= 0.0:
+            return bounded
+        # The longest exposure need not be a whole number of steps; 1e-9 forgives the rounding of one that is.
+        most = math.floor((self.maximum_us - self.minimum_us) / self.step_us + 1e-9)
+        return self.minimum_us + min(round((bounded - self.minimum_us) / self.step_us), most) * self.step_us
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunExposureState:
@@ -167,7 +176,7 @@ def _beside_the_clear(
 ) -> tuple[float, ...]:
     """Return the wanted exposure alone where the light is settled; through a veil, with the one for a clear sky."""
     clear = _aim(options) / result.clear_level_per_us if result.clear_level_per_us > 0.0 else math.inf
-    unveiled = _within(clear, bounds)
+    unveiled = bounds.nearest(clear)
     if unveiled * _BRACKET_RATIO < target_us:
         return (unveiled, target_us)
     return (target_us,) if settled else _bracket(target_us, bounds)
@@ -200,7 +209,7 @@ def _target_us(peaks: Sequence[Peak], options: SunExposureOptions, bounds: Expos
     """Return the exposure that brings the peak to the middle of the band, judged from the best exposed frame."""
     best = _best(peaks, options)
     change = min(max(_aim(options) / best.fraction, 1.0 / _MAX_CHANGE), _MAX_CHANGE)
-    return _within(best.exposure_us * change, bounds)
+    return bounds.nearest(best.exposure_us * change)
 
 
 def _any_good(
@@ -219,15 +228,6 @@ def _good(peak: Peak, options: SunExposureOptions, bounds: ExposureBounds) -> bo
 
 
 def _bracket(shorter_us: float, bounds: ExposureBounds) -> tuple[float, ...]:
-    first = _within(shorter_us, bounds)
-    second = _within(first * _BRACKET_RATIO, bounds)
+    first = bounds.nearest(shorter_us)
+    second = bounds.nearest(first * _BRACKET_RATIO)
     return (first, second) if second > first else (first,)
-
-
-def _within(exposure_us: float, bounds: ExposureBounds) -> float:
-    """Return the nearest exposure that the camera can do."""
-    bounded = min(max(exposure_us, bounds.minimum_us), bounds.maximum_us)
-    if bounds.step_us <= 0.0:
-        return bounded
-    most = math.floor((bounds.maximum_us - bounds.minimum_us) / bounds.step_us + 1e-9)
-    return bounds.minimum_us + min(round((bounded - bounds.minimum_us) / bounds.step_us), most) * bounds.step_us

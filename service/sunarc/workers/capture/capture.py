@@ -19,7 +19,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
-from sunarc.workers.capture.exposure_sequence import ExposureSequence, unreachable_exposures
+from sunarc.workers.capture.exposure_sequence import ExposureSequence
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.timing.frame_time import FrameTime
@@ -255,7 +255,7 @@ class CaptureWorker:
         return late_s / self._frame_time.speed if abs(late_s) < self._options.cadence_s else None
 
     def _require_exposures(self, camera: SkyCamera) -> None:
-        beyond = unreachable_exposures(self._options.hdr_exposures_us, camera.info)
+        beyond = camera.info.unreachable(self._options.hdr_exposures_us)
         if beyond is not None:
             raise InputError(
                 field="capture.hdr_exposures_us", problem=beyond, remedy="set exposures that the camera can take"

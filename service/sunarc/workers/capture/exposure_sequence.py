@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sunarc.cameras import CameraInfo, Frame, SkyCamera
+from sunarc.cameras import Frame, SkyCamera
 from sunarc.errors import CameraError, CameraLostError
 from sunarc.imaging import Exposed, light_ratio_contradiction
 from sunarc.workers.capture.status import CaptureReport
@@ -121,15 +121,6 @@ def contradiction(first: Frame, second: Frame) -> str | None:
     if abs((second.time - first.time).total_seconds()) > _COMPARABLE_S or first.image.shape != second.image.shape:
         return None
     return light_ratio_contradiction(_exposed(first), _exposed(second))
-
-
-def unreachable_exposures(exposures_us: Sequence[float], info: CameraInfo) -> str | None:
-    """Return which exposures a camera can not take, one sentence; None when it can take all."""
-    beyond = [e for e in exposures_us if not info.exposure_min_us <= e <= info.exposure_max_us]
-    if not beyond:
-        return None
-    listed = ", ".join(f"{e:.8g}" for e in beyond)
-    return f"{listed} µs is beyond the camera's {info.exposure_min_us:.8g} to {info.exposure_max_us:.8g} µs"
 
 
 def _exposed(frame: Frame) -> Exposed:

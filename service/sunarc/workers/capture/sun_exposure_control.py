@@ -65,9 +65,7 @@ class SunExposures:
 
         A cycle whose frames have not been looked at yet changes nothing.
         """
-        bounds = ExposureBounds(
-            minimum_us=info.exposure_min_us, maximum_us=info.exposure_max_us, step_us=info.exposure_step_us
-        )
+        bounds = info.exposure_bounds
         zenith, clear_level = self._apparent_zenith(), self._clear_level_per_us()
         with self._lock:
             observation = SunLook(
