@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 from tests.fixtures.archive import new_archive
+from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import Archive, SunPoint
+from sunarc.archive import Archive, CameraArchive, SunPoint
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -44,8 +45,7 @@ def watch_with(clock: VirtualClock, archive: Archive, board: StatusRegistry) -> 
         made = ClockWatch(
             clock=clock,
             frame_time=frame_time or FrameTime(clock, follows_camera=False),
-            archive=archive,
-            camera="roof",
+            camera=CameraArchive(archive, name="roof", site=SITE),
             options=options or ClockOptions(),
             camera_error_s=camera_error_s,
             finds_steps=finds_steps,
@@ -225,7 +225,7 @@ def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_b
 
     store_sighting(archive, clock.now() + timedelta(days=1), clock_error_s=0.01)
     with monkeypatch.context() as patched:
-        patched.setattr(archive, "newest_sighting_time", locked)
+        patched.setattr(archive, "_reading", locked)
         watch = watch_with()
     assert watch.trusted()
     watch.check()

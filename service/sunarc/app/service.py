@@ -109,8 +109,7 @@ class Service:
         return ClockWatch(
             clock=self.clock,
             frame_time=self.frame_time,
-            archive=self.archive,
-            camera=self.settings.name,
+            camera=self.camera,
             options=self.settings.clock,
             camera_error_s=self.settings.capture.camera_clock_error_s if self.settings.dated_by_camera else None,
             finds_steps=self._in_real_time,

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from datetime import datetime
 from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 from sunarc.archive.archive import Archive
+from sunarc.archive.values import Event, EventSeverity
+from sunarc.findings import Finding, Messages
 from sunarc.sky import Site
 
 
@@ -32,6 +38,7 @@ class CameraArchive:
         self.events = partial(archive.events, name)
         self.exclude = partial(archive.exclude, name)
         self.last_served = partial(archive.last_served, name)
+        self.newest_sighting_time = partial(archive.newest_sighting_time, name)
         self.observation_times = partial(archive.observation_times, name)
         self.open_epoch = partial(archive.open_epoch, name)
         self.readmit = partial(archive.readmit, name)
@@ -42,3 +49,18 @@ class CameraArchive:
         self.sun_levels = partial(archive.sun_levels, name)
         self.sun_point_columns = partial(archive.sun_point_columns, name)
         self.sun_points = partial(archive.sun_points, name)
+        self.widen_clock_errors = partial(archive.widen_clock_errors, name)
+
+    def add_event(
+        self,
+        finding: Finding,
+        messages: Messages,
+        *,
+        time: datetime,
+        severity: EventSeverity,
+        kind: str | None = None,
+        details: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Event:
+        """Store the event of a finding and return it; `details` are what the finding's data do not say."""
+        event = Event.of(finding, messages, time=time, severity=severity, camera=self.name, kind=kind, details=details)
+        return self.archive.add_event(event)

@@ -44,7 +44,7 @@ class DatabaseWorker:
         self._clock = clock
         self._now = now
         self._board = board
-        self._untold = recovered
+        self._unreported = recovered
         if recovered is not None:
             _publish(board, recovered)
 
@@ -64,21 +64,21 @@ class DatabaseWorker:
             return
         self._board.set_condition(_MISSING, None)
         if done is not None:
-            self._untold = done
+            self._unreported = done
             _publish(self._board, done)
         self._report()
 
     def _report(self) -> None:
         """Write the event of a recovery, as soon as it can be written."""
-        if self._untold is None:
+        if self._unreported is None:
             return
-        event = Event.of(_finding(self._untold), MESSAGES, time=self._now(), severity="alarm")
+        event = Event.of(_finding(self._unreported), MESSAGES, time=self._now(), severity="alarm")
         try:
             self._archive.add_event(event)
         except OutsideError as error:
             _log.error("could not store the event %s: %s", event.kind, error)
         else:
-            self._untold = None
+            self._unreported = None
 
 
 def _finding(done: Recovery) -> Finding:

@@ -113,17 +113,12 @@ class EpochSearch:
             except InputError:  # an epoch begins there already
                 continue
             divided += [part.id for part in parts]
-            self._camera.archive.add_event(_found(step, at, camera=self._camera.name))
-        found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
-        self._camera.archive.add_event(
-            Event.of(
-                found,
-                MESSAGES,
-                time=self._now(),
-                severity="info",
-                camera=self._camera.name,
-                details={"divided": sorted(set(divided))},
+            self._camera.add_event(
+                _found(step, at), CHANGES, time=at, severity="warning", kind="bump", details={"searched": True}
             )
+        found = Finding(SEARCHED, {"steps": len(steps), "last_id": self._last_id})
+        self._camera.add_event(
+            found, MESSAGES, time=self._now(), severity="info", details={"divided": sorted(set(divided))}
         )
 
     def unanswered(self, epoch: str) -> bool:
@@ -157,8 +152,7 @@ def _search(event: Event) -> _Search:
     )
 
 
-def _found(step: PoseStep, at: datetime, *, camera: str) -> Event:
+def _found(step: PoseStep, at: datetime) -> Finding:
     before = utc_time(step.before_unix_s).isoformat(timespec="seconds")
     data: Data = {"before": before, "after": at.isoformat(timespec="seconds"), "turn_deg": step.turn_deg}
-    found = Finding("pose_changed", data)
-    return Event.of(found, CHANGES, time=at, severity="warning", camera=camera, kind="bump", details={"searched": True})
+    return Finding("pose_changed", data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from sunarc.archive import CalibrationRecord, CameraArchive, Event
+from sunarc.archive import CalibrationRecord, CameraArchive
 from sunarc.errors import InputError, NotFoundError
 from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
@@ -78,6 +78,5 @@ class CalibrationIntegrityCheck:
         finding = Finding(code, {"calibration": calibration, **data})
         if (code, calibration) not in self._reported:
             self._reported.add((code, calibration))
-            event = Event.of(finding, MESSAGES, time=self._now(), severity="alarm", camera=self._camera.name)
-            self._camera.archive.add_event(event)
+            self._camera.add_event(finding, MESSAGES, time=self._now(), severity="alarm")
         return Reason.of(finding, MESSAGES)

@@ -9,7 +9,7 @@ from datetime import date, datetime
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, Day, Event, Refit, SunPointColumns
+from sunarc.archive import CameraArchive, Day, Refit, SunPointColumns
 from sunarc.calibration import (
     DOUBTFUL_CLOCK_SHARE,
     MAX_CLOCK_ERROR_S,
@@ -133,9 +133,7 @@ class DayJudge:
         numbers = {key: value for key, value in asdict(day).items() if isinstance(value, int | float)}
         why = {"date": f"{day.date}", "verdict": day.verdict, "reasons": "; ".join(day.reasons)}
         found, details = Finding("day", {**numbers, **why}), {key: value for key, value in offsets.items() if value}
-        self._camera.archive.add_event(
-            Event.of(found, MESSAGES, time=day.decided_at, severity="info", camera=self._camera.name, details=details)
-        )
+        self._camera.add_event(found, MESSAGES, time=day.decided_at, severity="info", details=details)
 
 
 def _finite(value: float) -> float | None:

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, Event, PoseEpoch, SunPoint
+from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, PoseEpoch, SunPoint
 from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration
 from sunarc.calibration.change_detection import (
     LENS_KINDS,
@@ -241,16 +241,8 @@ class WatchWorker:
         self._camera.exclude(since=time, until=until, reason=f"{fault.kind}: {fault.text}")
 
     def _report(self, change: Change, at: datetime) -> None:
-        self._camera.archive.add_event(
-            Event.of(
-                change.finding,
-                CHANGES,
-                time=at,
-                severity="alarm",
-                camera=self._camera.name,
-                kind=change.kind,
-                details=change.as_details(),
-            )
+        self._camera.add_event(
+            change.finding, CHANGES, time=at, severity="alarm", kind=change.kind, details=change.as_details()
         )
         self._publish(change, at)
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 from annotated_types import Ge, Gt, Le
 
 import sunarc
-from sunarc.archive import CalibrationRecord, CameraArchive, Event, EventSeverity, PoseEpoch, Refit, RefitState
+from sunarc.archive import CalibrationRecord, CameraArchive, EventSeverity, PoseEpoch, Refit, RefitState
 from sunarc.bounds import require_bounds
 from sunarc.calibration import (
     Calibration,
@@ -281,16 +281,7 @@ class RefitWorker:
         )
         found = Finding(f"refit_{state}", {"refit": refit.id, "message": message})
         severity: EventSeverity = "info" if state == "accepted" else "warning"
-        self._camera.archive.add_event(
-            Event.of(
-                found,
-                MESSAGES,
-                time=now,
-                severity=severity,
-                camera=self._camera.name,
-                details={"calibration": calibration},
-            )
-        )
+        self._camera.add_event(found, MESSAGES, time=now, severity=severity, details={"calibration": calibration})
 
 
 def _in_child(run: Callable[..., _Answer], problem: Problem, child: Mapping[str, Any]) -> _Answer:

@@ -11,7 +11,7 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, Event, SunPoint
+from sunarc.archive import ELSEWHERE, FROZEN, CameraArchive, SunPoint
 from sunarc.array_types import Image
 from sunarc.cameras import Frame
 from sunarc.detection import Detection
@@ -125,15 +125,15 @@ class FrozenFrames:
         finding = Finding(_CODE, {"n": self._in_a_row, "time": earlier.isoformat(timespec="seconds")})
         self._board.set_condition(_CODE, Reason.of(finding, MESSAGES), log=False)
         if self._in_a_row == _LASTING:
-            self._store(Event.of(finding, MESSAGES, time=time, severity="alarm", camera=self._camera.name))
+            self._store(finding, time)
 
     def _clear(self) -> None:
         self._in_a_row = 0
         self._board.set_condition(_CODE, None)
 
-    def _store(self, event: Event) -> None:
+    def _store(self, finding: Finding, time: datetime) -> None:
         try:
-            self._camera.archive.add_event(event)
+            self._camera.add_event(finding, MESSAGES, time=time, severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 

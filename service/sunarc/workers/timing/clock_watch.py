@@ -12,7 +12,7 @@ from typing import Annotated
 
 from annotated_types import Gt, Le
 
-from sunarc.archive import Archive, Event
+from sunarc.archive import CameraArchive
 from sunarc.bounds import require_bounds
 from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.errors import OutsideError
@@ -70,7 +70,7 @@ class ClockWatch:
     Parameters
     ----------
     clock, frame_time : real time, and the time that dates frames.
-    archive, camera : where a step is remembered, and whose sightings it puts in doubt.
+    camera : its archive, where a step is stored and the bounds of sightings are widened.
     options : how closely to look.
     camera_error_s : bound of the camera's disciplined clock where it dates the frames; None where the host's does.
     finds_steps : false for times that jump by nature: a replay's, or a simulation's that skips its nights.
@@ -82,8 +82,7 @@ class ClockWatch:
         *,
         clock: Clock,
         frame_time: FrameTime,
-        archive: Archive,
-        camera: str,
+        camera: CameraArchive,
         options: ClockOptions,
         camera_error_s: float | None,
         finds_steps: bool,
@@ -91,7 +90,6 @@ class ClockWatch:
     ) -> None:
         self._clock = clock
         self._frame_time = frame_time
-        self._archive = archive
         self._camera = camera
         self._options = options
         self._camera_error_s = camera_error_s
@@ -194,8 +192,8 @@ class ClockWatch:
         """Compare a first reading with the record: its newest sighting, and a wait that has not ended."""
         day = timedelta(seconds=IMPLAUSIBLE_SETTLE_S)
         try:
-            newest = self._archive.newest_sighting_time(self._camera, largest_clock_error_s=MAX_CLOCK_ERROR_S)
-            events = self._archive.events(self._camera, since=now.wall - day, until=now.wall + timedelta(seconds=1))
+            newest = self._camera.newest_sighting_time(largest_clock_error_s=MAX_CLOCK_ERROR_S)
+            events = self._camera.events(since=now.wall - day, until=now.wall + timedelta(seconds=1))
         except OutsideError as error:
             _log.warning("could not compare the clock with the record: %s", error)
             return
@@ -249,25 +247,23 @@ class ClockWatch:
             step, wait_s = self._unwritten[0]
             try:
                 for since, until in step.doubted:
-                    self._archive.widen_clock_errors(self._camera, since=since, until=until, error_s=abs(step.step_s))
-                self._archive.add_event(self._event(step, wait_s))
+                    self._camera.widen_clock_errors(since=since, until=until, error_s=abs(step.step_s))
+                self._store(step, wait_s)
             except OutsideError as error:
                 _log.warning("could not store clock step, will retry: %s", error)
                 return
             # Forgotten only now: widening a bound twice changes nothing, and the event was written last.
             self._unwritten.popleft()
 
-    def _event(self, step: ClockStep, wait_s: float) -> Event:
-        state = self._clock.state()
-        return Event.of(
+    def _store(self, step: ClockStep, wait_s: float) -> None:
+        self._camera.add_event(
             stepped("clock_step", self._whose, step),
             MESSAGES,
             time=step.at,
             severity="warning",
-            camera=self._camera,
             details={
                 "noticed_within_s": step.within_s,
-                "synchronised_after": state.synchronised,
+                "synchronised_after": self._clock.state().synchronised,
                 "error_bound_s": self._bound_s(),
                 "gradual": step.gradual,
                 "distrusted_s": wait_s,
@@ -312,9 +308,8 @@ class ClockWatch:
 
     def _write_offset(self, offset: Finding) -> None:
         """Write an event when the camera's time is found not to be the host's."""
-        event = Event.of(offset, MESSAGES, time=self._frame_time.now(), severity="alarm", camera=self._camera)
         try:
-            self._archive.add_event(event)
+            self._camera.add_event(offset, MESSAGES, time=self._frame_time.now(), severity="alarm")
         except OutsideError as error:
             _log.warning("could not store an event: %s", error)
 
