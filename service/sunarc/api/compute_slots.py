@@ -12,7 +12,7 @@ from sunarc.api.problems import Fault, RefusedError
 
 
 class ComputeSlots:
-    """Lets so many large computations run at once, so that the processors are shared; the others wait.
+    """Semaphore of large computations that serves waiting addresses in turn.
 
     A slot is taken when all that is computed on is there, and left when the numbers are: not while a request is being
     sent, nor while its answer is being read. Addresses that wait take turns.
@@ -56,7 +56,7 @@ class ComputeSlots:
             raise
 
     def _leave(self) -> None:
-        """Hand the slot to the address whose turn it is."""
+        """Pass the slot on to the next waiting address."""
         while self._waiting:
             client, waiters = self._waiting.popitem(last=False)
             waiter = waiters.popleft()

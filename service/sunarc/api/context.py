@@ -1,4 +1,4 @@
-"""What the routes serve: the collaborators of one application, handed to `create_app` and to nobody else."""
+"""Dependencies of the routes of one application, and what is cached for them."""
 
 from __future__ import annotations
 

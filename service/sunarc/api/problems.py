@@ -162,7 +162,7 @@ class FaultGuard:
         self._faults = faults
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass; an answer that has begun is cut off."""
+        """Pass a request on; an answer that has begun is cut off."""
         started = False
 
         async def sending(message: Message) -> None:

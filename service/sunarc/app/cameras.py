@@ -63,7 +63,7 @@ def require_same_camera(archive: Archive, *, name: str, info: CameraInfo) -> Non
 
 
 def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -> CameraRecord:
-    """Begin anew where another camera (by its serial number) has taken the place of the one that is stored.
+    """Retire the calibration and open a pose epoch where the camera's serial number is another than the stored one.
 
     The lens is another one: the current calibration is retired, a pose epoch with a new lens begins, and an event says
     so. A pinned calibration is retired too, since it is another camera's.
@@ -104,7 +104,7 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
 
 
 def _open_epoch(archive: Archive, camera: str, at: datetime) -> None:
-    """Begin a pose epoch with another lens; where a wrong clock has begun one later, the one before that is divided."""
+    """Open a pose epoch with another lens; where a wrong clock has opened one later, divide the one before that."""
     if archive.current_epoch(camera) is None:
         return
     try:

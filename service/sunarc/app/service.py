@@ -292,7 +292,7 @@ class Service:
         )
 
     def report(self, frame: Frame, detection: Detection) -> None:
-        """Tell the exposure controller and the watch what a sun exposure showed."""
+        """Pass the result of a sun exposure to the exposure control and to the change detection."""
         self.exposures.report(frame, detection)
         is_sun = detection.accepted or detection.verdict == ELSEWHERE
         if is_sun and detection.x_px is not None and detection.y_px is not None and self.clock_watch.trusted():

@@ -190,7 +190,7 @@ def _address(settings: Settings) -> str:
 
 
 def _stop_on_signals(server: uvicorn.Server) -> None:
-    """Let SIGTERM and SIGINT stop the server, also before it runs; afterwards it hands on what it was stopped by."""
+    """Install handlers of SIGTERM and SIGINT that stop the server, also before it runs."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: _stop_serving(server))
 

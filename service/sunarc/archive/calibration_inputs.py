@@ -70,7 +70,7 @@ def keep_used(connection: Connection, calibration_id: str, columns: SunPointColu
 
 
 def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
-    """Let a copy of a calibration rest on the same sightings."""
+    """Store the same sightings as the inputs of a copy of a calibration."""
     row = connection.execute(select(used_sightings).where(used_sightings.c.calibration == calibration_id)).one_or_none()
     if row is not None:
         connection.execute(insert(used_sightings).values({**row._mapping, "calibration": to}))  # noqa: SLF001 - public

@@ -59,7 +59,7 @@ class History(Calibrations):
         return self._hold(calibration_id, "pinned", at=at, reason=reason)
 
     def unpin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
-        """Let refits replace the current calibration again."""
+        """Allow refits to replace the current calibration."""
         return self._hold(calibration_id, "unpinned", at=at, reason=reason)
 
     def _hold(

@@ -90,7 +90,7 @@ class Calibrations(Store):
         return with_interval(activated)
 
     def answer_between(self, calibration_id: str, *, since: datetime, until: datetime) -> CalibrationRecord:
-        """Let a candidate answer for times past, `since` <= t < `until`, in place of what answered for them.
+        """Make a candidate valid for past times, `since` <= t < `until`, in place of what was valid then.
 
         What began before `since` ends there; what began between and goes on beyond begins at `until`. Where one answers
         from before `since` until after `until`, or is pinned, nothing is changed: the candidate is returned as it was.

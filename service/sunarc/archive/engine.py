@@ -57,21 +57,21 @@ def create_archive_engine(
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """Give a connection that sees one state of the database throughout."""
+    """Yield a connection that reads one snapshot of the database."""
     with outside_errors(engine), engine.connect() as connection:
         yield connection
 
 
 @contextmanager
 def writing(engine: Engine) -> Iterator[Connection]:
-    """Give a connection that holds the database's one write lock, and commit at the end."""
+    """Yield a connection that holds the database's write lock, and commit at the end."""
     with outside_errors(engine), engine.execution_options(**{_WRITES: True}).begin() as connection:
         yield connection
 
 
 @contextmanager
 def outside_errors(engine: Engine) -> Iterator[None]:
-    """Say in one line what SQLite could not do."""
+    """Raise SQLite's errors as this package's, in one line with the remedy."""
     path = engine.url.database
     try:
         yield

@@ -90,7 +90,7 @@ def _with_the_one_before(connection: Connection, epoch_id: str) -> tuple[PoseEpo
 
 
 def _join(connection: Connection, wrong: PoseEpoch, before: PoseEpoch) -> None:
-    """Let an epoch end where it began, and the one before it take its place and its sightings."""
+    """End an epoch where it began, and extend the one before it over its time and its sightings."""
     epochs, c = pose_epoch.c, sun_point.c
     # The row stays, of no duration: its id is never given again, and the event can still name it.
     connection.execute(update(pose_epoch).where(epochs.id == wrong.id).values(ended_at=wrong.started_at))

@@ -191,7 +191,7 @@ class ImageStore:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Say in one line that the folder cannot be used; `glob` and `rglob` alone would find nothing and be silent."""
+        """Raise `OutsideError` where the folder cannot be read; `glob` and `rglob` alone would return nothing."""
         try:
             if self.folder.exists():
                 os.scandir(self.folder).close()

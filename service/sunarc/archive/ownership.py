@@ -10,7 +10,7 @@ PRIVATE = 0o640
 
 
 def give_to_owner_of(folder: Path, path: Path) -> None:
-    """Give a file to the owner and group of a folder, where this process may (root does).
+    """Set a file's owner and group to those of a folder, where this process may (root does).
 
     A file made by root in the service's state folder could not be written by the service.
     """

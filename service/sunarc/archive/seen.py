@@ -1,4 +1,4 @@
-"""From what the detector says to what is remembered."""
+"""Sightings from detections."""
 
 from __future__ import annotations
 

@@ -20,11 +20,11 @@ class Reserve:
         self.size_bytes = size_bytes
 
     def held(self) -> bool:
-        """Whether the room is set aside."""
+        """Return whether the reserve is allocated, or needs no space."""
         return self.size_bytes == 0 or self._path.exists()
 
     def hold(self) -> bool:
-        """Set the room aside; return whether there was enough of it."""
+        """Allocate the reserve, and return whether there was enough space."""
         if self.held():
             return True
         part = self._path.with_suffix(".part")
@@ -40,12 +40,12 @@ class Reserve:
         return True
 
     def balance(self, free_bytes: int) -> None:
-        """Give the room up when a quarter as much is all that is free; set it aside again when twice as much is."""
+        """Release the reserve when less than a quarter of its size is free; allocate it again above twice its size."""
         if free_bytes < self.size_bytes / 4:
             self.release()
         elif free_bytes > 2 * self.size_bytes:
             self.hold()
 
     def release(self) -> None:
-        """Give the room to whoever writes next."""
+        """Delete the reserve's file, so that its space is free."""
         self._path.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ SERVED: tuple[CalibrationState, ...] = ("current", "retired")
 
 
 def with_interval(record: CalibrationRecord) -> CalibrationRecord:
-    """Let the document say what the archive decided since it was written."""
+    """Return a record whose document has the state, the interval and the verdict of its row."""
     decided = {
         "state": record.state,
         "valid_from": rfc3339(record.valid_from),
@@ -39,7 +39,7 @@ def wrong_state(calibration_id: str, state: str, *, remedy: str) -> ConflictErro
 
 
 def end_others(connection: Connection, camera: str, at: datetime) -> None:
-    """Let no calibration of a camera answer for times from `at` on, and none be pinned."""
+    """End the validity of all calibrations of a camera at `at`, and unpin them."""
     c = calibration.c
     answering = update(calibration).where(
         c.camera == camera, c.state.in_(SERVED), or_(c.valid_until.is_(None), c.valid_until > at)
@@ -49,7 +49,7 @@ def end_others(connection: Connection, camera: str, at: datetime) -> None:
 
 
 def clear_interval(connection: Connection, camera: str, since: datetime, until: datetime) -> None:
-    """Let no calibration of a camera answer for `since` <= t < `until`; what goes on beyond `until` begins there."""
+    """Take `since` <= t < `until` out of the validity of a camera's calibrations; what is valid beyond begins there."""
     c = calibration.c
     filters = (c.camera == camera, c.state.in_(SERVED))
     beyond = or_(c.valid_until.is_(None), c.valid_until > until)

@@ -1,4 +1,4 @@
-"""What a camera can do, what will be used of it, and whether its frames come: for whoever sets one up."""
+"""Checks of a camera: abilities, stream, exposures, and a few trial frames."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class VirtualClock:
             return self._state
 
     def set_state(self, state: ClockState) -> None:
-        """Say how far the wall time can be trusted from now on."""
+        """Set the state that `state` returns from now on."""
         with self._lock:
             self._state = state
 

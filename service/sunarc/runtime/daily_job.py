@@ -82,7 +82,7 @@ class Schedule:
         self._lock = threading.Lock()
 
     def start(self) -> None:
-        """Begin; once begun, nothing more happens."""
+        """Start; a second call does nothing."""
         with self._lock:
             if self._scheduler is not None:
                 return

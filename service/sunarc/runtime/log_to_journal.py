@@ -1,4 +1,4 @@
-"""What the service tells its log: one event a line, levels that mean something, repeats held back.
+"""Logging to systemd's journal or standard error: one event a line, repeats suppressed.
 
 Under systemd the lines go to the journal by its native protocol, with fields of their own (`SUNARC_EVENT` and
 `SUNARC_KIND` are those of `/v1/events`, `SUNARC_STACK` is an exception's); elsewhere they go to standard error.
@@ -45,7 +45,7 @@ def stands_in_journal(environment: Mapping[str, str], *, descriptor: int) -> boo
 
 
 class JournalHandler(logging.Handler):
-    """Hands records to systemd's journal with their fields (its native protocol); when that fails, to standard error.
+    """Sends records to systemd's journal with their fields (its native protocol); when that fails, to standard error.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class JournalHandler(logging.Handler):
 
 
 class Repeats(logging.Filter):
-    """Lets the first few of alike records pass, then one a window, which says how many it stands for.
+    """Passes the first few of equal records, then one a window with the number of those suppressed.
 
     Records are alike when logger, level and text are, numbers in it aside.
 

@@ -172,7 +172,7 @@ class Supervisor:
         if not life.failed:
             return
         with self._lock:
-            # Two essential workers may fail at the same time; the service is told once.
+            # Two essential workers may fail at the same time; the callback runs once.
             first = not self.failed.is_set()
             self.failed.set()
         if first and self._on_failed is not None:

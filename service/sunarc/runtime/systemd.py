@@ -1,4 +1,4 @@
-"""What systemd wants to hear: ready, status, alive, stopping (sd_notify(3), Type=notify)."""
+"""Notifications to systemd: ready, status, watchdog, stopping (sd_notify(3), Type=notify)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _log = logging.getLogger(__name__)
 
 
 class Notifier:
-    """Sends the service's state to its service manager; to nobody where there is none.
+    """Sends the service's state to its service manager, if there is one.
 
     Parameters
     ----------
@@ -23,19 +23,19 @@ class Notifier:
         self._address = "\0" + address[1:] if address.startswith("@") else address
 
     def ready(self, status: str) -> None:
-        """Say that the service is up, and one line of how."""
+        """Notify that the service is ready, with a status line."""
         self._send(f"READY=1\nSTATUS={_line(status)}")
 
     def status(self, status: str) -> None:
-        """Say one line of how the service is."""
+        """Send a status line."""
         self._send(f"STATUS={_line(status)}")
 
     def watchdog(self) -> None:
-        """Say that the service is alive."""
+        """Reset the watchdog."""
         self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """Say that the service is on its way down."""
+        """Notify that the service is stopping."""
         self._send("STOPPING=1")
 
     def _send(self, message: str) -> None:

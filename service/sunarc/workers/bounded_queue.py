@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class DropOldestQueue(Generic[T]):
-    """Hands things from one thread to another; when full, the oldest is dropped and counted.
+    """Queue between two threads; when full, the oldest entry is dropped and counted.
 
     Parameters
     ----------

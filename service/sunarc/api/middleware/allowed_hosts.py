@@ -42,7 +42,7 @@ class AllowedHosts:
         self._names = names
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] == "http" and not is_always_answered(scope):
             host = Headers(scope=scope).get("host", "")
             if host and not self._is_allowed(host):

@@ -44,7 +44,7 @@ def read_token(path: Path | None, *, setting: str) -> bytes | None:
 
 
 def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
-    """Return a dependency that lets only those pass who bear the token of a digest; nobody where there is none."""
+    """Return a dependency that refuses requests without the token of a digest, and all where there is none."""
 
     async def with_token(given: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]) -> None:
         if token is None:
@@ -57,7 +57,7 @@ def require_write_token(token: bytes | None) -> Callable[..., Awaitable[None]]:
 
 
 class ReadTokenMiddleware:
-    """Lets only those read who bear one of the tokens; the empty page and the probes stay open.
+    """Refuses reads without one of the tokens; the empty page and the probes stay open.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class ReadTokenMiddleware:
         self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] != "http" or _is_open(scope["path"]) or self._borne(scope):
             await self._app(scope, receive, send)
             return

@@ -80,7 +80,7 @@ class BoundedConnection(H11Protocol):
             self.transport.close()
 
     def pause_writing(self) -> None:
-        """Begin to watch whether the client reads what waits for it."""
+        """Start the timer of a client that does not read its answer."""
         super().pause_writing()
         self._watch_reading(self._unread_bytes())
 

@@ -1,4 +1,4 @@
-"""What clients make the service hold while they send or read: bounded in all, and shared fairly among addresses."""
+"""Memory held for requests and answers: bounded in total, and shared fairly among addresses."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Holding:
             self._holdings.grow(self, amount)
 
     def ends(self, until: asyncio.Timeout) -> None:
-        """Say what ends the request when another takes its room."""
+        """Set the timeout that ends the request when its memory is claimed."""
         self._until = until
 
     def end(self) -> None:

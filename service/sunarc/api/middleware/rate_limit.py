@@ -79,7 +79,7 @@ class RateLimit:
         self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] != "http" or is_always_answered(scope):
             await self._app(scope, receive, send)
             return
@@ -127,7 +127,7 @@ class ConcurrencyLimit:
         self._under_way = Holdings(at_once)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass, or refuse it."""
+        """Pass a request on, or refuse it."""
         if scope["type"] != "http" or is_always_answered(scope):
             await self._app(scope, receive, send)
             return

@@ -38,7 +38,7 @@ class BodyReader:
         self._holdings = holdings
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request pass when its body is there, or refuse it; end it where others need its memory more."""
+        """Pass a request on when its body is complete, or refuse it; end it when its memory is claimed by others."""
         if scope["type"] != "http" or scope["method"] in _WITHOUT_BODY:
             await self._app(scope, receive, send)
             return

@@ -53,7 +53,7 @@ class StatusCollector(Collector):
         self._stored_step_at = _stored_step_at(context)
 
     def describe(self) -> Iterator[Metric]:
-        """Name nothing beforehand, so that registering asks nobody."""
+        """Return no metrics, so that registering does not query the archive."""
         return iter(())
 
     def collect(self) -> Iterator[Metric]:

@@ -28,7 +28,7 @@ _WORTH_A_REFIT = frozenset({"clear", "partly"})
 
 
 class DayJudge:
-    """Gives each ended day its verdict, and asks for a refit after one that shows the sun.
+    """Evaluates each completed day, and requests a refit after one that shows the sun.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ _RECOVERED_AFTER = 4
 
 
 class WatchWorker:
-    """Holds sightings to the calibration that is served, and acts on what changed.
+    """Compares sightings with the active calibration, and acts on detected changes.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class WatchWorker:
             self.process_next(timeout_s=_POLL_S)
 
     def remember(self) -> None:
-        """Begin anew with the last sightings of the present pose epoch; none of a doubtful or a later time."""
+        """Fill the window with the last sightings of the current pose epoch whose times are trusted and past."""
         self._watch = SightingWindow()
         epoch = self._present_epoch()
         self._epoch = None if epoch is None else epoch.id
@@ -182,7 +182,7 @@ class WatchWorker:
             self._publish_pose()
 
     def _act(self, change: Change) -> None:
-        """Tell, and do what the change asks for."""
+        """Report a change, and act on it by its kind."""
         at = utc_time(change.at_unix_s)
         moved = change.kind == "bump" or change.kind in LENS_KINDS
         epoch = self._epoch_begun_by(change) if moved else None
@@ -206,7 +206,7 @@ class WatchWorker:
         return epoch if reported else None
 
     def _open_epoch(self, change: Change, at: datetime) -> None:
-        """Begin a pose epoch at the first sighting after the change; what may be from either side is left out."""
+        """Open a pose epoch at the first sighting after the change, and exclude those that may be of either side."""
         doubted = f"ambiguous: the camera moved between {utc_time(change.earliest_unix_s).isoformat()} and then"
         after_last = utc_time(change.earliest_unix_s) + MICROSECOND
         self._camera.exclude(since=after_last, until=at, reason=doubted)
@@ -256,7 +256,7 @@ class WatchWorker:
             self._board.set_condition(f"changed_{kind}", None)
 
     def _publish_pose(self) -> None:
-        """Tell how the pose stands; a full fit of the epoch ends the matter."""
+        """Set or clear the condition `provisional_pose`; a full fit of the epoch clears it."""
         current = self._current()
         if current is None:
             return
@@ -285,7 +285,7 @@ class WatchWorker:
         return any(event.kind == "clock_step" for event in self._camera.events(since=since))
 
     def _publish_future_epochs(self) -> None:
-        """Say which pose epochs begin later than now: a clock that was ahead opened them, and they block new ones."""
+        """Set or clear the condition of pose epochs that begin later than now: they block new ones."""
         later = [epoch for epoch in self._camera.epochs() if epoch.started_at > self._latest()]
         self._has_future_epochs = bool(later)
         self._board.set_condition(_FUTURE_EPOCH, _of_the_future(later[0]) if later else None)

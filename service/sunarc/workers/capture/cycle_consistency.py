@@ -33,7 +33,7 @@ class Cycle:
 
 
 class CycleConsistencyFilter:
-    """Holds the first cycle back until a second has the same brightness, and compares each with the last accepted one.
+    """Delays the first cycle until a second has the same brightness; compares each later one with the last accepted.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class CycleConsistencyFilter:
         return self._first(taken, level)
 
     def _first(self, taken: Cycle, level: _CycleLevel) -> list[Cycle]:
-        """Hold a cycle back that has no reference; or release it together with one that was held back before it.
+        """Delay a cycle without a reference; or return it together with the delayed one before it.
 
         Two that are too far apart to be compared are let go: nothing speaks against them, and nothing ever could.
         """

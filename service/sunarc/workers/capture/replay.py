@@ -21,7 +21,7 @@ _SUN_EXPOSURE_BELOW_US = 1000.0
 
 
 class ReplayWorker:
-    """Hands on the microsecond images of a folder, one after the other, and then waits to be stopped.
+    """Puts the microsecond images of a folder into the queue, in order, and then waits to be stopped.
 
     Parameters
     ----------

@@ -91,16 +91,16 @@ class CaptureReport:
         self._missed_slots.add(missed_before=missed_before)
 
     def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
-        """Say what a slot's normal exposures show."""
+        """Record a slot's normal exposures."""
         self._dark_frames.add(frames, apparent_zenith=apparent_zenith)
 
     def frame(self, frame: Frame) -> None:
-        """Say that a frame came."""
+        """Record a frame."""
         self.add(frames=1)
         self._board.note(last_frame_at=frame.time)
 
     def sign_of_life(self, *, succeeded: bool) -> None:
-        """Say whether the exposure came that only shows that the camera lives."""
+        """Record whether the night's test exposure succeeded."""
         self.publish()
         self._incomplete = 0 if succeeded else self._incomplete + 1
         self._overrun = 0
@@ -115,7 +115,7 @@ class CaptureReport:
         self._board.set_condition(_OVERRUN, reason if self._overrun >= _LASTING else None)
 
     def opened(self, info: CameraInfo) -> None:
-        """Say that the camera answers."""
+        """Record that the camera answers."""
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
         self._board.set_condition("camera_lost", None)
         self._board.set_condition("camera_refused", None)
@@ -136,7 +136,7 @@ class CaptureReport:
         self._board.note(camera=replace(self._camera, temperature_c=condition.temperature_c))
 
     def lost(self, error: CameraError) -> None:
-        """Say that the camera is gone."""
+        """Record that the camera is lost."""
         self._missed_slots.outage()
         if (
             self._camera.connected
@@ -149,7 +149,7 @@ class CaptureReport:
         self._board.set_condition("camera_lost", condition("camera_lost", error=str(error)))
 
     def refused(self, error: ConfigurationError | InputError) -> None:
-        """Say that the camera and the settings do not fit; nothing is stored until they do."""
+        """Record that the camera and the settings do not match; nothing is stored until they do."""
         text, remedy = str(error), "run: sunarc check --camera"
         if isinstance(error, InputError):
             text, remedy = f"{error.field}: {error.problem}", error.remedy

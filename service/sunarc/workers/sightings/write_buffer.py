@@ -71,7 +71,7 @@ class SightingWriteBuffer:
             self._board.set_condition(_CODE, None)
 
     def give_up(self) -> None:
-        """Say what is lost with the end of the process."""
+        """Log how many sightings are lost with the end of the process."""
         if self._waiting:
             _log.error("%d sightings could not be stored and are lost", len(self._waiting))
 

@@ -56,7 +56,7 @@ class ClockAgreement:
             self._settling = _Settling(reading.monotonic_s, min(remaining_s, IMPLAUSIBLE_SETTLE_S))
 
     def stepped(self, reading: ClockReading) -> float:
-        """Begin to wait after a large or gradual step, and return for how long, seconds."""
+        """Start the wait after a large or gradual step, and return its length in seconds."""
         wait_s = SETTLE_S if self._is_plausible(reading) else IMPLAUSIBLE_SETTLE_S
         self._settling = _Settling(reading.monotonic_s, wait_s)
         return wait_s
