@@ -1,4 +1,4 @@
-"""Which camera the settings name, and whether it is the one that the archive knows."""
+"""The camera of the settings, and its comparison with the archive's record."""
 
 from __future__ import annotations
 

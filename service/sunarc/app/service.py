@@ -1,4 +1,4 @@
-"""The parts of a running imager, joined."""
+"""The parts of a running imager."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _WAITING_SUN_FRAMES = 8
 
 
 class Service:
-    """The parts of a running imager, joined.
+    """The parts of a running imager.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Service:
         )
 
     def check_sightings(self) -> None:
-        """Show where none is stored though the sun is up; a replay has no slots that are due."""
+        """Check for overdue sightings while the sun is up; a replay has no slots."""
         if self.settings.source != "replay":
             self.overdue.check()
 

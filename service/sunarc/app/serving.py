@@ -114,7 +114,7 @@ def end_process(code: int) -> NoReturn:
 
 
 def _make_room(settings: Settings) -> None:
-    """See that the database can be opened, should the disk be full."""
+    """Free space for the database before it is opened."""
     images = ImageStore(settings.images, options=settings.disk)
     images.make_room()
     Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6)).balance(images.usage().free_bytes)

@@ -1,4 +1,4 @@
-"""The archive as one object, and how it is opened."""
+"""The archive as one object."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sunarc.errors import OutsideError
 
 
 class Archive(Sightings, SightingRevisions, EpochClosing, UsedSightings, Journal, MeasuredAir):
-    """What we remember: values in, values out; one object serves all threads."""
+    """The database: values in, values out; safe to use from any thread."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         super().__init__(engine, file)

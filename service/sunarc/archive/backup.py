@@ -164,7 +164,7 @@ def _require_unused(path: Path) -> None:
 
 
 def keep_name(folder: Path) -> None:
-    """Have the folder's entries on the disk, so that a power cut does not take the new name back."""
+    """Sync a folder's entries to the disk, so that a renamed file keeps its name after a power cut."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

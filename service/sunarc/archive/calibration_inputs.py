@@ -1,4 +1,4 @@
-"""Which sightings a calibration rests on, so that it can be solved again years later."""
+"""Sightings that a calibration was fitted to, so that it can be reproduced years later."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sunarc.errors import InputError, NotFoundError
 
 
 class UsedSightings(Store):
-    """The part of the archive that remembers what calibrations rest on."""
+    """The part of the archive with the inputs of calibrations."""
 
     def sightings_of(self, calibration_id: str) -> SunPointColumns:
         """Return the sightings that a calibration was given, as they were.

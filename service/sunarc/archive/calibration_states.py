@@ -1,4 +1,4 @@
-"""What a person decides of calibrations: which one is served, and whether it stays."""
+"""Manual decisions on calibrations: reinstate, pin, unpin."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _COPY = re.compile(r"-r\d+$")
 
 
 class History(Calibrations):
-    """The part of the archive that a person may overrule; every such decision is also an event."""
+    """The part of the archive with manual decisions; each is also an event."""
 
     def reinstate(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
         """Make any calibration of the record current by hand, whatever is current or pinned.

@@ -1,4 +1,4 @@
-"""Calibrations: candidates, the current one, and the history of who answered when."""
+"""Calibrations: candidates, the current one, and the history of their validity."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 
 
 class Calibrations(Store):
-    """The part of the archive that remembers calibrations; none is ever deleted."""
+    """The part of the archive with calibrations; none is ever deleted."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         super().__init__(engine, file)

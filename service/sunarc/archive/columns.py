@@ -1,4 +1,4 @@
-"""Sightings read as columns: of millions of rows no object per row is made; what is no number is passed over."""
+"""Sightings read as columns, without an object per row; cells that are no number are skipped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The CSV files that people hand us and get back: sightings, directions and pixels, one clear error a bad row."""
+"""CSV files of sightings, directions and pixels; an error names the line and the column."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SightingTable:
-    """Sun sightings as they stand in a file.
+    """Sun sightings of a CSV file.
 
     Attributes
     ----------

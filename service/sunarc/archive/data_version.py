@@ -1,4 +1,4 @@
-"""Whether anything was written since: a question that costs microseconds, so that answers may be kept until then."""
+"""Detection of writes in microseconds, so that query results can be cached until the next one."""
 
 from __future__ import annotations
 

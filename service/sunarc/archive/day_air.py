@@ -29,7 +29,7 @@ from sunarc.sky import (
 
 
 class MeasuredAir(Store):
-    """The part of the archive that keeps the measured air of days."""
+    """The part of the archive with the measured air of days."""
 
     def set_day_air(self, air: DayAir) -> DayAir:
         """Write a day's air in place of an earlier one, and return what is kept; with neither value, remove it.

@@ -1,4 +1,4 @@
-"""Days, refits and events: what was decided, what was tried, what happened."""
+"""Verdicts of days, refits and events."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "alarm": logging.ER
 
 
 class Journal(Store):
-    """The part of the archive that remembers verdicts, refits and events."""
+    """The part of the archive with verdicts, refits and events."""
 
     def save_day(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""

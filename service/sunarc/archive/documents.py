@@ -1,4 +1,4 @@
-"""The one place where calibration documents are read: checked against their checksum, parsed once, kept by id."""
+"""Reading of calibration documents: checked against their checksum, parsed once, cached by id."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sunarc.findings import Finding
 from sunarc.utc import EPOCH
 
 DAMAGED = Finding("document_damaged")
-"""What a damaged calibration gives as its reason."""
+"""Finding of a damaged calibration."""
 
 UNKNOWN_TIME = EPOCH
 """Stands for a time that cannot be read."""
@@ -30,7 +30,7 @@ _SAME = ("id", "camera", "method", "pose_epoch")
 
 
 class Documents:
-    """The documents that were asked for lately; parsing one takes longer than finding its row."""
+    """Least-recently-used cache of documents; parsing one takes longer than finding its row."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

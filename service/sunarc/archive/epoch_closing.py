@@ -22,7 +22,7 @@ EPOCH_CLOSED = "epoch_closed"
 
 
 class EpochClosing(History):
-    """The part of the archive that undoes a change of the camera that never happened."""
+    """The part of the archive that closes pose epochs opened by mistake."""
 
     def close_epoch(self, epoch_id: str, *, at: datetime, reason: str) -> str | None:
         """Undo a pose epoch: the one before it continues, and the calibration served before is current again.

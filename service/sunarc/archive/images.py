@@ -31,7 +31,7 @@ _LEAST_FREE_FILES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskOptions:
-    """How much of the disk images may have.
+    """Limits of the images' disk space.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class DiskOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskUsage:
-    """What is free where the images are, what they take, the time of the oldest one, and whether inodes are short."""
+    """Free space, space of the images, time of the oldest one, and whether inodes are short."""
 
     free_bytes: int
     images_bytes: int

@@ -1,4 +1,4 @@
-"""A database file that was lost or emptied: restored at a start, and while it is in use."""
+"""Recovery of a lost or emptied database file, at the start and while it is in use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Recovered = Literal["written_back", "restored", "new"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What was done about a database that was not there as it should be.
+    """What was done about a missing or damaged database.
 
     Attributes
     ----------

@@ -75,7 +75,7 @@ def upgrade(path: Path) -> Path | None:
 
 
 def check(path: Path) -> Check:
-    """Look at the revision, the integrity and the size of a database, changing nothing."""
+    """Return revision, integrity and size of a database, changing nothing."""
     require_file(path, command="sunarc db upgrade")
     engine = create_archive_engine(path)
     try:

@@ -21,7 +21,7 @@ LENS_CHANGED = "lens"
 
 
 class SightingRevisions(Store):
-    """The part of the archive that changes its mind on sightings; where the sun was seen is kept as it was."""
+    """The part of the archive that changes whether sightings are accepted; their pixels stay."""
 
     def exclude(self, camera: str, *, since: datetime, until: datetime | None = None, reason: str) -> int:
         """Leave accepted sightings with `since` <= time < `until` out of every fit, and return how many."""

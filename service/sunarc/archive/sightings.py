@@ -36,11 +36,11 @@ _FIRST_OF_EACH_DAY = text(
     SELECT time FROM first WHERE time IS NOT NULL
     """
 )
-"""One step in the index a day; five years take milliseconds."""
+"""One index lookup a day; five years take milliseconds."""
 
 
 class Sightings(Store):
-    """The part of the archive that remembers what the camera saw."""
+    """The part of the archive with cameras, pose epochs and sightings."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:
         super().__init__(engine, file)

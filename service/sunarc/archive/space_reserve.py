@@ -1,4 +1,4 @@
-"""Room on the disk that is set aside for the database."""
+"""Disk space reserved for the database."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Reserve:
-    """A file that takes up room until the database needs it.
+    """A file that occupies space until the database needs it.
 
     Parameters
     ----------

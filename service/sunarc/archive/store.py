@@ -1,4 +1,4 @@
-"""What the parts of the archive share: one engine, one writer at a time, rows turned into values."""
+"""Base of the parts of the archive: one engine, one writer at a time, rows as values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which calibration answers when: the rules that every change of the history keeps to."""
+"""Intervals of validity of calibrations: the rules of every change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the archive remembers, as values; times are aware and UTC, lengths in px."""
+"""Values that the archive stores; times are aware and UTC, lengths in px."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Watches the database's file: one that was deleted, replaced or emptied under the service is put back, and shown."""
+"""Recovery of the database's file while the service runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MISSING = "database_missing"
 
 
 class DatabaseWorker:
-    """Looks again and again whether the database's file is the one that was opened, and puts it back where it is not.
+    """Checks periodically that the database's file is the one that was opened, and restores it where it is not.
 
     Parameters
     ----------

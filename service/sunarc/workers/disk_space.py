@@ -1,4 +1,4 @@
-"""Keeps the disk from filling: old images go, and the database has room set aside."""
+"""Disk space: removal of old images, and the reserve of the database."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FULL = ("disk_low", "disk_full", "disk_no_inodes")
 
 
 class DiskWorker:
-    """Looks at the disk again and again: removes what is too old or too much, and says how much is left.
+    """Checks the disk periodically, removes images by age and by free space, and publishes the disk's state.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From the archive's columns to what a fit is given."""
+"""Input of a fit from the archive's columns."""
 
 from __future__ import annotations
 

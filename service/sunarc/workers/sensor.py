@@ -1,4 +1,4 @@
-"""What the settings tell of the sensor, in a frame's own counts."""
+"""Sensor properties from the settings, in a frame's counts."""
 
 from __future__ import annotations
 

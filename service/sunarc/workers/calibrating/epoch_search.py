@@ -1,4 +1,4 @@
-"""Searches sightings that no monitoring looked at for steps of the pose, and opens the pose epochs that they begin."""
+"""Search of unmonitored sightings for steps of the pose, each of which begins a pose epoch."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Search:
 
 
 class EpochSearch:
-    """Knows what is to be searched, and writes down what was found.
+    """Selects the sightings to search, and stores the result.
 
     Sightings are searched once: all of them while no calibration was ever served, later those that were imported.
     What the service saw itself under a calibration is the monitor's.

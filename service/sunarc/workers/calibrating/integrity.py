@@ -33,7 +33,7 @@ class CalibrationIntegrityCheck:
         self._current: str | None = None
 
     def follow(self) -> None:
-        """Look again where another calibration is current than at the last look; cheap where nothing was written."""
+        """Check again where another calibration is current than at the last check."""
         revision = self._camera.archive.revision()
         if revision == self._revision:
             return
@@ -43,7 +43,7 @@ class CalibrationIntegrityCheck:
             self.check()
 
     def check(self) -> None:
-        """Look, show what is wrong on the board, and write an event the first time."""
+        """Check, set the condition, and store an event the first time."""
         current = self._camera.current_calibration()
         self._current = None if current is None else current.id
         self._board.set_one_condition(_CODES, self._reason(current))

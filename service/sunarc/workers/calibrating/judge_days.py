@@ -1,4 +1,4 @@
-"""Which solar days have ended without a verdict? Idempotent, so that a missed night and a simulated year are alike."""
+"""Evaluation of completed solar days without a verdict; idempotent, so that missed days are evaluated later."""
 
 from __future__ import annotations
 

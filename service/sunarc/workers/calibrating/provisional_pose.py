@@ -1,4 +1,4 @@
-"""A provisional pose for an epoch that has no full fit yet: from its first sightings on, surer with every few more."""
+"""Provisional pose of an epoch without a full fit, from its first sightings on, updated with every few more."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Tried:
 
 
 class ProvisionalPoseEstimator:
-    """Poses the camera anew while its epoch has no full fit.
+    """Estimates the pose of an epoch that has no full fit.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class ProvisionalPoseEstimator:
         self._tried: _Tried | None = None
 
     def improve(self) -> bool:
-        """Pose the camera once more where that is due; return whether the answer is served."""
+        """Estimate the pose again where that is due; return whether the result was activated."""
         now = self._now()
         epoch = self._camera.current_epoch(at=now + _JITTER)
         current = self._camera.current_calibration()

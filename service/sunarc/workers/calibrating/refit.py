@@ -1,4 +1,4 @@
-"""Solves the camera anew when asked, in a process of its own, and serves the answer only when it is better."""
+"""Refits in a child process; the result is activated when it is better than the current calibration."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _MOST_PAST = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefitOptions:
-    """When the camera is solved anew.
+    """When and how a refit runs.
 
     Attributes
     ----------

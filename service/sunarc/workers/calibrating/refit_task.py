@@ -1,4 +1,4 @@
-"""From the archive's record to what a refit is given."""
+"""Input of a refit from the archive."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Task:
 
     @property
     def pose_epoch(self) -> str:
-        """The pose epoch that the answer speaks of."""
+        """The pose epoch of the result."""
         return self.used.epoch_ids[-1]
 
     def of_epoch(self, epoch: str) -> Problem:

@@ -1,4 +1,4 @@
-"""A solve in a process of its own, so that a night's fit never delays a frame."""
+"""Solving in a child process, so that a fit never delays a frame."""
 
 from __future__ import annotations
 

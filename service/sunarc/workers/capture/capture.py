@@ -1,4 +1,4 @@
-"""The cycle: the normal exposures at their slot as though nothing else were there, then the sun exposures."""
+"""The capture cycle: the normal exposures at their slot, then the sun exposures."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _require_microseconds(exposures_us: Sequence[float]) -> None:
 
 
 class CaptureWorker:
-    """Drives the camera, and opens it anew for as long as it takes when it is lost.
+    """Drives the camera, and reopens it whenever it is lost.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class CaptureWorker:
         self._last_slot_at_s = now_s
 
     def _follow_speed(self, condition: CameraCondition) -> None:
-        """Go as fast as a simulated camera says that its clock goes."""
+        """Follow the speed of a simulated camera's clock."""
         if condition.speed is not None and condition.speed != self._frame_time.speed:
             self._frame_time.set_speed(condition.speed)
 
@@ -237,7 +237,7 @@ class CaptureWorker:
         return taken
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
-        """Take an exposure that only shows that the camera lives, and what time it has."""
+        """Take an exposure that shows only that the camera answers, and its time."""
         self._report.sign_of_life(succeeded=exposer.take(exposure_us) is not None)
 
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
@@ -262,7 +262,7 @@ class CaptureWorker:
             )
 
     def _wait(self, stop: threading.Event, heartbeat: Callable[[], None], seconds: float) -> bool:
-        """Wait with signs of life; return whether to stop."""
+        """Wait with heartbeats; return whether to stop."""
         end = self._clock.monotonic() + seconds
         while not stop.is_set():
             heartbeat()

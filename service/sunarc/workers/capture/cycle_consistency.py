@@ -11,7 +11,7 @@ from sunarc.imaging import MOST_ALL_OVER, Exposed, Level, factor_all_over, level
 
 _log = logging.getLogger(__name__)
 COMPARABLE_S = 120.0
-"""Cycles further apart may show another sky: the level is not held against them."""
+"""Cycles further apart may show another sky: their levels are not compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""A folder of images played through the same chain, as fast as it can be followed."""
+"""Replay of a folder of images, as fast as they are processed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ReplayWorker:
         self._board = board
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
-        """Play the folder once; one that does not fit what is stored is refused, and that is said."""
+        """Play the folder once; one that does not match the stored camera is refused with a condition."""
         try:
             with closing(self._open_camera()) as camera:
                 self._board.note(camera=CameraStatus(name=self._name, connected=True, address=camera.info.address))

@@ -1,4 +1,4 @@
-"""What capture tells the board: the camera, what went wrong with it, and counts since the service started."""
+"""Status of capture: the camera, its failures, and counts since the service started."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CaptureReport:
         self._board.note(capture=self._counts)
 
     def failed(self, error: CameraError) -> None:
-        """Count an attempt at an exposure that came to nothing."""
+        """Count a failed attempt at an exposure."""
         lost = isinstance(error, CameraTimeoutError)
         self.add(losses=int(lost), refusals=int(not lost))
         self._failure = str(error)
@@ -132,7 +132,7 @@ class CaptureReport:
         self.publish()
 
     def condition(self, condition: CameraCondition) -> None:
-        """Show what the camera said of itself."""
+        """Publish the condition that the camera reports."""
         self._board.note(camera=replace(self._camera, temperature_c=condition.temperature_c))
 
     def lost(self, error: CameraError) -> None:

@@ -1,4 +1,4 @@
-"""Which sun exposures come next: the controller's state, shared by capture (asks) and detect (tells)."""
+"""State of the sun exposure control, shared by capture and detection."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SPOILED_AFTER = 20
 
 
 class SunExposures:
-    """Joins the pure exposure controller to the two workers.
+    """Passes detections to the exposure control and its exposures to capture.
 
     Parameters
     ----------

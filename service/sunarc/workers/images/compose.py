@@ -1,4 +1,4 @@
-"""From the normal exposures of a cycle to one composite on disk."""
+"""Composites from the normal exposures of a cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a composite's file says of itself."""
+"""Metadata of a composite."""
 
 from __future__ import annotations
 

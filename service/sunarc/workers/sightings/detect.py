@@ -1,4 +1,4 @@
-"""From sun exposures to sightings in the archive."""
+"""Sightings from sun exposures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PERHAPS_ELSEWHERE = frozenset({"hidden", "reflection", "obstructed"})
 
 
 class _FrameResult(NamedTuple):
-    """A frame of the bracket: when, what was seen, where it was due."""
+    """A frame of the bracket: time, detection and prediction."""
 
     time: datetime
     detection: Detection
@@ -32,7 +32,7 @@ class _FrameResult(NamedTuple):
 
 
 class DetectWorker:
-    """Looks for the sun in each frame handed over and stores what it saw, rejected or not.
+    """Detects the sun in each frame of the queue, and stores the sighting, accepted or not.
 
     Parameters
     ----------

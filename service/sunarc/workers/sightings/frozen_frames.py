@@ -1,4 +1,4 @@
-"""Recognising a camera that delivers an image again: its noise, and the sun's place in it, never repeat."""
+"""Detection of repeated images: the noise of two frames, and the sun's pixel in them, are never equal."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _Position:
 
 
 class FrozenFrames:
-    """Rejects what is seen in images that were delivered before, and reports a camera that repeats its images.
+    """Rejects sightings in images that were delivered before, and reports a camera that repeats its images.
 
     Parameters
     ----------

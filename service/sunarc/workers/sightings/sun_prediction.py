@@ -20,7 +20,7 @@ _BRIGHTNESS_EVERY = timedelta(hours=1)
 
 
 class SunPredictor:
-    """Answers where the sun is in the sky and on the sensor.
+    """Predicts the sun's position in the sky and on the sensor.
 
     Parameters
     ----------

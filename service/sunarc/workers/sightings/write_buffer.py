@@ -1,4 +1,4 @@
-"""Sightings on their way into the archive; what the disk refuses waits in memory."""
+"""Write buffer of sightings; those that cannot be stored wait in memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Watches the time that frames are dated by: to within what it is known, and whether it was set."""
+"""Monitoring of the clock that dates frames: the bound of its error, and its steps."""
 
 from __future__ import annotations
 
