@@ -1,48 +1,26 @@
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.command_line import sunarc
 
 from sunarc.calibration import Calibration, SunPoints, calibrate
-from sunarc.cli.main import main
 from sunarc.optics import project
 from sunarc.simulation import SGP, true_camera
 from sunarc.sky import sun_angles, sun_directions
+
+__all__ = ["sunarc"]
 
 IMAGE_SIZE = (1748, 1748)
 MAY_13 = 1_368_424_800.0
 """2013-05-13 06:00 UTC: before sunrise at the site."""
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    code: int
-    out: str
-    err: str
-
-
-Sunarc = Callable[..., Answer]
 PngSize = Callable[[Path], tuple[int, int]]
-
-
-@pytest.fixture
-def sunarc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Sunarc:
-    """Run the command line in this process."""
-
-    def run(*arguments: str) -> Answer:
-        monkeypatch.setattr(sys, "argv", ["sunarc", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        captured = capsys.readouterr()
-        return Answer(ended.value.code if isinstance(ended.value.code, int) else 0, captured.out, captured.err)
-
-    return run
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,9 @@ from sunarc.studies.residuals import residuals_of
 from sunarc.studies.sky_plot import SKY_SHEET_PX, contour_levels, sky_sigma
 
 if TYPE_CHECKING:
-    from .conftest import PngSize, Sunarc
+    from tests.fixtures.command_line import Sunarc
+
+    from .conftest import PngSize
 
 
 def test_a_calibration_s_figures_are_pngs_of_the_stated_size_and_leave_matplotlib_as_it_was(

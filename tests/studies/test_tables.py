@@ -18,7 +18,7 @@ from sunarc.studies.tables import COLUMNS, fitted_row, published_row, simulated_
 from sunarc.studies.trials import QUANTITIES
 
 if TYPE_CHECKING:
-    from .conftest import Sunarc
+    from tests.fixtures.command_line import Sunarc
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"case {case.number}")
