@@ -23,6 +23,7 @@ from sunarc.app.cameras import camera_opener, camera_record
 from sunarc.app.serving import _monitored, _schedule, _Server, _with_credentials, serve
 from sunarc.archive import ELSEWHERE, SunPoint, open_archive, upgrade
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
+from sunarc.cli import main
 from sunarc.detection import Detection
 from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
@@ -263,10 +264,11 @@ def test_the_simulated_imager_gets_what_the_command_was_given(monkeypatch: pytes
     runs: list[ImagerOptions] = []
     handlers = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)}
     monkeypatch.setattr(simulating, "run_imager", lambda options, *_, **__: runs.append(options))
+    monkeypatch.setattr(main, "start_log", lambda _: None)
     try:
-        simulating.simulate(
-            address="127.0.0.3", start=NOON, speed=60.0, site=ImagerOptions().site, lens_seed=4, clouds="veil",
-            nd_transmission=0.02, ghost=0.1, sun_cover=0.3, blooming=0.4, moon=(40.0, 120.0), truth=None,
+        main.simulate(
+            address="127.0.0.3", start=NOON.isoformat(), speed=60.0, lens_seed=4, clouds="veil",
+            nd_transmission=0.02, ghost=0.1, sun_cover=0.3, blooming=0.4, moon=(40.0, 120.0),
         )  # fmt: skip
     finally:
         for one, handler in handlers.items():

@@ -8,5 +8,16 @@ from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.service import Service
 from sunarc.app.serving import end_process, serve
 from sunarc.app.simulating import simulate
+from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel
 
-__all__ = ["Service", "camera_opener", "end_process", "require_stored_site", "serve", "simulate"]
+__all__ = [
+    "ImagerOptions",
+    "SceneOptions",
+    "SensorModel",
+    "Service",
+    "camera_opener",
+    "end_process",
+    "require_stored_site",
+    "serve",
+    "simulate",
+]

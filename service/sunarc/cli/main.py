@@ -130,20 +130,19 @@ def simulate(
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
     start_log(os.environ)
-    app.simulate(
+    scene = app.SceneOptions(nd_transmission=nd_transmission, ghost_strength=ghost, sun_cover=sun_cover, moon_at=moon)
+    options = app.ImagerOptions(
         address=address,
         start=parse_time(start, where="--start"),
         speed=speed,
         site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
         lens_seed=lens_seed,
         clouds=clouds,
-        nd_transmission=nd_transmission,
-        ghost=ghost,
-        sun_cover=sun_cover,
-        blooming=blooming,
-        moon=moon,
+        scene=scene,
+        sensor=app.SensorModel(blooming=blooming),
         truth=truth,
     )
+    app.simulate(options)
 
 
 @cli.command()
