@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import Image
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance, sigma_px
-from sunarc.cameras import CameraInfo, Counts, Frame
+from sunarc.cameras import CameraInfo, Frame
 from sunarc.detection import detect_sun
 from sunarc.imaging import SunExposureOptions
 from sunarc.optics import project
@@ -38,7 +39,7 @@ class Day(NamedTuple):
     error_px: NDArray[np.float64]
 
 
-def binned(image: Counts, n: int) -> NDArray[np.uint16]:
+def binned(image: Image, n: int) -> NDArray[np.uint16]:
     """Return the means over n by n pixels, as a camera's averaging mode rounds them down."""
     height, width = image.shape[0] // n, image.shape[1] // n
     means = image[: height * n, : width * n].reshape(height, n, width, n).mean(axis=(1, 3))

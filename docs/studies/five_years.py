@@ -115,7 +115,7 @@ def _remember_days(archive: Archive) -> None:
         moment = _START + timedelta(days=number + 1)
         day = (_START + timedelta(days=number)).date()
         archive.save_day(
-            Day(camera="roof", date=day, verdict="clear", reasons=("all",), n=1300, n_possible=1400, decided_at=moment)
+            Day(camera="roof", date=day, verdict="clear", findings=(), n=1300, n_possible=1400, decided_at=moment)
         )
         archive.add_event(Event(time=moment, kind="day", severity="info", text=f"{day} was clear", camera="roof"))
         refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=moment, reason="a day"))
@@ -149,7 +149,9 @@ def measure(path: Path) -> None:
     _measured("a nightly refit", lambda: worker.carry_out(refit, threading.Event(), lambda: None))
     print(archive.refit(refit.id))
     app = create_app(
-        camera=CameraArchive(archive, name="roof", site=SGP),
+        archive=archive,
+        camera="roof",
+        site=SGP,
         status=board.snapshot,
         request_refit=lambda reason: replace(refit, reason=reason),
         frame_clock=lambda: _END,
