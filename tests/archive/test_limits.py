@@ -139,7 +139,7 @@ def test_a_reserve_that_finds_no_room_leaves_nothing(tmp_path: Path) -> None:
 def test_the_distance_of_two_places_is_that_on_a_sphere(other: tuple[float, float]) -> None:
     sphere = pyproj.Geod(a=6_371_000.0, b=6_371_000.0)
     _, _, true = sphere.inv(ROOF.longitude, ROOF.latitude, other[1], other[0])
-    assert distance_m(ROOF, Site(latitude=other[0], longitude=other[1])) == pytest.approx(true, abs=1e-3)
+    assert distance_m(ROOF.site, Site(latitude=other[0], longitude=other[1])) == pytest.approx(true, abs=1e-3)
 
 
 @pytest.mark.parametrize(("metres", "refused"), [(0.0, False), (499.0, False), (501.0, True)])

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from sunarc.archive.values import CameraRecord
 from sunarc.errors import InputError
+from sunarc.sky import Site
 
 _EARTH_RADIUS_M = 6_371_000.0
 SITE_LIMIT_M = 500.0
 """A site that is wrong by this much turns the sun by 0.0045 degrees, about the best accuracy that is stated."""
 
 
-class _Location(Protocol):
-    @property
-    def latitude(self) -> float: ...
-    @property
-    def longitude(self) -> float: ...
-
-
-def require_same_site(record: CameraRecord, site: _Location) -> None:
+def require_same_site(record: CameraRecord, site: Site) -> None:
     """Raise `InputError` when the settings name another site than the archive has for the camera.
 
     Its sightings, poses and calibrations are directions of the sun at the stored site; at another one the same camera
     would seem to have been turned.
     """
-    distance = distance_m(record, site)
+    distance = distance_m(record.site, site)
     if distance > SITE_LIMIT_M:
         raise InputError(
             field="site",
@@ -38,7 +30,7 @@ def require_same_site(record: CameraRecord, site: _Location) -> None:
         )
 
 
-def distance_m(first: _Location, second: _Location) -> float:
+def distance_m(first: Site, second: Site) -> float:
     """Return the great-circle distance of two places in metres (haversine, a sphere)."""
     a, b = np.radians([first.latitude, second.latitude])
     east = np.radians(second.longitude - first.longitude)
