@@ -129,10 +129,8 @@ def _json(
 ) -> Response:
     rows = computation.read(body, context.options.max_points)
     answering = _answering(context, request, at)
-    answer_columns = {"calibration": answering.record.id} | computation.as_json(
-        answering, computation.answer(answering, rows)
-    )
-    content = to_json(answer_columns, inf_nan_mode="null")
+    answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
+    content = to_json(answer, inf_nan_mode="null")
     return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
 
 

@@ -72,8 +72,8 @@ def sun_routes(context: ApiContext) -> APIRouter:
             newest_first=True,
             limit=page.rows,
         )
-        residual_rows, next_ = page.cut(found, request, time=lambda point: point.time)
-        return _sun_points(selected, residual_rows, residuals=residuals, next_=next_)
+        rows, next_ = page.cut(found, request, time=lambda point: point.time)
+        return _sun_points(selected, rows, residuals=residuals, next_=next_)
 
     return routes
 

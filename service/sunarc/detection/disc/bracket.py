@@ -44,10 +44,10 @@ def combine(detections: Sequence[Detection], *, shifts: Sequence[tuple[float, fl
     moved = [
         _moved(one, shift) for one, shift in zip(detections, shifts or [(0.0, 0.0)] * len(detections), strict=True)
     ]
-    accepted_ones = [one for one in moved if one.accepted and one.x_px is not None and one.sigma_px]
-    if not accepted_ones:
+    accepted = [one for one in moved if one.accepted and one.x_px is not None and one.sigma_px]
+    if not accepted:
         return max(moved, key=lambda one: -math.inf if one.snr is None else one.snr)
-    return _joined(accepted_ones)
+    return _joined(accepted)
 
 
 def beside(
@@ -102,14 +102,14 @@ def _moved(detection: Detection, shift: tuple[float, float]) -> Detection:
     return replace(detection, x_px=detection.x_px - shift[0], y_px=detection.y_px - shift[1])
 
 
-def _joined(accepted_ones: list[Detection]) -> Detection:
-    best = min(accepted_ones, key=lambda one: one.sigma_px or math.inf)
-    if len(accepted_ones) == 1:
+def _joined(accepted: list[Detection]) -> Detection:
+    best = min(accepted, key=lambda one: one.sigma_px or math.inf)
+    if len(accepted) == 1:
         return best
-    position: FloatArray = np.array([(one.x_px, one.y_px) for one in accepted_ones])
-    weight = np.array([one.sigma_px or math.inf for one in accepted_ones]) ** -2.0
+    position: FloatArray = np.array([(one.x_px, one.y_px) for one in accepted])
+    weight = np.array([one.sigma_px or math.inf for one in accepted]) ** -2.0
     mean = weight @ position / weight.sum()
-    chi2, freedom = float(weight @ np.sum((position - mean) ** 2, axis=1)), 2 * (len(accepted_ones) - 1)
+    chi2, freedom = float(weight @ np.sum((position - mean) ** 2, axis=1)), 2 * (len(accepted) - 1)
     joined = replace(
         best,
         x_px=float(mean[0]),
@@ -117,7 +117,7 @@ def _joined(accepted_ones: list[Detection]) -> Detection:
         # Birge's ratio, upward only: frames that agree by luck are not more certain than their sigmas.
         sigma_px=math.sqrt(max(1.0, chi2 / freedom) / float(weight.sum())),
     )
-    scatter = {"frames": len(accepted_ones), "chi2": chi2, "freedom": freedom}
+    scatter = {"frames": len(accepted), "chi2": chi2, "freedom": freedom}
     from scipy.special import chdtri  # noqa: PLC0415 - the service starts sooner without it
 
     if chi2 > float(chdtri(freedom, _SIGNIFICANCE)):

@@ -210,8 +210,8 @@ class CaptureWorker:
         self._report.normal_frames(good, apparent_zenith=self._apparent_zenith())
         taken = Cycle(normal=tuple(normal), sun=tuple(self._sun_frames_beside(good, exposer, camera)))
         self._report.condition(camera.check())
-        for accepted_cycles in self._consistency.accepted_cycles(taken):
-            self._hand_over(accepted_cycles)
+        for accepted in self._consistency.accepted_cycles(taken):
+            self._hand_over(accepted)
         self._report.cycle(
             complete=taken.complete,
             overran=overran,
