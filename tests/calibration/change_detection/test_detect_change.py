@@ -228,3 +228,15 @@ def test_cloud_that_draws_the_detections_aside_for_twenty_minutes_is_no_change(
     noise = np.random.default_rng(9).normal(0.0, 0.02, aside.shape)
     pixels = project(camera, sun_directions(times, SGP)) + aside + noise
     assert watched(calibrated, times, pixels) == (times.size, None)
+
+
+def test_as_many_sightings_as_an_hour_has_minutes_less_four_are_remembered(
+    calibrated: Calibration, camera: Camera
+) -> None:
+    times = NOON + 60.0 * np.arange(59, dtype=np.float64)
+    directions = sun_directions(times, SGP)
+    watch = SightingWindow()
+    for unix_s, pixel, direction in zip(times, project(camera, directions), directions, strict=True):
+        one = Sighting(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, _ = update_window(watch, one, calibration=calibrated, site=SGP, options=WatchOptions())
+    assert watch.unix_s.tolist() == times[-56:].tolist()

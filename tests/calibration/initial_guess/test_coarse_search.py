@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import ideal_camera, observed, small_camera, spread_directions, sun_arc
+from tests.fixtures.calibration import ideal_camera, observed, small_camera, small_problem, spread_directions, sun_arc
 
-from sunarc.calibration.initial_guess.coarse_search import field_angle, first_cameras, single_problem
+from sunarc.calibration.initial_guess.coarse_search import _misfit, field_angle, first_cameras, single_problem
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
+from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.optics import Camera, project
 
 FloatArray = NDArray[np.float64]
@@ -95,3 +96,27 @@ def test_the_problem_s_prior_is_about_the_camera(seen: Observations) -> None:
     problem = single_problem(seen, small_camera(), OPTIONS, CIRCLE, n_epochs=2)
     assert problem.n_epochs == 2
     np.testing.assert_allclose(problem.prior.mean[[0, 1, 3, 4]], [220.5, 220.5, 315.0, 243.0])
+
+
+@pytest.mark.parametrize("off_px", [0.4, 3.0])
+def test_sightings_that_are_all_as_far_off_have_the_scatter_of_their_distance(off_px: float) -> None:
+    """Without prior and tilt it is 0.3 n ln(s² + d² / (2 ln 2)): a median d of Rayleigh's has sigma² d² / (2 ln 2)."""
+    camera = ideal_camera()
+    clean = observed(camera, spread_directions(40))
+    moved = replace(clean, pixels=clean.pixels + np.array([off_px, 0.0]))
+    problem = small_problem(camera)
+    zero = np.zeros(problem.size)
+    scale = robust_sigma(np.full(40, off_px), share=0.5, floor=0.05)
+    expected = 0.3 * 40 * math.log(scale**2 + off_px**2 / (2.0 * math.log(2.0)))
+    assert _misfit(problem, zero, np.zeros(problem.size), moved, camera) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_camera_that_looks_down_or_has_no_focal_length_is_impossible() -> None:
+    camera = ideal_camera()
+    problem, clean = small_problem(camera), observed(camera, spread_directions(40))
+    zero = np.zeros(problem.size)
+    for impossible in (
+        replace(camera, rotation_cam_enu=(math.pi, 0.0, 0.0)),
+        replace(camera, focal_length_px=(-200.0, 200.0)),
+    ):
+        assert _misfit(problem, zero, zero, clean, impossible) == math.inf
