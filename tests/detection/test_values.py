@@ -119,3 +119,8 @@ def test_an_array_that_is_no_raw_frame_is_refused(image: Any, full_scale: int) -
 )
 def test_eight_and_sixteen_bits_are_raw_frames(image: Image, full_scale: int) -> None:
     require_raw(image, Sensor.from_full_well(full_scale=full_scale))
+
+
+def test_a_sensor_of_which_nothing_else_is_known_is_black_mono_and_not_binned() -> None:
+    sensor = Sensor(full_scale=4095, gain_e_per_count=5.0)
+    assert (sensor.black_level, sensor.bayer, sensor.blooming, sensor.binning) == (0.0, None, False, 1)

@@ -81,3 +81,14 @@ def test_without_read_noise_the_rounding_of_counts_is_the_noise(bright_rows: int
     sensor = replace(SENSOR, read_noise_e=0.0, black_level=0.0)
     found = obstruction(image, sensor=sensor, expectation=PREDICTED, reach_px=1.0)
     assert (found is not None) == expected
+
+
+@pytest.mark.parametrize(("sky_counts", "expected"), [((2, 3), False), ((3, 3), True)])
+def test_light_before_the_sun_counts_against_an_obstruction(sky_counts: tuple[int, int], *, expected: bool) -> None:
+    """Of one dark px of 1 count 6 sigmas are 1.8 counts: a sky of 2.5 is 1.5 brighter, one of 3 is 2."""
+    image = np.full((256, 256), sky_counts[0], dtype=np.uint16)
+    image[:, ::2] = sky_counts[1]
+    image[126:131, 126:131] = 1
+    sensor = replace(SENSOR, read_noise_e=0.0, black_level=0.0)
+    found = obstruction(image, sensor=sensor, expectation=PREDICTED, reach_px=0.0)
+    assert (found is not None) == expected

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection.photo.aureole import Halo, _normal, _Rings, _weights, halo_about
+from sunarc.detection.photo.aureole import Halo, _around, _normal, _ringed, _Rings, _weights, halo_about
 
 SIZE, RADIUS = 160, 14.0
 
@@ -184,3 +184,15 @@ def test_the_share_is_that_of_the_sectors_with_light(hidden: int) -> None:
     sector = np.floor((np.arctan2(rows - 80.0, columns - 80.0) / (2.0 * math.pi) + 0.5) * 24.0)
     light = np.where((sector < hidden) & (np.hypot(rows - 80.0, columns - 80.0) > RADIUS), 0.0, glare())
     assert found_in(light).share == pytest.approx(1.0 - hidden / 24.0, abs=1.01 / 24.0)
+
+
+def test_the_derivatives_by_the_skys_slope_are_the_offsets_over_the_inner_radius() -> None:
+    state, inner = np.array([80.0, 80.0, 0.0, 0.0, 0.0, 0.0]), 1.05 * RADIUS + 1.5
+    pixels = _around(glare(), state, 2.6 * inner)
+    assert pixels is not None
+    rings = _ringed(pixels, state, inner, cut=4.0)
+    assert rings is not None
+    offset = pixels.position - state[:2]
+    distance = np.hypot(*offset.T)
+    inside = (distance > inner) & (distance < 2.6 * inner)
+    assert rings.jacobian[:, 4:] == pytest.approx(offset[inside] / inner)
