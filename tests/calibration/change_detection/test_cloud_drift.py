@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.special import gamma, kv, logsumexp
 from tests.fixtures.calibration import small_camera, stated_calibration, sun_arc
 
-from sunarc.calibration.change_detection import SightingWindow, WatchOptions
+from sunarc.calibration.change_detection import Sighting, SightingWindow, WatchOptions, update_window
 from sunarc.calibration.change_detection import cloud_drift as module
-from sunarc.calibration.change_detection.cloud_drift import drift_evidence
+from sunarc.calibration.change_detection.cloud_drift import Drift, drift_evidence
 from sunarc.calibration.change_detection.residual_model import ResidualModel, window_of
 from sunarc.calibration.pose.gaussian_conditioning import fit_inlier_mixture, log_evidence
 from sunarc.optics import project
+from sunarc.simulation import SGP
 
 FloatArray = NDArray[np.float64]
 
@@ -41,29 +42,60 @@ def _window(drift: FloatArray, *, trusted: int = FIRST) -> ResidualModel:
 
 def test_a_drift_is_a_twice_differentiable_matern_process_from_its_begin_on() -> None:
     window = _window(np.zeros((N, 2)))
-    added = module._with_drift(window, 8, 2.0, 700.0) - window.covariance
+    added = module._with_drift(window, Drift(8, 2.0, 700.0)) - window.covariance
     np.testing.assert_array_equal(added[:16], 0.0)
     blocks = added.reshape(N, 2, N, 2)
     np.testing.assert_array_equal(blocks[:, 0, :, 1], 0.0)
     np.testing.assert_allclose(blocks[8:, 0, 8:, 0], blocks[8:, 1, 8:, 1])
-    scaled = math.sqrt(5.0) * 60.0 * np.arange(1.0, 12.0) / 700.0
+    lag = math.sqrt(5.0) * 60.0 * np.arange(1.0, 12.0) / 700.0
     # Rasmussen and Williams (2006), eq. 4.14 with nu = 5/2
-    expected = 4.0 * 2.0 ** (1.0 - 2.5) / gamma(2.5) * scaled**2.5 * kv(2.5, scaled)
+    expected = 4.0 * 2.0 ** (1.0 - 2.5) / gamma(2.5) * lag**2.5 * kv(2.5, lag)
     np.testing.assert_allclose(blocks[8, 0, 9:, 0], expected, rtol=1e-9)
     np.testing.assert_allclose(blocks[8, 0, 8, 0], 4.0, rtol=1e-9)
 
 
-def test_the_evidence_is_the_mean_over_begins_amplitudes_and_times() -> None:
+def test_a_ramp_adds_the_variance_of_a_line_from_the_sighting_before_its_first() -> None:
+    window = _window(np.zeros((N, 2)))
+    plain = module._with_drift(window, Drift(8, 0.5, 2400.0))
+    added = (module._with_drift(window, Drift(8, 0.5, 2400.0, 0.01)) - plain).reshape(N, 2, N, 2)
+    # of a line s t with the 1-sigma slope 0.01 px/s: cov(s t, s u) = 0.01^2 t u, t and u in s since sighting 7
+    seconds = np.where(np.arange(N) < 8, 0.0, 60.0 * (np.arange(N) - 7.0))
+    for axis in (0, 1):
+        np.testing.assert_allclose(added[:, axis, :, axis], 1e-4 * np.outer(seconds, seconds), atol=1e-12)
+    np.testing.assert_array_equal(added[:, 0, :, 1], 0.0)
+
+
+def test_the_evidence_is_the_mean_over_begins_amplitudes_times_and_ramps() -> None:
     window = _window(np.zeros((N, 2)), trusted=N)
+    smooth = itertools.product((0, 6, 10, 12), (0.1, 0.5, 2.0, 8.0), (200.0, 700.0, 2400.0), (0.0,))
+    ramps = itertools.product((0, 6, 10, 12), (0.5,), (2400.0,), (0.0005, 0.002, 0.008))
     each = []
-    for begin, amplitude, time in itertools.product((0, 6, 10, 12), (0.1, 0.5, 2.0, 8.0), (200.0, 700.0, 2400.0)):
-        covariance = module._with_drift(window, begin, amplitude, time)
+    for drift in itertools.starmap(Drift, [*smooth, *ramps]):
+        covariance = module._with_drift(window, drift)
         each.append((log_evidence(covariance, window.sightings, np.ones(N, dtype=bool)), covariance))
     mean = float(logsumexp([one for one, _ in each])) - math.log(len(each))
     best, covariance = max(each, key=lambda pair: pair[0])
     among_false = fit_inlier_mixture(covariance, window.sightings, np.ones(N, dtype=bool)).log_evidence
-    assert len(each) == 48
+    assert len(each) == 60
     assert drift_evidence(window, 12) == pytest.approx(mean + max(among_false - best, 0.0), rel=1e-9)
+
+
+@pytest.mark.parametrize(("widest_deg", "direction_deg"), [(15.0, 240.0), (30.0, 300.0)])
+def test_a_straight_drift_is_no_change_of_the_lens(widest_deg: float, direction_deg: float) -> None:
+    # 0.6 px from one sighting to the next: a lens with five free numbers follows it too
+    calibration = stated_calibration(small_camera(), sigma_px=0.02)
+    directions = sun_arc(56, widest_deg=widest_deg)
+    way = np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
+    drift = 0.6 * np.clip(np.arange(56.0) - 41.0, 0.0, None)[:, None] * way
+    noise = np.random.default_rng(4).normal(0.0, 0.02, (56, 2))
+    watch, kinds = SightingWindow(), []
+    for row, (pixel, direction) in enumerate(
+        zip(project(calibration.camera, directions) + noise + drift, directions, strict=True)
+    ):
+        one = Sighting(unix_s=120.0 * row, pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        watch, change = update_window(watch, one, calibration=calibration, site=SGP, options=WatchOptions())
+        kinds += [] if change is None else [change.kind]
+    assert kinds == []
 
 
 def test_a_drift_explains_a_drift_better_than_no_drift_does() -> None:
