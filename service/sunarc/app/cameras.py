@@ -89,14 +89,9 @@ def note_other_camera(archive: Archive, record: CameraRecord, *, at: datetime) -
     if current is not None:
         archive.retire(current.id, at=max(at, current.valid_from))
     _open_epoch(archive, record.name, at)
-    details = {
-        "model": record.model,
-        "serial": record.serial,
-        "serial_before": stored.serial,
-        "calibration": "none" if current is None else current.id,
-    }
-    replaced = Finding("camera_replaced", details)
     retired = None if current is None else current.id
+    details = {"model": record.model, "serial": record.serial, "serial_before": stored.serial}
+    replaced = Finding("camera_replaced", {**details, "calibration": retired or "none"})
     archive.add_event(
         Event.of(replaced, MESSAGES, time=at, severity="alarm", camera=record.name, details={"calibration": retired})
     )

@@ -78,9 +78,7 @@ class Service:
         self.board = StatusRegistry(version=sunarc.__version__, started_at=clock.now(), monotonic=clock.monotonic)
         self.frame_time = FrameTime(clock, follows_camera=settings.dated_by_camera, speed=settings.capture.speed)
         self.clock_watch = self._new_clock_watch()
-        self.predictor = SunPredictor(
-            self.camera,
-        )
+        self.predictor = SunPredictor(self.camera)
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
         self._restore_last_known()

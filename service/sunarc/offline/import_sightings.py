@@ -61,9 +61,9 @@ def write_points(settings: Settings, target: TextIO, *, since: datetime | None, 
     """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
     with open_archive(settings.database) as archive:
         points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
-        air = archive.air_of(settings.name, points)
-    rows = [(p.time, p.x_px, p.y_px, p.sigma_px, p.body) for p in points if p.x_px is not None and p.y_px is not None]
-    return write_sightings(target, rows, air=air)
+        placed = [(p, p.x_px, p.y_px) for p in points if p.x_px is not None and p.y_px is not None]
+        air = archive.air_of(settings.name, [point for point, _, _ in placed])
+    return write_sightings(target, [(p.time, x, y, p.sigma_px, p.body) for p, x, y in placed], air=air)
 
 
 def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
@@ -72,7 +72,7 @@ def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
     upgrade(settings.database)
     with open_archive(settings.database) as archive:
         known = known_camera(archive, settings)
-    return None if known is None else (known.width, known.height)
+    return None if known is None else known.image_size
 
 
 def _size_in_settings(settings: Settings) -> tuple[int, int] | None:

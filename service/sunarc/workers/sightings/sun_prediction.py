@@ -24,9 +24,7 @@ class SunPredictor:
 
     Parameters
     ----------
-    archive : where the calibrations are.
-    camera : the camera's name.
-    site : where it stands.
+    camera : whose archive has the calibrations, the brightness of earlier sightings and the site.
     """
 
     def __init__(self, camera: CameraArchive) -> None:
