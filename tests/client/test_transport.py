@@ -7,6 +7,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta, timezone
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -57,14 +58,20 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
 
-@pytest.fixture
-def server() -> Iterator[ScriptedServer]:
+@contextmanager
+def running_server() -> Iterator[ScriptedServer]:
     with ScriptedServer() as running:
         thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield running
         running.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def server() -> Iterator[ScriptedServer]:
+    with running_server() as running:
+        yield running
 
 
 @pytest.fixture
@@ -237,3 +244,16 @@ def test_a_problem_document_is_handed_on(server: ScriptedServer) -> None:
     with pytest.raises(ImagerError) as refused:
         Imager(server.address).calibration(at=datetime(2013, 5, 13, tzinfo=UTC))
     assert {name: refused.value.problem[name] for name in problem} == problem
+
+
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_the_token_is_not_sent_to_where_a_redirect_leads(server: ScriptedServer, status: int) -> None:
+    with running_server() as other:
+        other.answers = [OK]
+        server.answers = [(status, {"Location": f"{other.address}/v1/sun"}, b"")]
+        transport = Transport(server.address, token="secret", timeout_s=5.0, retries=2)  # noqa: S106 - of a test
+        with pytest.raises(ImagerError) as refused:
+            transport.ask("/v1/sun", {})
+        assert refused.value.status == status
+        assert other.address in str(refused.value)
+        assert (len(server.asked), other.asked) == (1, [])

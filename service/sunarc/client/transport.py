@@ -31,8 +31,15 @@ class ImagerError(Exception):
         self.problem = dict(problem or {})
 
 
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Leaves a redirect as the answer: urllib would send the token to whatever host it names."""
+
+    def redirect_request(self, *_: object) -> None:
+        """Return no further request."""
+
+
 class Transport:
-    """Asks one service.
+    """Asks one service, at its own address alone: a redirect is an `ImagerError` that names the new address.
 
     Parameters
     ----------
@@ -49,6 +56,7 @@ class Transport:
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         self._timeout_s = timeout_s
         self._retries = retries
+        self._opener = urllib.request.build_opener(_NoRedirect)
 
     def ask(
         self,
@@ -75,7 +83,7 @@ class Transport:
 
     def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:
-            with urllib.request.urlopen(request, timeout=self._timeout_s) as answer:  # noqa: S310 - http and https alone
+            with self._opener.open(request, timeout=self._timeout_s) as answer:
                 return answer.read(), answer.headers
         except urllib.error.HTTPError as error:
             with error:
@@ -90,7 +98,9 @@ def _refusal(error: urllib.error.HTTPError) -> ImagerError:
     except (ValueError, OSError, http.client.HTTPException):  # no JSON, or the connection ended within it
         problem = {}
     problem = problem if isinstance(problem, dict) else {}
-    refusal = ImagerError(str(problem.get("detail", error.reason)), status=error.code, problem=problem)
+    moved_to = error.headers.get("Location")
+    reason = error.reason if moved_to is None else f"moved to {moved_to}; give that address if it is the imager's"
+    refusal = ImagerError(str(problem.get("detail", reason)), status=error.code, problem=problem)
     refusal.problem.setdefault("retry_after_s", error.headers.get("Retry-After"))
     return refusal
 
