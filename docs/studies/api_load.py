@@ -31,7 +31,7 @@ HEALTH_PAUSE_S = 0.05
 JITTER = re.compile(r"^sunarc_capture_jitter_seconds (\S+)$", re.MULTILINE)
 
 
-async def main() -> None:
+def main() -> None:
     """Load the service and print what came of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("url")
@@ -40,15 +40,22 @@ async def main() -> None:
     parser.add_argument("--pause", type=float, default=0.5, help="seconds from an answer to a client's next question")
     options = parser.parse_args()
     os.nice(5)
+    asyncio.run(measure(options))
+
+
+async def measure(options: argparse.Namespace) -> None:
+    """Ask for the time that the options say, and print the answers' latencies."""
     before = await jitters(options.url, options.seconds / 2)
     end = asyncio.get_running_loop().time() + options.seconds
-    *load, health, under = await asyncio.gather(
-        *(client(options.url, QUESTIONS, end, options.pause) for _ in range(options.clients)),
-        client(options.url, HEALTH, end, HEALTH_PAUSE_S),
+    (*load, health), under = await asyncio.gather(
+        asyncio.gather(
+            *(client(options.url, QUESTIONS, end, options.pause) for _ in range(options.clients)),
+            client(options.url, HEALTH, end, HEALTH_PAUSE_S),
+        ),
         jitters(options.url, options.seconds),
     )
     latencies = [value for answered, _ in load for value in answered]
-    statuses = sum((counted for _, counted in load), Counter())
+    statuses = sum((counted for _, counted in load), Counter[str]())
     rate = len(latencies) / options.seconds
     print(f"{options.clients} clients, {options.seconds:g} s: {rate:.0f} requests/s, {dict(statuses)}")
     print(f"a request: {told(latencies)}")
@@ -69,13 +76,15 @@ async def client(
 ) -> tuple[list[float], Counter[str]]:
     """Ask again and again on one connection; return the latencies and how often each status came."""
     place = urlsplit(url)
-    loop, latencies, statuses = asyncio.get_running_loop(), [], Counter[str]()
+    loop = asyncio.get_running_loop()
+    latencies: list[float] = []
+    statuses = Counter[str]()
     await asyncio.sleep(pause_s * np.random.default_rng().random())  # they do not begin together
     reader, writer = await asyncio.open_connection(place.hostname, place.port)
     asked = 0
     while loop.time() < end:
         method, path, body = questions[asked % len(questions)]
-        head = f"{method} {path} HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n"
+        head = f"{method} {path} HTTP/1.1\r\nhost: {place.netloc}\r\ncontent-type: application/json\r\n"
         head += f"content-length: {len(body)}\r\n\r\n"
         start = loop.time()
         writer.write(head.encode() + body)
@@ -111,4 +120,4 @@ def metrics(url: str) -> str:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    main()

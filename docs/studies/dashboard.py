@@ -16,16 +16,26 @@ import json
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from sunarc.calibration import from_document
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 
-LOOKS = {"": (1400, 1000, "light"), "-dark": (1400, 1000, "dark"), "-phone": (390, 844, "light")}
+
+class Look(NamedTuple):
+    """A window, px, and what it asks for."""
+
+    width: int
+    height: int
+    scheme: Literal["light", "dark"]
+
+
+LOOKS = {"": Look(1400, 1000, "light"), "-dark": Look(1400, 1000, "dark"), "-phone": Look(390, 844, "light")}
 MARKER = """() => {
   const box = document.querySelector("#overlay path.expected").getBoundingClientRect();
   const image = document.querySelector("#image");
@@ -48,23 +58,33 @@ def main() -> None:
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
         )
-        for name, (width, height, scheme) in LOOKS.items() if options.all else [("", LOOKS[""])]:
-            page = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme).new_page()
-            said: list[str] = []
-            asked: set[str] = set()
-            page.on("console", lambda message, said=said: said.append(message.text))
-            page.on("request", lambda request, asked=asked: asked.add(request.url.split("/")[2]))
-            page.goto(options.url)
-            for selector in ("#overlay path.expected", "#by-time .x-mark", "#sigma path"):
-                page.wait_for_selector(selector, timeout=900_000, state="attached")
-            page.wait_for_timeout(6000)
-            seen = [off_truth_px(page, options.truth) for _ in range(5) if not page.wait_for_timeout(2600)]
-            page.screenshot(path=options.into / f"dashboard{name}.png", full_page=True)
-            off, times = zip(*seen, strict=True)
-            print(f"{name or 'desktop'}: drawn sun off the true one by {np.round(off, 2).tolist()} px")
-            found = [one["id"] for one in Axe().run(page).response["violations"]]
-            print(f"  at {times}; console: {said}; asked: {asked}; axe-core: {found}")
+        for name, look in LOOKS.items() if options.all else [("", LOOKS[""])]:
+            photograph(browser, options.url, look, truth=options.truth, target=options.into / f"dashboard{name}.png")
         browser.close()
+
+
+def photograph(browser: Browser, url: str, look: Look, *, truth: Path, target: Path) -> None:
+    """Take one picture of the dashboard and print what was seen."""
+    viewport = ViewportSize(width=look.width, height=look.height)
+    page = browser.new_context(viewport=viewport, color_scheme=look.scheme).new_page()
+    said: list[str] = []
+    asked: set[str] = set()
+    page.on("console", lambda message: said.append(message.text))
+    page.on("request", lambda request: asked.add(request.url.split("/")[2]))
+    page.goto(url)
+    for selector in ("#overlay path.expected", "#by-time .x-mark", "#sigma path"):
+        page.wait_for_selector(selector, timeout=900_000, state="attached")
+    page.wait_for_timeout(6000)
+    off, times = [], []
+    for _ in range(5):
+        page.wait_for_timeout(2600)
+        distance_px, time = off_truth_px(page, truth)
+        off.append(distance_px)
+        times.append(time)
+    page.screenshot(path=target, full_page=True)
+    print(f"{target.stem}: drawn sun off the true one by {np.round(off, 2).tolist()} px")
+    found = [one["id"] for one in Axe().run(page).response["violations"]]
+    print(f"  at {times}; console: {said}; asked: {asked}; axe-core: {found}")
 
 
 def off_truth_px(page: Page, truth: Path) -> tuple[float, str]:

@@ -46,7 +46,8 @@ def main() -> None:
                 factors[later_s] += [] if factor is None else [factor]
                 sun = max(sun, abs(scene.sun_transmittance(at_s) - scene.sun_transmittance(at_s + later_s)))
         for later_s, seen in factors.items():
-            print(f"{weather:9} {later_s:5.0f} s: {min(seen):.2f} to {max(seen):.2f} ({len(seen)} times)")
+            extent = f"{min(seen):.2f} to {max(seen):.2f}" if seen else "no level"
+            print(f"{weather:9} {later_s:5.0f} s: {extent} ({len(seen)} times)")
         print(f"{weather:9} the sun itself changed by up to {sun:.2f} of its light")
 
 

@@ -1,6 +1,6 @@
 """How long a map takes: the first, the kept one, and the answer to who has it; beside what a bare socket needs.
 
-    .venv/bin/python docs/studies/map_speed.py
+    PYTHONPATH=. .venv/bin/python docs/studies/map_speed.py
 
 serves a made camera of 1748 x 1748 pixels from a process of its own, as the service does, and asks over loopback. Told
 are the time to the first byte and to the last one, the medians of the kept ones, the same for as many bytes that a
@@ -10,6 +10,7 @@ bare socket sends, and how far the map is from /v1/back-project at 20 000 pixels
 from __future__ import annotations
 
 import argparse
+import asyncio
 import io
 import json
 import multiprocessing
@@ -21,11 +22,13 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import uvicorn
 import xarray as xr
-from tests.api.conftest import NOON, SITE, fill, new_archive
+from tests.api.conftest import NOON, fill, new_archive
+from tests.fixtures.calibrations import SITE
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.archive import Refit
@@ -98,7 +101,7 @@ def furthest_deg(port: int, content: bytearray) -> float:
 
 def ask(port: int, path: str, *, body: bytes = b"", tag: str = "") -> Answer:
     """Ask on a connection of its own."""
-    head = f"{'POST' if body else 'GET'} {path} HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n"
+    head = f"{'POST' if body else 'GET'} {path} HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
     head += f"content-length: {len(body)}\r\n" + (f"if-none-match: {tag}\r\n" if tag else "") + "\r\n"
     with socket.create_connection(("127.0.0.1", port)) as connection:
         start = time.perf_counter()
@@ -157,7 +160,8 @@ def serve(folder: Path, told_to: Connection) -> None:
     bare = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=serve_bytes, args=(bare, MAP_BYTES), daemon=True).start()
     told_to.send((listening.getsockname()[1], bare.getsockname()[1]))
-    config = uvicorn.Config(app, http=partial(BoundedConnection, options), log_level="error", access_log=False)
+    http = cast("type[asyncio.Protocol]", partial(BoundedConnection, options))
+    config = uvicorn.Config(app, http=http, log_level="error", access_log=False)
     uvicorn.Server(config).run(sockets=[listening])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from sunarc.optics import Camera, PoseAngles, ideal_radius, project, rotation_fr
 from sunarc.sky import Site, sun_angles, sun_directions
 
 FloatArray = NDArray[np.float64]
+Field = Callable[[FloatArray], FloatArray]
+"""Displacement of pixels, px: (n, 2) of (n, 2)."""
 
 SGP = Site(latitude=36.604043, longitude=-97.484856, altitude=318.0)
 SIZE = 1748
@@ -89,7 +92,7 @@ def sun_track(days: FloatArray, *, site: Site = SGP, cadence_s: float = 30.0) ->
     return times[sun_angles(times, site).apparent_zenith < 89.6]
 
 
-def smooth_field(rng: np.random.Generator, *, amplitude_px: float, length_px: float, waves: int = 400):  # noqa: ANN201
+def smooth_field(rng: np.random.Generator, *, amplitude_px: float, length_px: float, waves: int = 400) -> Field:
     """Draw a smooth random displacement field over the image, as a function of pixels."""
     frequency = rng.standard_normal((2, waves, 2)) / length_px
     phase = rng.uniform(0.0, 2.0 * math.pi, (2, waves))
@@ -132,12 +135,14 @@ def biased_outliers(rng: np.random.Generator, noise: FloatArray, *, share: float
     """Move a share of the sightings by about the same vector."""
     angle = rng.uniform(0.0, 2.0 * math.pi)
     mean = offset_px * np.array([math.cos(angle), math.sin(angle)])
-    bad = rng.random(noise.shape[0]) < share
+    bad = np.less(rng.random(noise.shape[0]), share)
     moved = mean + rng.normal(0.0, 3.0, noise.shape)
     return np.where(bad[:, None], noise + moved, noise)
 
 
-def sightings(camera: Camera, times: FloatArray, noise: FloatArray, *, site: Site = SGP, field=None) -> SunPoints:  # noqa: ANN001
+def sightings(
+    camera: Camera, times: FloatArray, noise: FloatArray, *, site: Site = SGP, field: Field | None = None
+) -> SunPoints:
     """Return what a detector would have seen."""
     pixels = project(camera, sun_directions(times, site))
     if field is not None:

@@ -5,7 +5,7 @@
 Runs a simulated imager in a process of its own, and the service as `sunarc serve` runs it, at speed 1. After a minute
 of settling it prints, every minute and at the end, the service's processor time per second of real time (in percent
 of one core) and its resident memory; at the end, how the sun was seen, and what the images take. The calibration that
-it begins with is the true one.
+it begins with comes of four simulated days.
 """
 
 from __future__ import annotations
@@ -24,12 +24,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+
 from sunarc.archive import CameraRecord, open_archive, upgrade
+from sunarc.calibration import SunPoints, calibrate, from_document, to_document
+from sunarc.optics import Camera, project
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP, ImagerOptions, imager, run_imager
+from sunarc.simulation import SGP, ImagerOptions, run_imager, true_camera
+from sunarc.sky import sun_angles, sun_directions
 
 _SIZE = 2048
 _START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
@@ -86,7 +92,7 @@ def main() -> None:
 
 
 def _calibrate(folder: Path) -> None:
-    """Let the service begin with the true camera as its calibration: the ordinary day."""
+    """Let the service begin with a calibration of simulated sightings: the ordinary day."""
     database = folder / "state" / "sunarc.sqlite"
     upgrade(database)
     archive = open_archive(database)
@@ -95,10 +101,29 @@ def _calibrate(folder: Path) -> None:
     )
     archive.save_camera(record)
     epoch = archive.epoch_at("imager", _START, reason="first frame")
-    document = json.loads((folder / "truth.json").read_text())
-    archive.add_calibration(document | {"camera": "imager", "pose_epoch": epoch.id, "state": "candidate"})
-    archive.activate(document["id"])
+    truth = from_document(json.loads((folder / "truth.json").read_text())).camera
+    document = to_document(
+        calibrate(_sightings(truth), site=SGP, image_size=(_SIZE, _SIZE)),
+        id="simulated",
+        camera="imager",
+        state="candidate",
+        created_at=_START,
+        valid_from=_START,
+        valid_until=None,
+        pose_epoch=epoch.id,
+        software_version=version("sunarc"),
+    )
+    archive.add_calibration(document)
+    archive.activate("simulated")
     archive.close()
+
+
+def _sightings(camera: Camera) -> SunPoints:
+    """Return the sun in four days' images, 0.02 px of noise, a sighting every 5 minutes."""
+    times = _START.timestamp() - 86_400.0 * np.array([[1.0], [10.0], [20.0], [30.0]]) + np.arange(0.0, 86_400.0, 300.0)
+    times = times[sun_angles(times, SGP).apparent_zenith < 85.0]
+    pixels = project(camera, sun_directions(times, SGP))
+    return SunPoints(unix_s=times, pixels=pixels + np.random.default_rng(1).normal(0.0, 0.02, pixels.shape))
 
 
 def _measure(pid: int, *, minutes: float) -> None:
@@ -142,7 +167,7 @@ def _running(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 def _be_imager(truth: Path) -> None:
     """Serve frames of the paper's lens on a larger sensor."""
-    paper = imager.true_camera(0)
+    paper = true_camera()
     margin = (_SIZE - paper.width) / 2.0
     x, y = paper.principal_point_px
     scale = _SIZE / paper.width
@@ -153,14 +178,13 @@ def _be_imager(truth: Path) -> None:
         principal_point_px=(x + margin, y + margin),
         focal_length_px=(paper.focal_length_px[0] * scale, paper.focal_length_px[1] * scale),
     )
-    imager.true_camera = lambda _seed: larger
     stop = threading.Event()
 
     def end(_number: int, _frame: FrameType | None) -> None:
         stop.set()
 
     signal.signal(signal.SIGTERM, end)
-    run_imager(ImagerOptions(start=_START, speed=1.0, truth=truth), stop)
+    run_imager(ImagerOptions(start=_START, speed=1.0, camera=larger, truth=truth), stop)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import population as pop
 from numpy.typing import NDArray
 
 from sunarc.calibration import CalibrationOptions, calibrate, hemisphere, project_with_covariance
-from sunarc.optics import project
+from sunarc.optics import Camera, project
 from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -108,7 +108,7 @@ def one_lens(case: Case, seed: int, options: CalibrationOptions, verbose: bool) 
     return result
 
 
-def _true_pixels(truth, directions: FloatArray, field) -> FloatArray:  # noqa: ANN001
+def _true_pixels(truth: Camera, directions: FloatArray, field: pop.Field | None) -> FloatArray:
     pixels = project(truth, directions)
     return pixels if field is None else pixels + field(pixels)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import ctypes
 import threading
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
 from sunarc.errors import ConfigurationError, InputError
-from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel, run_imager
+from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel, run_imager, scene_of, true_camera
 from sunarc.simulation.genicam import genicam_xml
 
 
@@ -46,6 +47,12 @@ def test_wrong_options_are_refused(wrong: dict[str, Any], field: str) -> None:
 def test_wrong_scenes_and_sensors_are_refused(kind: type[SceneOptions | SensorModel], wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         kind(**wrong)
+
+
+def test_an_imager_shows_the_camera_that_it_is_given() -> None:
+    given = replace(true_camera(), width=640, height=480)
+    assert scene_of(ImagerOptions(camera=given, lens_seed=3)).camera == given
+    assert scene_of(ImagerOptions(lens_seed=3)).camera == true_camera(3)
 
 
 def test_a_machine_without_aravis_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

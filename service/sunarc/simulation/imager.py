@@ -23,6 +23,7 @@ from sunarc.bounds import require_bounds
 from sunarc.cameras import full_scale_of, pack, packing_of
 from sunarc.detection import bayer_of
 from sunarc.errors import InputError, OutsideError
+from sunarc.optics import Camera
 from sunarc.runtime.clock import Clock, SystemClock
 from sunarc.simulation import genicam
 from sunarc.simulation.fake_camera import FakeCamera, Request, fake_camera
@@ -60,6 +61,7 @@ class ImagerOptions:
     skip_nights : jump from dusk to dawn.
     site : where the imager stands.
     lens_seed : which true camera.
+    camera : the true camera; None takes the one of `lens_seed`.
     clouds : the weather, or several separated by commas: one per solar day, in turn.
     scene : the rest of the scene; its weather and first day are replaced by `clouds` and `start`.
     sensor : how light becomes counts.
@@ -77,6 +79,7 @@ class ImagerOptions:
     skip_nights: bool = True
     site: Site = SGP
     lens_seed: int = 0
+    camera: Camera | None = None
     clouds: str = "clear"
     scene: SceneOptions = field(default_factory=SceneOptions)
     sensor: SensorModel = field(default_factory=SensorModel)
@@ -145,7 +148,8 @@ def scene_of(options: ImagerOptions) -> Scene:
     """Return the very scene that an imager with these options shows."""
     first_day = solar_date(options.start.timestamp(), longitude=options.site.longitude)
     scene = replace(options.scene, weather=_weathers(options.clouds), first_day=first_day)
-    return Scene(true_camera(options.lens_seed), options.site, options=scene, sensor=options.sensor)
+    camera = true_camera(options.lens_seed) if options.camera is None else options.camera
+    return Scene(camera, options.site, options=scene, sensor=options.sensor)
 
 
 class _Imager:
