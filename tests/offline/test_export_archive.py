@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import json
+import math
 from collections.abc import Iterator
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -12,8 +14,9 @@ import numpy as np
 import pytest
 from tests.fixtures.archive import new_archive
 
-from sunarc.archive import Archive, DayAir, SunPoint
+from sunarc.archive import Archive, Day, DayAir, Refit, SunPoint
 from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
 from sunarc.offline.export_archive import _cell, export_everything
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -63,6 +66,26 @@ def test_a_sightings_row_holds_its_values_and_empty_cells_where_it_has_none(tmp_
     assert (hidden["x_px"], hidden["sigma_px"], hidden["accepted"]) == ("", "", "0")
 
 
+def test_days_keep_their_sentences_in_their_column_and_findings_are_json_in_the_last(
+    archive: Archive, tmp_path: Path
+) -> None:
+    short = Finding("day_arc_too_short", {"arc_deg": 3.5, "least_deg": 15.0})
+    day = Day(
+        camera="roof", date=NOON.date(), verdict="unusable", findings=(short,), n=1, n_possible=2, decided_at=NOON
+    )
+    archive.save_day(day)
+    archive.add_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="by hand"))
+    archive.finish_refit("r", state="failed", finished_at=NOON, message="short", findings=(short,))
+    export_everything(tmp_path, tmp_path / "out")
+    (written,) = rows_of(tmp_path / "out" / "days.csv")
+    assert list(written)[:5] == ["camera", "date", "verdict", "reasons", "n"]
+    assert list(written)[-1] == "findings"
+    assert json.loads(written["reasons"]) == list(day.reasons)
+    (refit,) = rows_of(tmp_path / "out" / "refits.csv")
+    assert list(refit)[-2:] == ["message", "findings"]
+    assert json.loads(refit["findings"]) == json.loads(written["findings"]) == [short.as_json()]
+
+
 @pytest.mark.usefixtures("archive")
 def test_the_netcdf_file_holds_the_numbers_with_units(tmp_path: Path) -> None:
     export_everything(tmp_path, tmp_path / "out")
@@ -84,6 +107,7 @@ def test_the_netcdf_file_holds_the_numbers_with_units(tmp_path: Path) -> None:
         (NOON, "2013-05-13T18:30:00Z"),
         (date(2013, 5, 13), "2013-05-13"),
         ({"a": [1, None]}, '{"a": [1, null]}'),
+        ((Finding("c", {"n": 1, "x": math.nan}),), '[{"code": "c", "data": {"n": 1, "x": null}}]'),
     ],
 )
 def test_a_cell_is_the_value_as_text_or_number(value: object, cell: object) -> None:

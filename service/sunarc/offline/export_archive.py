@@ -17,6 +17,7 @@ from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch,
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import Table, Variable, netcdf_bytes
+from sunarc.findings import Finding
 from sunarc.utc import rfc3339
 
 _UNITS = {
@@ -79,8 +80,16 @@ def _write(archive: Archive, folder: Path) -> dict[str, int]:
     }
 
 
-def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
+def _columns(kind: type[Any]) -> list[str]:
+    """Return the names of a table's columns: its fields; sentences stand where findings do, which come last."""
     names = [field.name for field in fields(kind)]
+    if not hasattr(kind, "reasons"):
+        return names
+    return ["reasons" if name == "findings" else name for name in names] + ["findings"]
+
+
+def _write_csv(path: Path, kind: type[Any], values: Iterable[Any]) -> int:
+    names = _columns(kind)
     written = 0
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -102,7 +111,7 @@ def _cell(value: Any) -> str | float | int:  # noqa: ANN401 - whatever a field h
         return rfc3339(value)
     if isinstance(value, date):
         return value.isoformat()
-    return json.dumps(value, default=str)
+    return json.dumps(value, default=lambda one: one.as_json() if isinstance(one, Finding) else str(one))
 
 
 def _write_json(path: Path, document: dict[str, Any]) -> None:
