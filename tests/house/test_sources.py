@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,27 @@ def lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """Count the lines of a function's body, its docstring apart."""
     body = function.body[1:] if ast.get_docstring(function) else function.body
     return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def test_a_string_that_describes_a_constant_stands_right_under_it(sources: list[Path]) -> None:
+    assert [f"{path.name}:{line}" for path in sources for line in stray_strings(ast.parse(path.read_text()))] == []
+
+
+def test_a_stray_string_is_found() -> None:
+    source = ast.parse('"""doc"""\nA = 1\n"""of A"""\nB = 2\n\n"""of what?"""\ndef f():\n    """doc"""\n    "x"\n')
+    assert stray_strings(source) == [6, 9]
+
+
+def stray_strings(tree: ast.AST) -> list[int]:
+    """Return the lines of strings that stand alone, neither first in their block nor right under an assignment."""
+    blocks = [node.body for node in ast.walk(tree) if isinstance(getattr(node, "body", None), list)]
+    return sorted(
+        here.lineno
+        for block in blocks
+        for before, here in pairwise(block)
+        if isinstance(here, ast.Expr) and isinstance(here.value, ast.Constant) and isinstance(here.value.value, str)
+        if not isinstance(before, ast.Assign | ast.AnnAssign) or here.lineno != (before.end_lineno or 0) + 1
+    )
 
 
 def test_there_are_no_drawers(tracked_files: list[Path]) -> None:

@@ -18,7 +18,6 @@ from sunarc.utc import DAY_S
 
 RESIDUAL_SHEET_PX = (1800, 1000)
 
-"""matplotlib counts time in days from 1970."""
 _MOST_ARROWS = 200
 _ARROW = 0.035
 """Length of the key's arrow, as a share of the image's width."""
@@ -32,7 +31,7 @@ def residual_figure(calibration: Calibration, residuals: Residuals) -> Figure:
     figure = new_sheet(width_px=RESIDUAL_SHEET_PX[0], height_px=RESIDUAL_SHEET_PX[1])
     panels = figure.subplot_mosaic([["px_t", "px_z", "map"], ["deg_t", "deg_z", "map"]], width_ratios=[1.0, 1.0, 1.6])
     for name, across, label in (
-        ("t", residuals.unix_s / DAY_S, "time (UTC)"),
+        ("t", residuals.unix_s / DAY_S, "time (UTC)"),  # matplotlib counts time in days from 1970
         ("z", residuals.apparent_zenith_deg, "apparent zenith of the sun (°)"),
     ):
         _draw_components(panels[f"px_{name}"], across, residuals)

@@ -29,7 +29,7 @@ class Spot(NamedTuple):
 
     @property
     def contrast(self) -> float:
-        """Image above the surroundings."""
+        """Counts above the surroundings."""
         return self.level - self.background
 
     @property
