@@ -10,6 +10,7 @@ import pytest
 
 from sunarc.sky import Site
 
+from .conditions import findings, wait_for_reason
 from .conftest import AS_SUNARC
 from .machine import wait_for
 
@@ -51,17 +52,9 @@ def set_clock(field: Field, seconds: float, state: str) -> None:
 
 def imager_offset_s(field: Field) -> float:
     """Return the imager's time less the host's, seconds: it begins to count when the first frame is asked for."""
-    texts: list[str] = []
-
-    def reported() -> bool:
-        status = field.ask("/v1/status") or {"reasons": []}
-        texts[:] = [reason["text"] for reason in status["reasons"] if reason["code"] == "camera_clock_offset"]
-        return bool(texts)
-
-    wait_for(reported, within_s=120.0, what="the camera's offset", every_s=1.0)
+    wait_for_reason(field, "camera_clock_offset")
     time.sleep(20.0 * CADENCE_S)  # the smallest of many is meant, not that of a cycle that was late
-    assert reported()
-    return float(texts[0].split(" by ")[1].split(" s")[0])
+    return float(findings(field)["camera_clock_offset"]["offset_s"])
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import random
 import time
 from typing import TYPE_CHECKING
@@ -73,7 +75,7 @@ def test_a_hung_worker_is_ended_by_the_watchdog_with_its_stack_in_the_journal(
     before = field.restarts()
     wait_for(lambda: field.restarts() > before, within_s=90.0, what="the watchdog", every_s=0.5)
     told = field.journal()
-    assert "no heartbeat for" in told
+    assert f"condition worker_stuck_{worker.removesuffix('Worker').lower()}" in told
     assert "Watchdog timeout" in told
     assert 'File "/etc/sunarc/hanging.py", line 7 in hang' in told
     field.path(DROP_IN).unlink()
@@ -98,7 +100,7 @@ def test_a_service_that_cannot_stay_up_is_told_of_and_tried_again(field_computer
         return field.call("systemctl", "is-failed", "sunarc").stdout.strip() == "failed"
 
     wait_for(failed, within_s=120.0, what="the start limit", every_s=0.5)
-    assert "port 8080 at 127.0.0.1: Address already in use; end what uses it" in field.journal()
+    assert os.strerror(errno.EADDRINUSE) in field.journal()
     wait_for(lambda: field.call("test", "-e", "/run/told").returncode == 0, within_s=20.0, what="the hook")
     assert field.do("systemctl", "is-active", "sunarc-retry.timer").strip() == "active"
     field.do("systemctl", "stop", "occupier")

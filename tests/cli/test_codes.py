@@ -85,7 +85,7 @@ FROM_VARIABLES = {
     "dropped_below_horizon", "dropped_duplicate_time", "dropped_not_finite", "dropped_static", "mirrored",
     "not_mirrored", "worker_failed", "worker_hindered", "worker_restarting",
 }  # fmt: skip
-"""Codes whose data are not written out where the finding is made; the tests of their rooms format them."""
+"""Codes whose data are not written out where the finding is made."""
 
 
 def data_made_in(path: Path) -> list[tuple[str, set[str]]]:

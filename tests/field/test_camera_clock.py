@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,15 +18,15 @@ TAI_S = 37.0
 CADENCE_S = 2.0
 
 
-def codes(run: Processes) -> dict[str, str]:
-    answer = run.get("/readyz")
-    return {} if answer is None else {reason["code"]: reason["text"] for reason in answer["reasons"]}
+def findings(run: Processes) -> dict[str, dict[str, Any]]:
+    """Return the data of the conditions in /readyz by their codes."""
+    answer = run.get("/readyz") or {"findings": []}
+    return {finding["code"]: finding["data"] for finding in answer["findings"]}
 
 
 def offset_s(run: Processes) -> float:
     """Return the difference that /readyz names, seconds; 0 where it names none."""
-    text = codes(run).get("camera_clock_offset", "by 0 s")
-    return float(text.split(" by ")[1].split(" s")[0])
+    return float(findings(run).get("camera_clock_offset", {"offset_s": 0.0})["offset_s"])
 
 
 def bounds(run: Processes, *, after: float) -> list[float]:
@@ -59,7 +60,7 @@ def test_a_camera_that_tells_tai_states_the_difference_with_each_sighting(tmp_pa
         run.wait_for(lambda: offset_s(run) < -LATE_S, what="the notice", within_s=30.0)
         late_s = -offset_s(run)
         run.order("CLOCK_OFFSET", round(1000.0 * late_s))
-        run.wait_for(lambda: "camera_clock_offset" not in codes(run), what="the end of the notice", within_s=60.0)
+        run.wait_for(lambda: "camera_clock_offset" not in findings(run), what="the end of the notice", within_s=60.0)
         pause(4.0 * CADENCE_S)
         right = newest(run)
         assert max(wait_for_sightings(run, after=right, fewest=2)) < 1.0
@@ -67,4 +68,4 @@ def test_a_camera_that_tells_tai_states_the_difference_with_each_sighting(tmp_pa
         wrong = newest(run) + TAI_S / 2.0  # later than all that were dated rightly
         assert min(wait_for_sightings(run, after=wrong, fewest=3)) >= TAI_S - 1.0
         run.wait_for(lambda: abs(offset_s(run) - TAI_S) < 1.0, what="the notice", within_s=30.0)
-        assert "TAI - UTC" in codes(run)["camera_clock_offset"]
+        assert 'timestamp_scale = "tai"' in findings(run)["camera_clock_offset"]["remedy"]
