@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sunarc.errors import InputError
 from sunarc.utc import EPOCH, from_microseconds, parse_time, rfc3339, to_microseconds, utc_time
 
 _WEST = timezone(timedelta(hours=-8))
@@ -38,3 +39,12 @@ def test_every_time_returns_from_its_text_its_microseconds_and_its_seconds(naive
 def test_seconds_are_rounded_to_the_nearest_microsecond() -> None:
     assert utc_time(1.000_000_4) == EPOCH + timedelta(seconds=1)
     assert utc_time(1.000_000_6) == EPOCH + timedelta(seconds=1, microseconds=1)
+
+
+@pytest.mark.parametrize(
+    "text", ["0001-01-01T00:00:00+05:00", "9999-12-31T23:59:59-05:00", "2013-05-13T18:30:00", "noon"]
+)
+def test_a_text_that_is_no_utc_time_is_refused_by_its_field(text: str) -> None:
+    with pytest.raises(InputError) as refused:
+        parse_time(text, where="--from")
+    assert (refused.value.field, text in refused.value.problem) == ("--from", True)

@@ -26,7 +26,12 @@ def parse_time(text: str, *, where: str) -> datetime:
         ) from None
     if time.tzinfo is None:
         raise InputError(field=where, problem=f"{text!r} has no time zone", remedy="end it with Z for UTC")
-    return time.astimezone(UTC)
+    try:
+        return time.astimezone(UTC)
+    except OverflowError:
+        raise InputError(
+            field=where, problem=f"{text!r} is not within the years 1 to 9999 of UTC", remedy="correct it"
+        ) from None
 
 
 def utc_time(unix_s: float) -> datetime:
