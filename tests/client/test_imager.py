@@ -132,6 +132,21 @@ def test_conditions_come_with_code_severity_and_data(imager: Imager, board: Stat
     board.set_condition("worker_stuck_web", None)
 
 
+@pytest.mark.parametrize("content", [b"[]", b'{"findings": []}', b'{"reasons": [{"code": "disk_low"}]}', b"no JSON"])
+def test_a_status_of_another_kind_is_refused(monkeypatch: pytest.MonkeyPatch, content: bytes) -> None:
+    other = Imager("http://127.0.0.1:9")
+    monkeypatch.setattr(other._transport, "ask", lambda *_: (content, {}))
+    with pytest.raises(ImagerError, match="cannot be read"):
+        other.conditions()
+
+
+def test_conditions_of_version_0_2_have_no_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = {"code": "disk_low", "severity": "degraded", "text": "little room", "remedy": "free some"}
+    other = Imager("http://127.0.0.1:9")
+    monkeypatch.setattr(other._transport, "ask", lambda *_: (json.dumps({"reasons": [reason]}).encode(), {}))
+    assert other.conditions() == (("disk_low", "degraded", {}, "little room", "free some"),)
+
+
 def test_a_verdict_comes_as_codes_with_data(imager: Imager) -> None:
     verdict = imager.calibration()["verdict"]
     assert [finding.code for finding in imager.verdict()] == [finding["code"] for finding in verdict["findings"]]

@@ -182,8 +182,9 @@ class Imager:
         """Return why the service is degraded or not ready; empty when it is ready. Select by code."""
         content, _ = self._transport.ask("/v1/status", {})
         with _expected_content():
-            status = json.loads(content)
-            data = {finding["code"]: finding["data"] for finding in status["findings"]}
+            status = dict(json.loads(content))
+            findings = status.get("findings", ())  # version 0.2 has the reasons alone
+            data = {finding["code"]: finding["data"] for finding in findings}
             return tuple(
                 Condition(one["code"], one["severity"], data.get(one["code"], {}), one["text"], one["remedy"])
                 for one in status["reasons"]
