@@ -18,7 +18,9 @@ depends_on = None
 def upgrade() -> None:
     """Of refits that ended until now the sentence is the finding."""
     op.add_column("refit", sa.Column("findings", sa.JSON()))
-    uncoded = "json_array(json_object('code', 'uncoded', 'data', json_object('text', message)))"
+    # cast: one damaged bit can make a BLOB of a text, which json_object refuses, and with it the whole upgrade
+    text = "json_object('text', CAST(message AS TEXT))"
+    uncoded = f"json_array(json_object('code', 'uncoded', 'data', {text}))"
     op.execute(f"UPDATE refit SET findings = {uncoded} WHERE message <> ''")  # noqa: S608 - constants
 
 

@@ -99,6 +99,20 @@ def test_the_sentence_of_an_older_refit_is_its_finding(filled: Path) -> None:
     archive.close()
 
 
+@pytest.mark.parametrize(
+    "damaged", ["CAST('short' AS BLOB)", "X'ff41'", "CAST(X'80ff41' AS TEXT)", "5", "'a' || char(0)"]
+)
+def test_a_damaged_sentence_of_a_refit_does_not_stop_the_upgrade(filled: Path, damaged: str) -> None:
+    downgrade(filled, "0009")
+    with closing(sqlite3.connect(filled)) as connection, connection:
+        connection.execute(f"UPDATE refit SET message = {damaged}")  # noqa: S608 - the test's own
+    upgrade(filled)
+    archive = open_archive(filled)
+    (refit,) = archive.refits("roof")
+    assert [finding.code for finding in refit.findings] == ["uncoded"]
+    archive.close()
+
+
 @pytest.mark.parametrize("revision", REVISIONS[1:])
 def test_an_older_database_is_upgraded_at_once_and_serves(filled: Path, revision: str) -> None:
     downgrade(filled, revision)
