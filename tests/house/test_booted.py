@@ -33,7 +33,7 @@ def texts(tree: ast.AST) -> list[str]:
 
 def statements() -> list[str]:
     """Return the SQL statements of the booted tests, those in their scripts too."""
-    found = []
+    found: list[str] = []
     for tree in SOURCES.values():
         for text in texts(tree):
             found += (

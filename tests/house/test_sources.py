@@ -61,7 +61,8 @@ def test_a_stray_string_is_found() -> None:
 
 def stray_strings(tree: ast.AST) -> list[int]:
     """Return the lines of strings that stand alone, neither first in their block nor right under an assignment."""
-    blocks = [node.body for node in ast.walk(tree) if isinstance(getattr(node, "body", None), list)]
+    bodies = [getattr(node, "body", None) for node in ast.walk(tree)]
+    blocks = [body for body in bodies if isinstance(body, list)]
     return sorted(
         here.lineno
         for block in blocks

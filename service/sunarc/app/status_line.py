@@ -78,11 +78,11 @@ class StatusLine:
     def text(self) -> str:
         """Return the line as it is now."""
         snapshot = self._snapshot()
-        sightings = snapshot.last_sighting_at
+        last = snapshot.last_sighting_at
         parts = [
             f"serving at {self._address}",
             snapshot.health.replace("_", " "),
-            "no sighting yet" if sightings is None else f"last sighting {sightings:%Y-%m-%d %H:%M:%S} UTC",
+            "no sighting yet" if last is None else f"last sighting {last:%Y-%m-%d %H:%M:%S} UTC",
         ]
         codes = [reason.code for reason in snapshot.reasons]
         if codes:

@@ -44,7 +44,7 @@ def update_window(
     sighting : the sighting, later than those remembered.
     calibration : what it is held to.
     site : where the camera is said to stand.
-    options : what is no change.
+    options : what is not reported as a change.
     clock_stepped : whether the host says that its clock was set while these sightings were made.
     posed_from_few : whether the calibration was posed from these very sightings: then its lens is in question too.
     """

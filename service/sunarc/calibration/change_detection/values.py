@@ -22,7 +22,7 @@ LENS_KINDS: frozenset[ChangeKind] = frozenset({"lens", "refocus", "shift"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchOptions:
-    """What is no change.
+    """What the change detection does not report as a change.
 
     Attributes
     ----------

@@ -104,14 +104,14 @@ class WatchWorker:
             return
         # what an operator has judged is not judged again: the move would be found once more in the same sightings
         closed = self._camera.events(kind=EPOCH_CLOSED, until=self._latest(), limit=1)
-        sighting = self._camera.sun_points(
+        points = self._camera.sun_points(
             since=max([epoch.started_at, *(event.time for event in closed)]),
             until=self._latest(),
             largest_clock_error_s=MAX_CLOCK_ERROR_S,
             newest_first=True,
             limit=2 * REMEMBERED,
         )
-        usable = [point for point in sighting if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
+        usable = [point for point in points if point.accepted or point.verdict == ELSEWHERE][:REMEMBERED]
         for point in reversed(usable):
             self._process_safely(_of_point(point, self._observed))
 

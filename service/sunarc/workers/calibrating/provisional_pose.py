@@ -102,7 +102,7 @@ class ProvisionalPoseEstimator:
 
     def _is_of_later(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
         """Return whether a calibration is of a pose epoch after this one: one that a clock ahead has opened."""
-        started = {epoch.id: epoch.started_at for epoch in self._camera.epochs()}
+        started = {each.id: each.started_at for each in self._camera.epochs()}
         return current.pose_epoch in started and started[current.pose_epoch] > epoch.started_at
 
     def _document(self, posed: Calibration, epoch: PoseEpoch, count: int) -> dict[str, object]:
