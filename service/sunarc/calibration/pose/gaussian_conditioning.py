@@ -66,8 +66,8 @@ class MixtureFit:
     ----------
     inlier : (n,) which of them are inliers.
     log_evidence : of all of them.
-    gap : (n, 2) residual of each but for what all others let one expect, px.
-    gap_covariance : (n, 2, 2) of that, px².
+    loo_residual : (n, 2) residual of each about its prediction from all other inliers (leave one out), px.
+    loo_covariance : (n, 2, 2) of that, px².
     """
 
     inlier: BoolArray
@@ -77,7 +77,7 @@ class MixtureFit:
 
     @property
     def surprise(self) -> FloatArray:
-        """Return (n,): squared gap in its own sigmas; 2 on average for true sightings."""
+        """Return (n,): squared leave-one-out residual in its own sigmas; 2 on average for true sightings."""
         return np.asarray(
             np.einsum("ni,nij,nj->n", self.loo_residual, np.linalg.inv(self.loo_covariance), self.loo_residual)
         )

@@ -1,0 +1,64 @@
+"""The names that docstrings describe are those of the code."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+SERVICE = Path(__file__).parents[2] / "service" / "sunarc"
+SECTION = re.compile(r"(?:Parameters|Attributes)\n-+\n(.*?)(?:\n\n[A-Z]|\Z)", re.DOTALL)
+ENTRY = re.compile(r"^([a-zA-Z_][\w, ]*) ?:(?: |$)", re.MULTILINE)
+Described = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+
+
+def described(node: Described) -> set[str]:
+    """Return the names in the sections of parameters and attributes of a docstring."""
+    sections = "\n".join(SECTION.findall(ast.get_docstring(node) or ""))
+    return {name.strip() for entry in ENTRY.findall(sections) for name in entry.split(",")}
+
+
+def present(node: Described) -> set[str]:
+    """Return the parameters of a function; of a class those of its methods, its fields and what methods assign."""
+    functions = [one for one in ast.walk(node) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)]
+    names = {one.arg for function in functions for one in ast.walk(function.args) if isinstance(one, ast.arg)}
+    if isinstance(node, ast.ClassDef):
+        names |= {one.name for one in functions}
+        names |= {one.id for one in ast.walk(node) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store)}
+        names |= {one.attr for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+    return names
+
+
+def unknown(tree: ast.AST) -> dict[str, set[str]]:
+    """Return the names that docstrings describe and the code does not have, by function or class."""
+    nodes = [node for node in ast.walk(tree) if isinstance(node, Described)]
+    return {node.name: names for node in nodes if (names := described(node) - present(node))}
+
+
+def test_described_parameters_and_attributes_exist() -> None:
+    found = {path.name: unknown(ast.parse(path.read_text())) for path in sorted(SERVICE.rglob("*.py"))}
+    assert {name: names for name, names in found.items() if names} == {}
+
+
+def test_a_name_that_is_gone_is_found() -> None:
+    source = '''
+class A:
+    """Text.
+
+    Attributes
+    ----------
+    kept, gone : two.
+    """
+
+    kept: int
+
+def f(x: int) -> None:
+    """Text.
+
+    Parameters
+    ----------
+    x : here.
+    y : not here.
+    """
+'''
+    assert unknown(ast.parse(source)) == {"A": {"gone"}, "f": {"y"}}
