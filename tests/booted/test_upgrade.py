@@ -84,7 +84,7 @@ def test_an_older_version_on_a_newer_database_says_what_to_do_and_touches_nothin
     n = field.wait_for_sightings(2)
     known = set_revision(field, "9999")
     field.call("systemctl", "start", "--no-block", "sunarc")
-    wait_for(lambda: "9999" in field.journal(), within_s=60.0, what="the reason", every_s=0.5)
+    wait_for(lambda: "revision 9999" in field.journal(), within_s=60.0, what="the reason", every_s=0.5)
     assert not field.active()
     assert field.sightings() >= n
     set_revision(field, known)

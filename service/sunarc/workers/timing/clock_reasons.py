@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sunarc.cameras import TAI_MINUS_UTC_S
 from sunarc.findings import Finding
+from sunarc.utc import rfc3339
 from sunarc.workers.timing.clock_steps import ClockStep
 
 _ABOUT_S = 1.0
@@ -13,7 +14,7 @@ _ABOUT_S = 1.0
 def stepped(code: str, clock: str, step: ClockStep) -> Finding:
     """Return that a clock was set, or moved in small steps."""
     how = f"in small steps within {step.within_s:.0f} s" if step.gradual else "at once"
-    at = f"{step.at:%Y-%m-%dT%H:%M:%SZ}"
+    at = rfc3339(step.at, timespec="seconds")
     return Finding(code, {"clock": clock, "step_s": step.step_s, "how": how, "at": at})
 
 
