@@ -148,7 +148,7 @@ def measure(path: Path) -> None:
         now=lambda: _END,
         board=board,
     )
-    for what in ("the first refit, with a fit of each earlier pose epoch", "a nightly refit"):
+    for what in ("the first refit, with the search for pose epochs and fits of the earlier ones", "a nightly refit"):
         refit = archive.add_refit(Refit(id=uuid.uuid4().hex, camera="roof", requested_at=_END, reason="study"))
         _measured(what, partial(worker.carry_out, refit, threading.Event(), lambda: None))
         print(archive.refit(refit.id), flush=True)
