@@ -27,7 +27,8 @@ REAL = Path(__file__).parents[3] / "shared" / "real" / "fe4_2016-08-30.csv"
 EQUIDISTANT = Draw(projection="equidistant", cloud="middle", thin=1)
 
 # Seed 26 ended 3.6 px (median) off, a field of 7 px beside a camera that met nothing.
-HARD = [(26, EQUIDISTANT), (2, Draw()), (9, Draw()), (13, Draw())]
+# Seed 398, tilted by 27 degrees, ended 42 % above the paper's cost, 46 px off over the sky, and accepted.
+HARD = [(26, EQUIDISTANT), (2, Draw()), (9, Draw()), (13, Draw()), (398, Draw())]
 
 
 @pytest.mark.parametrize(("seed", "draw"), HARD)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import loose_precision, observed, small_camera, small_problem, sun_arc
 
+from sunarc.calibration.initial_guess import multistart
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import (
     at_rest,
@@ -17,10 +19,12 @@ from sunarc.calibration.initial_guess.multistart import (
     least_squares,
     loosened,
     lowest,
+    staged_least_squares,
     undistorted,
 )
-from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, Whitened
+from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.optics import PARAMETER_NAMES
 
@@ -116,6 +120,23 @@ def test_a_start_comes_to_rest_at_the_minimum(
     change = problem.residuals(found, seen) - problem.residuals(again, seen)
     assert np.max(np.abs(change)) < 0.02
     assert np.median(np.linalg.norm(problem.residuals(found, seen), axis=-1)) < 0.07
+
+
+def test_least_squares_in_stages_frees_the_radial_then_the_decentering_distortion(
+    problem: Problem, truth: FloatArray, seen: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fixed: list[tuple[bool, bool]] = []
+    solve = most_probable
+
+    def listed(*args: Any, precision: FloatArray, **options: Any) -> Any:  # noqa: ANN401 - handed on
+        fixed.append((bool(np.all(precision[RADIAL] >= 1e8)), bool(np.all(precision[DECENTERING] >= 1e8))))
+        return solve(*args, precision=precision, **options)
+
+    monkeypatch.setattr(multistart, "most_probable", listed)
+    found = staged_least_squares(problem, seen, truth)
+    assert fixed == [(True, True), (False, True), (False, False)]
+    residual = np.linalg.norm(problem.residuals(found, seen), axis=-1)
+    assert float(np.median(residual)) < 0.1, "0.05 px of noise per axis"
 
 
 def test_the_best_of_the_starts_is_the_truth_s_among_outliers(

@@ -13,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares, loosened, undistorted
+from sunarc.calibration.initial_guess.multistart import (
+    distance_sigmas,
+    least_squares,
+    loosened,
+    staged_least_squares,
+    undistorted,
+)
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
 from sunarc.calibration.robust_loss import tukey_loss
@@ -52,6 +58,7 @@ def at_least_least_squares(
     sigma : px, scale of the robust loss.
     """
     plain = [least_squares(problem, observed, begin) for begin in (unknowns, undistorted(unknowns))]
+    plain.append(staged_least_squares(problem, observed, unknowns))
     levels = [_level(problem, observed, at, sigma) for at in plain]
     best = int(np.argmin([level.costs[1] for level in levels]))
     target = _Level(_COST_RATIO * levels[best].costs, _MEDIAN_RATIO * levels[best].median)

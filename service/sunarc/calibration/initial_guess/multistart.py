@@ -34,6 +34,8 @@ _SETTLING = 3
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
+_FIXED = 1e8
+"""Prior precision of what a stage leaves out: 1e-4 of the prior's sigma."""
 
 
 def best_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -56,6 +58,21 @@ def least_squares(problem: Problem, observed: Observations, start: FloatArray) -
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
     precision = loosened(problem)
     return most_probable(problem, observed, start, precision=precision, iterations=25).unknowns
+
+
+def staged_least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
+    """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
+
+    First without distortion, then with the radial polynomial, then with decentering too: all at once, a distorted lens
+    beside a wrong tilt is a local minimum on a tilted camera's short arc.
+    """
+    unknowns = undistorted(start)
+    for fixed in ((RADIAL, DECENTERING), (DECENTERING,), ()):
+        precision = loosened(problem)
+        for block in fixed:
+            precision[block] = _FIXED
+        unknowns = most_probable(problem, observed, unknowns, precision=precision, iterations=25).unknowns
+    return unknowns
 
 
 def loosened(problem: Problem) -> FloatArray:
@@ -102,7 +119,7 @@ def distance_sigmas(problem: Problem, observed: Observations, unknowns: FloatArr
 
 
 def _plain_starts(problem: Problem, observed: Observations, start: FloatArray) -> list[FloatArray]:
-    """Return least-squares answers from the start's lens without distortion: thinned, and from other focal lengths."""
+    """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
     few = observed.select(slice(None, None, 1 + len(observed) // _FEW))
     plain = undistorted(start)
     found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
@@ -110,7 +127,7 @@ def _plain_starts(problem: Problem, observed: Observations, start: FloatArray) -
         other = plain.copy()
         other[Whitened.FOCAL_LENGTH] += step
         found.append(least_squares(problem, few.select(slice(None, None, 2)), other))
-    return found
+    return [*found, staged_least_squares(problem, few, start)]
 
 
 def _widest_scatter(residual: FloatArray, observed: Observations) -> float:
