@@ -80,22 +80,46 @@ def test_the_evidence_is_the_mean_over_begins_amplitudes_times_and_ramps() -> No
     assert drift_evidence(window, 12) == pytest.approx(mean + max(among_false - best, 0.0), rel=1e-9)
 
 
-@pytest.mark.parametrize(("widest_deg", "direction_deg"), [(15.0, 240.0), (30.0, 300.0)])
-def test_a_straight_drift_is_no_change_of_the_lens(widest_deg: float, direction_deg: float) -> None:
-    # 0.6 px from one sighting to the next: a lens with five free numbers follows it too
+def _kinds(drift: FloatArray, *, widest_deg: float, cadence_s: float, seed: int = 4) -> list[str]:
+    """Return the kinds of change that are named while detections (n, 2) drift."""
     calibration = stated_calibration(small_camera(), sigma_px=0.02)
-    directions = sun_arc(56, widest_deg=widest_deg)
-    way = np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
-    drift = 0.6 * np.clip(np.arange(56.0) - 41.0, 0.0, None)[:, None] * way
-    noise = np.random.default_rng(4).normal(0.0, 0.02, (56, 2))
-    watch, kinds = SightingWindow(), []
+    directions = sun_arc(drift.shape[0], widest_deg=widest_deg)
+    noise = np.random.default_rng(seed).normal(0.0, 0.02, drift.shape)
+    watch = SightingWindow()
+    kinds: list[str] = []
     for row, (pixel, direction) in enumerate(
         zip(project(calibration.camera, directions) + noise + drift, directions, strict=True)
     ):
-        one = Sighting(unix_s=120.0 * row, pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
+        one = Sighting(unix_s=cadence_s * row, pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
         watch, change = update_window(watch, one, calibration=calibration, site=SGP, options=WatchOptions())
         kinds += [] if change is None else [change.kind]
-    assert kinds == []
+    return kinds
+
+
+def _toward(direction_deg: float) -> FloatArray:
+    return np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
+
+
+@pytest.mark.parametrize(("widest_deg", "direction_deg"), [(15.0, 240.0), (30.0, 300.0)])
+def test_a_straight_drift_is_no_change_of_the_lens(widest_deg: float, direction_deg: float) -> None:
+    # 0.6 px from one sighting to the next: a lens with five free numbers follows it too
+    drift = 0.6 * np.clip(np.arange(56.0) - 41.0, 0.0, None)[:, None] * _toward(direction_deg)
+    assert _kinds(drift, widest_deg=widest_deg, cadence_s=120.0) == []
+
+
+@pytest.mark.parametrize(("direction_deg", "seed"), [(0.0, 4), (200.0, 5)])
+def test_a_jump_that_then_declines_is_not_taken_for_a_turn_at_its_fourth_sighting(
+    direction_deg: float, seed: int
+) -> None:
+    # a cloud's edge jumps by 2 px and declines by 0.05 px a minute: four sightings hardly show that it does
+    after = np.arange(56.0) - 36.0
+    size = np.where(after < 0.0, 0.0, 2.0 - 0.05 * after)
+    assert _kinds(size[:, None] * _toward(direction_deg), widest_deg=30.0, cadence_s=60.0, seed=seed) == []
+
+
+def test_a_jump_that_stays_is_a_turn() -> None:
+    size = np.where(np.arange(56.0) < 36.0, 0.0, 2.0)
+    assert _kinds(size[:, None] * _toward(0.0), widest_deg=30.0, cadence_s=60.0)[:1] == ["bump"]
 
 
 def test_a_drift_explains_a_drift_better_than_no_drift_does() -> None:
@@ -103,6 +127,13 @@ def test_a_drift_explains_a_drift_better_than_no_drift_does() -> None:
     window = _window(drift)
     nothing = fit_inlier_mixture(window.covariance, window.sightings, window.watch.trusted).log_evidence
     assert drift_evidence(window, FIRST) > nothing + 10.0
+
+
+def test_an_episode_may_begin_after_the_change_that_it_competes_with() -> None:
+    # a jump by 1 px at sighting 8 that declines; the change counts the eight before it as false
+    drift = np.where(np.arange(N) < 8, 0.0, 1.0 - 0.04 * (np.arange(N) - 8.0))[:, None] * np.array([0.8, -0.6])
+    window = _window(drift, trusted=8)
+    assert drift_evidence(window, 0) == pytest.approx(drift_evidence(window, 8), abs=3.0)
 
 
 def test_a_drift_explains_stillness_worse_than_no_drift_does() -> None:
@@ -120,10 +151,19 @@ def test_a_false_sighting_among_the_drift_is_counted_as_false() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "begin"), [([3], 3), ([3, 4, 5], 3), ([1, 2, 9, 10, 11], 9), ([1, 3, 5], 1), ([2, 5], 5)]
+    ("rows", "begins"),
+    [
+        ([], set()),
+        ([3], {3}),
+        ([3, 4, 5], {3}),
+        ([1, 2, 9, 10, 11], {9}),
+        ([1, 2, 3, 9], {1, 9}),
+        ([1, 3, 5], {1}),
+        ([2, 5], {2, 5}),
+    ],
 )
-def test_a_single_row_between_does_not_end_a_run(rows: list[int], begin: int) -> None:
-    assert module._begin_of_last_run(np.array(rows)) == begin
+def test_runs_begin_where_more_than_one_row_is_missing(rows: list[int], begins: set[int]) -> None:
+    assert module._begins_of_runs(np.array(rows, dtype=np.intp)) == begins
 
 
 def test_sightings_before_the_episode_count_where_they_were_trusted() -> None:

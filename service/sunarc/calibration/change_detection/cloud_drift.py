@@ -48,10 +48,10 @@ def drift_evidence(window: ResidualModel, first: int) -> float:
     window : the sightings.
     first : the first sighting after the change that the episode competes with.
     """
-    untrusted = np.flatnonzero(~window.watch.trusted[: first + 1])
+    untrusted = np.flatnonzero(~window.watch.trusted)
     begins = {max(first - back, 0) for back in _ONSETS_BACK}
-    if untrusted.size:
-        begins |= {_begin_of_last_run(untrusted)}
+    # the episode need not begin with the change: the change may count sightings before it as false
+    begins |= _begins_of_runs(untrusted) | _begins_of_runs(untrusted[untrusted <= first])
     reached, best, likeliest = [], -math.inf, Drift(first, 0.0, 1.0)
     for drift in _drifts(begins):
         reached.append(log_evidence(_with_drift(window, drift), window.sightings, _inliers(window, drift.begin)))
@@ -76,10 +76,10 @@ def _inliers(window: ResidualModel, begin: int) -> BoolArray:
     return np.asarray(window.watch.trusted | (np.arange(len(window.watch)) >= begin))
 
 
-def _begin_of_last_run(rows: IntArray) -> int:
-    """Return where the last run of rows begins; a single row between does not end it."""
-    breaks = np.flatnonzero(np.diff(rows) > 2)
-    return int(rows[breaks[-1] + 1] if breaks.size else rows[0])
+def _begins_of_runs(rows: IntArray) -> set[int]:
+    """Return where the last and the longest run of rows begin; a single row between does not end a run."""
+    runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 2) + 1) if run.size]
+    return {int(run[0]) for run in runs if run is runs[-1] or run.size == max(map(len, runs))}
 
 
 def _with_drift(window: ResidualModel, drift: Drift) -> FloatArray:

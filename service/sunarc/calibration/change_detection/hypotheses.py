@@ -34,8 +34,11 @@ strong, but here the question is put after every sighting."""
 _CLEARER = 6.0
 """Powers of e by which a rarer explanation must be better than a turn to be named."""
 _CLEARER_THAN_CLOUD = 4.0
-"""Powers of e by which any change must be better than cloud that draws the detections aside: that happens on most days,
-a change about once a year, and a first few sightings seldom tell more."""
+"""Powers of e by which any change must be better than cloud that draws the detections aside."""
+_CLEARER_AT_FIRST = 6.0
+"""The same while few sightings agree: cloud does it on most days, a change comes once a year, and ln 365 = 5.9."""
+_FEW_AGREEING = 6
+"""From so many agreeing sightings on `_CLEARER_THAN_CLOUD` holds: by then an episode of cloud has begun to drift."""
 _LENS_CLEARER_THAN_CLOUD = 12.0
 """The same for a change of the lens, whose many free numbers follow a drift, and after which nothing is kept."""
 _CLOCK_PRIOR = 5.0
@@ -95,13 +98,19 @@ def best_hypothesis(
         return None
     if selected.agreeing < int(nothing.inlier[selected.of.first :].sum()):
         return None
-    clearer = _LENS_CLEARER_THAN_CLOUD if selected.of.kind in _OF_LENS else _CLEARER_THAN_CLOUD
-    if selected.evidence - drift_evidence(window, selected.of.first) < clearer:
+    if selected.evidence - drift_evidence(window, selected.of.first) < _clearer_than_cloud(selected):
         return None
     alike = [rotation.of.first for rotation in best if rotation.evidence > selected.evidence - _AS_LIKELY]
     near = {one.of.kind for one in rivals if one.of.kind in _OF_LENS and one.evidence > selected.evidence - _CLEARER}
     perhaps = tuple(sorted(near)) if selected.of.kind == "bump" else ()
     return describe_change(window, selected.of, selected.mixture, gain=gain, alike=alike, perhaps=perhaps)
+
+
+def _clearer_than_cloud(scored: ScoredHypothesis) -> float:
+    """Return by how many powers of e a change must be better than an episode of cloud."""
+    if scored.of.kind in _OF_LENS:
+        return _LENS_CLEARER_THAN_CLOUD
+    return _CLEARER_AT_FIRST if scored.agreeing < _FEW_AGREEING else _CLEARER_THAN_CLOUD
 
 
 def _best_rotation(window: ResidualModel, *, small: bool, least: int) -> list[ScoredHypothesis]:
