@@ -70,7 +70,11 @@ class Faults(Processes):
         self.counts[fault] = self.counts.get(fault, 0) + 1
         self._log(f"{fault} begins")
         self.clear_from = float("inf")
-        getattr(self, f"_{fault}")()
+        try:
+            getattr(self, f"_{fault}")()
+        except (OSError, RuntimeError, sqlite3.Error, subprocess.TimeoutExpired) as error:
+            self.exits.append(f"{fault} failed: {error}")  # found wrong, and the campaign goes on
+            self._restore()
         self.clear_from = now() + 12.0 * SLOT_S
         self._log(f"{fault} ends")
         self.wait(self.random.uniform(1.0, 10.0) * SLOT_S)
@@ -80,6 +84,17 @@ class Faults(Processes):
             log.write(f"{now():.1f} {self.frame_time()} {text}\n")
         with (self.folder / "service.log").open("a") as log:
             log.write(f"---- {text}\n")
+
+    def _restore(self) -> None:
+        """Bring both processes back, with the host's clock right, after a fault that did not end as it should."""
+        self.clock_file.write_text("0 synchronised")
+        (self.state / "ballast").unlink(missing_ok=True)
+        if self.service is not None:
+            self.service.send_signal(signal.SIGCONT)
+        self.stop_service(signal.SIGKILL)
+        self.kill_imager()
+        self.start_imager()
+        self.start_service()
 
     def _kill(self) -> None:
         self.stop_service(signal.SIGKILL)
