@@ -80,16 +80,7 @@ def make(path: Path) -> None:
     upgrade(path)
     archive = open_archive(path)
     camera = true_camera()
-    archive.save_camera(
-        CameraRecord(
-            name="roof",
-            latitude=SGP.latitude,
-            longitude=SGP.longitude,
-            altitude=SGP.altitude,
-            width=camera.width,
-            height=camera.height,
-        )
-    )
+    archive.save_camera(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
     first = archive.epoch_at("roof", _START, reason="installed")
     rng = np.random.default_rng(5)
     times = _START.timestamp() + np.arange(0.0, _DAYS * 86_400.0, _CADENCE_S)

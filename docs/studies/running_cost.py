@@ -96,10 +96,7 @@ def _calibrate(folder: Path) -> None:
     database = folder / "state" / "sunarc.sqlite"
     upgrade(database)
     archive = open_archive(database)
-    record = CameraRecord(
-        name="imager", latitude=SGP.latitude, longitude=SGP.longitude, altitude=SGP.altitude, width=_SIZE, height=_SIZE
-    )
-    archive.save_camera(record)
+    archive.save_camera(CameraRecord.at(SGP, name="imager", width=_SIZE, height=_SIZE))
     epoch = archive.epoch_at("imager", _START, reason="first frame")
     truth = from_document(json.loads((folder / "truth.json").read_text())).camera
     document = to_document(

@@ -213,16 +213,7 @@ def new_archive(path: Path, camera: Camera = LENS) -> Archive:
     """Return an archive that knows the camera and has seen nothing."""
     upgrade(path)
     archive = open_archive(path)
-    archive.save_camera(
-        CameraRecord(
-            name="roof",
-            latitude=SITE.latitude,
-            longitude=SITE.longitude,
-            altitude=SITE.altitude,
-            width=camera.width,
-            height=camera.height,
-        )
-    )
+    archive.save_camera(CameraRecord.at(SITE, name="roof", width=camera.width, height=camera.height))
     archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     return archive
 

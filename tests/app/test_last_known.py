@@ -5,15 +5,16 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.fixtures.archive import HIDDEN, store_sun_point
 
 from sunarc.app import Service
 from sunarc.app.last_known import restore_last_known
-from sunarc.archive import CameraRecord, ImageStore, SunPoint, open_archive, upgrade
+from sunarc.archive import CameraRecord, ImageStore, open_archive, upgrade
 from sunarc.cameras import AravisOptions, SkyCamera
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -48,18 +49,8 @@ def start(tmp_path: Path) -> Callable[[], Service]:
 
 
 def look(service: Service, time: datetime, *, accepted: bool, clock_error_s: float = 0.01) -> None:
-    epoch = service.archive.epoch_at("imager", time, reason="first frame")
-    rejected = SunPoint(
-        camera="imager",
-        pose_epoch=epoch.id,
-        time=time,
-        method="disc",
-        accepted=False,
-        verdict="hidden",
-        clock_error_s=clock_error_s,
-    )
-    seen = replace(rejected, accepted=True, verdict="clear", x_px=4.0, y_px=3.0, sigma_px=0.1)
-    service.archive.add_sun_points([seen if accepted else rejected])
+    result: dict[str, Any] = {"sigma_px": 0.1} if accepted else HIDDEN
+    store_sun_point(service.archive, time, camera="imager", clock_error_s=clock_error_s, **result)
 
 
 def test_a_new_service_knows_of_nothing(start: Callable[[], Service]) -> None:

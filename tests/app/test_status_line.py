@@ -6,28 +6,16 @@ import os
 import socket
 import tempfile
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.board import status_registry
+from tests.fixtures.board import START
 
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.runtime.systemd import Notifier
-
-START = datetime(2026, 5, 1, 12, tzinfo=UTC)
-
-
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock(START)
-
-
-@pytest.fixture
-def board(clock: VirtualClock) -> StatusRegistry:
-    return status_registry(clock)
 
 
 @pytest.fixture

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 import uvicorn
+from tests.fixtures.archive import HIDDEN, store_sun_point
 from tests.fixtures.cameras import INFO
 from tests.fixtures.settings import new_settings
 
 from sunarc.app import Service, serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
 from sunarc.app.serving import _monitored, _schedule, _Server, _with_credentials, serve
-from sunarc.archive import ELSEWHERE, SunPoint, open_archive, upgrade
+from sunarc.archive import ELSEWHERE, open_archive, upgrade
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.cli import main
 from sunarc.detection import Detection
@@ -171,17 +172,7 @@ def test_while_the_clock_is_not_trusted_a_change_is_dated_just_after_the_newest_
     service: Service, clock: VirtualClock
 ) -> None:
     service.open_and_remember()
-    epoch = service.archive.epoch_at("roof", NOON, reason="first frame")
-    point = SunPoint(
-        camera="roof",
-        pose_epoch=epoch.id,
-        time=NOON,
-        method="disc",
-        accepted=False,
-        verdict="hidden",
-        clock_error_s=0.0,
-    )
-    service.archive.add_sun_points([point])
+    store_sun_point(service.archive, NOON, clock_error_s=0.0, **HIDDEN)
     clock.advance(3600.0)
     assert service._time_of_change() == NOON + timedelta(hours=1)
     clock.set_state(ClockState(synchronised=False, error_bound_s=16.0))

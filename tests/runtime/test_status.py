@@ -1,28 +1,15 @@
 from __future__ import annotations
 
 import threading
-from datetime import UTC, datetime
 
-import pytest
-from tests.fixtures.board import status_registry
+from tests.fixtures.board import START
 
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import CameraStatus, ClockStatus, DiskStatus, Reason, StatusRegistry, WorkerStatus
 
 DISK = DiskStatus(free_bytes=5, images_bytes=3)
-START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 LOST = Reason(code="camera_lost", severity="not_ready", text="the camera is gone", remedy="check its cable")
 DRIFT = Reason(code="drift", severity="degraded", text="the camera moved", remedy="wait for a clear day")
-
-
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock(START)
-
-
-@pytest.fixture
-def board(clock: VirtualClock) -> StatusRegistry:
-    return status_registry(clock)
 
 
 def test_an_empty_board_is_ready_and_knows_nothing(board: StatusRegistry) -> None:

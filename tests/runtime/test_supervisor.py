@@ -5,11 +5,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from itertools import pairwise
 
 import pytest
-from tests.fixtures.board import status_registry
+from tests.fixtures.board import START
 
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import SystemClock, VirtualClock
@@ -17,7 +16,6 @@ from sunarc.runtime.heartbeats import Heartbeat, Monitored
 from sunarc.runtime.status import StatusRegistry, WorkerStatus
 from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions, Worker
 
-START = datetime(2026, 5, 1, 12, tzinfo=UTC)
 PATIENCE_S = 20.0  # only a failing test waits as long
 
 Deed = Callable[[threading.Event, Callable[[], None]], None]
@@ -44,16 +42,6 @@ class Factory:
         worker = Doer(self.deeds[min(len(self.made), len(self.deeds) - 1)])
         self.made.append(worker)
         return worker
-
-
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock(START)
-
-
-@pytest.fixture
-def board(clock: VirtualClock) -> StatusRegistry:
-    return status_registry(clock)
 
 
 @pytest.fixture
@@ -305,6 +293,13 @@ def test_rare_deaths_are_never_too_many(clock: VirtualClock, board: StatusRegist
     assert supervisor.stop() == ()
 
 
+def stale_after_a_minute(deed: Deed, clock: VirtualClock, board: StatusRegistry) -> Supervisor:
+    """Return a supervisor of one worker whose heartbeat may be 60 s old."""
+    options = SupervisorOptions(stale_after_s=60.0)
+    worker = Supervised(name="detect", make_worker=Factory([deed]), options=options)
+    return Supervisor([worker], clock=clock, board=board)
+
+
 def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock, board: StatusRegistry) -> None:
     runs, beat, beaten = threading.Event(), threading.Event(), threading.Event()
 
@@ -315,11 +310,7 @@ def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock
         beaten.set()
         stop.wait(PATIENCE_S)
 
-    supervisor = Supervisor(
-        [Supervised(name="detect", make_worker=Factory([deed]), options=SupervisorOptions(stale_after_s=60.0))],
-        clock=clock,
-        board=board,
-    )
+    supervisor = stale_after_a_minute(deed, clock, board)
     supervisor.start()
     assert runs.wait(PATIENCE_S)
     clock.advance(60.0)
@@ -454,11 +445,7 @@ def test_being_stuck_is_logged_once(
         runs.set()
         release.wait(PATIENCE_S)
 
-    supervisor = Supervisor(
-        [Supervised(name="detect", make_worker=Factory([deed]), options=SupervisorOptions(stale_after_s=60.0))],
-        clock=clock,
-        board=board,
-    )
+    supervisor = stale_after_a_minute(deed, clock, board)
     supervisor.start()
     assert runs.wait(PATIENCE_S)
     clock.advance(61.0)

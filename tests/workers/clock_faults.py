@@ -80,16 +80,7 @@ class Imager:
         self.boot()
 
     def _start_record(self) -> None:
-        self.archive.save_camera(
-            CameraRecord(
-                name="roof",
-                latitude=SGP.latitude,
-                longitude=SGP.longitude,
-                altitude=SGP.altitude,
-                width=TRUTH.width,
-                height=TRUTH.height,
-            )
-        )
+        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=TRUTH.width, height=TRUTH.height))
         self.archive.epoch_at("roof", DAY, reason="first frame")
         document = to_document(
             good_calibration(),

@@ -98,16 +98,7 @@ class LongRun:
         upgrade(folder / "sunarc.sqlite")
         self.archive: Archive = open_archive(folder / "sunarc.sqlite")
         self.now = datetime(2013, 5, 13, tzinfo=UTC)
-        self.archive.save_camera(
-            CameraRecord(
-                name="roof",
-                latitude=SGP.latitude,
-                longitude=SGP.longitude,
-                altitude=SGP.altitude,
-                width=self.truth.width,
-                height=self.truth.height,
-            )
-        )
+        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=self.truth.width, height=self.truth.height))
         self._join()
 
     def _join(self) -> None:

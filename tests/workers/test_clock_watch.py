@@ -8,10 +8,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.archive import new_archive
+from tests.fixtures.archive import new_archive, store_sun_point
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import Archive, CameraArchive, SunPoint
+from sunarc.archive import Archive, CameraArchive
 from sunarc.errors import InputError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -64,25 +64,6 @@ def watch(watch_with: MakeWatch) -> ClockWatch:
 
 def reasons(board: StatusRegistry) -> set[str]:
     return {reason.code for reason in board.snapshot().reasons}
-
-
-def store_sighting(archive: Archive, at: datetime, *, clock_error_s: float) -> None:
-    epoch = archive.epoch_at("roof", at, reason="first frame")
-    archive.add_sun_points(
-        [
-            SunPoint(
-                camera="roof",
-                pose_epoch=epoch.id,
-                time=at,
-                method="disc",
-                accepted=True,
-                verdict="clear",
-                x_px=4.0,
-                y_px=3.0,
-                clock_error_s=clock_error_s,
-            )
-        ]
-    )
 
 
 def test_a_sighting_carries_the_kernels_bound_and_never_less_than_the_least(
@@ -154,7 +135,7 @@ def test_sightings_around_a_step_carry_its_size_whether_they_were_stored_before_
     clock.advance(0.5)
     just_before = clock.now()
     for moment in (long_before, just_before):
-        store_sighting(archive, moment, clock_error_s=0.01)
+        store_sun_point(archive, moment, clock_error_s=0.01)
     clock.step(step_s)
     just_after = clock.now()
     assert watch.error_s(just_after) == pytest.approx(7.0)
@@ -209,7 +190,7 @@ def test_a_step_that_cannot_be_written_down_is_written_down_later(
 def test_a_start_long_after_the_record_is_distrusted_until_the_clock_has_settled(
     watch_with: MakeWatch, clock: VirtualClock, archive: Archive, *, days: int, trusted: bool
 ) -> None:
-    store_sighting(archive, clock.now() - timedelta(days=days), clock_error_s=0.01)
+    store_sun_point(archive, clock.now() - timedelta(days=days), clock_error_s=0.01)
     watch = watch_with()
     assert watch.trusted() == trusted
     clock.advance(SETTLE_S + 1.0)
@@ -223,7 +204,7 @@ def test_a_clock_behind_the_record_is_distrusted_although_the_record_could_not_b
     def locked(*_: object, **__: object) -> None:
         raise OutsideError("cannot use the database: database is locked")
 
-    store_sighting(archive, clock.now() + timedelta(days=1), clock_error_s=0.01)
+    store_sun_point(archive, clock.now() + timedelta(days=1), clock_error_s=0.01)
     with monkeypatch.context() as patched:
         patched.setattr(archive, "_reading", locked)
         watch = watch_with()

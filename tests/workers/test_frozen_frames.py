@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures.archive import new_archive
+from tests.fixtures.archive import new_archive, store_sun_point
 
-from sunarc.archive import FROZEN, Archive, CameraArchive, SunPoint
+from sunarc.archive import FROZEN, Archive, CameraArchive
 from sunarc.cameras import Frame
 from sunarc.detection import Detection, DiscOptions
 from sunarc.findings import Finding
@@ -161,18 +161,7 @@ def test_a_night_without_noise_is_black_again_and_again(archive: Archive, board:
 
 
 def test_places_are_compared_with_those_stored_before_a_start(archive: Archive, board: StatusRegistry) -> None:
-    epoch = archive.epoch_at("roof", START, reason="first frame")
-    point = SunPoint(
-        camera="roof",
-        pose_epoch=epoch.id,
-        time=START,
-        method="disc",
-        accepted=True,
-        verdict="clear",
-        x_px=50.0,
-        y_px=50.0,
-    )
-    archive.add_sun_points([point])
+    store_sun_point(archive, START, x_px=50.0, y_px=50.0)
     checker = FrozenFrames(CameraArchive(archive, name="roof", site=SGP), board=board)
     later = replace(frame_at(600.0), image=np.zeros((6, 8), dtype=np.uint16))
     assert checker.checked(later, seen(50.0)).verdict == FROZEN

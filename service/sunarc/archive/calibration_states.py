@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Literal
@@ -13,9 +13,10 @@ from sqlalchemy import Connection, func, insert, select
 
 from sunarc.archive.calibration_inputs import copy_used
 from sunarc.archive.calibrations import Calibrations
+from sunarc.archive.days_and_events import insert_event
 from sunarc.archive.documents import row_of
 from sunarc.archive.messages import MESSAGES
-from sunarc.archive.tables import calibration, event
+from sunarc.archive.tables import calibration
 from sunarc.archive.validity import SERVED, end_others, set_columns, with_interval, wrong_state
 from sunarc.archive.values import CalibrationRecord, Event
 from sunarc.findings import Finding
@@ -51,7 +52,7 @@ class History(Calibrations):
                 reinstated = replace(record, **decided, findings=findings)
             copied = reinstated.parent if record.state in SERVED else None
             found = Finding("calibration_reinstated", {"calibration": reinstated.id, "reason": reason})
-            insert_event(connection, found, at=at, camera=reinstated.camera, details={"copied": copied})
+            store_decision(connection, found, at=at, camera=reinstated.camera, details={"copied": copied})
         return with_interval(reinstated)
 
     def pin(self, calibration_id: str, *, at: datetime, reason: str) -> CalibrationRecord:
@@ -72,7 +73,7 @@ class History(Calibrations):
             changed = replace(record, pinned=what == "pinned")
             set_columns(connection, record.id, pinned=changed.pinned)
             found = Finding(f"calibration_{what}", {"calibration": record.id, "reason": reason})
-            insert_event(connection, found, at=at, camera=record.camera)
+            store_decision(connection, found, at=at, camera=record.camera)
         return with_interval(changed)
 
 
@@ -108,7 +109,7 @@ def _name_of_copy(connection: Connection, calibration_id: str) -> str:
     return f"{original}-r{(connection.scalar(copies) or 0) + 1}"
 
 
-def insert_event(
+def store_decision(
     connection: Connection,
     found: Finding,
     *,
@@ -117,6 +118,4 @@ def insert_event(
     details: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Store the event of a decision in the transaction that carries it out."""
-    row = asdict(Event.of(found, MESSAGES, time=at, severity="info", camera=camera, details=details))
-    row.pop("id")
-    connection.execute(insert(event).values(row))
+    insert_event(connection, Event.of(found, MESSAGES, time=at, severity="info", camera=camera, details=details))

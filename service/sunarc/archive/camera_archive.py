@@ -28,7 +28,6 @@ class CameraArchive:
         self.archive = archive
         self.name = name
         self.site = site
-        self.record = partial(archive.camera, name)
         self.current_calibration = partial(archive.current_calibration, name)
         self.current_epoch = partial(archive.current_epoch, name)
         self.current_model = partial(archive.current_model, name)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 from dataclasses import asdict, replace
 from datetime import date, datetime
+from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects.sqlite import insert
 
 from sunarc.archive import tables
@@ -24,7 +25,7 @@ class Journal(Store):
 
     def save_day(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""
-        row = asdict(day) | {"findings": day.findings}
+        row = _row_of(day)
         statement = insert(tables.day).values(row)
         with self._writing() as connection:
             connection.execute(statement.on_conflict_do_update(index_elements=["camera", "date"], set_=row))
@@ -40,7 +41,7 @@ class Journal(Store):
     def add_refit(self, refit: Refit) -> Refit:
         """Write down that a refit was asked for, or has begun."""
         with self._writing() as connection:
-            connection.execute(insert(tables.refit).values(asdict(refit) | {"findings": refit.findings}))
+            connection.execute(insert(tables.refit).values(_row_of(refit)))
         return refit
 
     def request_refit(self, refit: Refit) -> Refit:
@@ -56,7 +57,7 @@ class Journal(Store):
             found = values_of(connection, waiting.order_by(c.requested_at, c.id).limit(1), Refit)
             if found:
                 return found[0]
-            connection.execute(insert(tables.refit).values(asdict(refit) | {"findings": refit.findings}))
+            connection.execute(insert(tables.refit).values(_row_of(refit)))
         return refit
 
     def start_refit(self, refit_id: str, *, started_at: datetime) -> Refit:
@@ -101,11 +102,8 @@ class Journal(Store):
 
     def add_event(self, event: Event) -> Event:
         """Write an event down, tell the log of it, and return it with its id."""
-        row = asdict(event)
-        row.pop("id")
         with self._writing() as connection:
-            key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
-        stored = replace(event, id=None if key is None else int(key[0]))
+            stored = insert_event(connection, event)
         fields = {"event_id": stored.id, "event_kind": stored.kind}  # what the journal's line shares with /v1/events
         _log.log(_LEVELS[stored.severity], "%s: %s", stored.kind, stored.text, extra=fields)
         return stored
@@ -134,3 +132,16 @@ class Journal(Store):
         with self._writing() as connection:
             connection.execute(update(tables.refit).where(this_refit).values(**columns))
             return values_of(connection, select(tables.refit).where(this_refit), Refit)[0]
+
+
+def insert_event(connection: Connection, event: Event) -> Event:
+    """Store an event in a transaction, and return it with its id."""
+    row = asdict(event)
+    row.pop("id")
+    key = connection.execute(insert(tables.event).values(row)).inserted_primary_key
+    return replace(event, id=None if key is None else int(key[0]))
+
+
+def _row_of(value: Day | Refit) -> dict[str, Any]:
+    """Return the columns of a value; `asdict` alone would take its findings apart."""
+    return asdict(value) | {"findings": value.findings}

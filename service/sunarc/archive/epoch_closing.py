@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from sqlalchemy import Connection, select, update
 
-from sunarc.archive.calibration_states import History, add_copy, insert_event
+from sunarc.archive.calibration_states import History, add_copy, store_decision
 from sunarc.archive.sighting_revisions import ELSEWHERE, MOVED
 from sunarc.archive.sightings import not_closed
 from sunarc.archive.store import values_of
@@ -51,7 +51,7 @@ class EpochClosing(History):
             current = self._serve_again(connection, wrong, at=at, reason=reason)
             data = {"pose_epoch": wrong.id, "started_at": wrong.started_at.isoformat(), "reason": reason}
             details = {"continues": before.id, "calibration": current}
-            insert_event(connection, Finding(EPOCH_CLOSED, data), at=at, camera=wrong.camera, details=details)
+            store_decision(connection, Finding(EPOCH_CLOSED, data), at=at, camera=wrong.camera, details=details)
         return current
 
     def _serve_again(self, connection: Connection, wrong: PoseEpoch, *, at: datetime, reason: str) -> str | None:

@@ -101,8 +101,8 @@ class ImageStore:
         """
         target = self.path(captured_at, kind=kind)
         while True:
-            # What the file system calls free may not be free to this user (quota, reserved blocks): where the write
-            # itself fails for want of room, one more image goes and it is tried again.
+            # Free space of the file system may not be available to this user (quota, reserved blocks): when the write
+            # itself fails because the disk is full, the oldest image is removed and the write is repeated.
             if not self.make_room(len(encoded)):
                 raise OutsideError(f"image {target.name} was not written: the disk has too little room")
             try:

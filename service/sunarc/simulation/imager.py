@@ -33,6 +33,7 @@ from sunarc.simulation.timeline import Timeline
 from sunarc.simulation.truth import SGP, true_camera
 from sunarc.simulation.truth_document import truth_document
 from sunarc.sky import Site, solar_date
+from sunarc.utc import to_microseconds
 
 _log = logging.getLogger(__name__)
 
@@ -123,9 +124,7 @@ def run_imager(
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     description = genicam.genicam_xml(exposure_min_us=options.exposure_min_us, exposure_max_us=options.exposure_max_us)
     scene = scene_of(options)
-    scene.render(
-        round(options.start.timestamp() * 1e6), exposure_us=10.0
-    )  # compiles, before anyone can ask for a frame
+    scene.render(to_microseconds(options.start), exposure_us=10.0)  # compiles, before anyone can ask for a frame
     with fake_camera(address=options.address, serial=options.serial, description=description) as camera:
         clock = clock or SystemClock()
         imager = _Imager(options, scene, camera, stop=stop, clock=clock)

@@ -45,11 +45,11 @@ class Page:
         return self.skip + self.limit + 1
 
     def until(self, requested: datetime | None) -> datetime | None:
-        """Return the end (exclusive) of the rows to ask for, where the client wants those before `requested`."""
+        """Return the exclusive end of the times to query, given the client's `until`."""
         return _sooner(requested, None if self.last is None else self.last + MICROSECOND)
 
     def until_date(self, requested: date | None) -> date | None:
-        """Return the end (exclusive) of the dates to ask for, where the client wants those before `requested`."""
+        """Return the exclusive end of the dates to query, given the client's `until`."""
         return _sooner(requested, None if self.last is None else self.last.date() + timedelta(days=1))
 
     def cut(

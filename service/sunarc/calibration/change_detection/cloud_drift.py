@@ -79,7 +79,8 @@ def _inliers(window: ResidualModel, begin: int) -> BoolArray:
 def _begins_of_runs(rows: IntArray) -> set[int]:
     """Return where the last and the longest run of rows begin; a single row between does not end a run."""
     runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 2) + 1) if run.size]
-    return {int(run[0]) for run in runs if run is runs[-1] or run.size == max(map(len, runs))}
+    longest = max(map(len, runs), default=0)
+    return {int(run[0]) for run in runs if run is runs[-1] or len(run) == longest}
 
 
 def _with_drift(window: ResidualModel, drift: Drift) -> FloatArray:

@@ -56,8 +56,7 @@ def best_start(problem: Problem, observed: Observations, start: FloatArray, *, p
 
 def least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    precision = loosened(problem)
-    return most_probable(problem, observed, start, precision=precision, iterations=25).unknowns
+    return _loose_fit(problem, observed, start, loosened(problem))
 
 
 def staged_least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
@@ -67,12 +66,16 @@ def staged_least_squares(problem: Problem, observed: Observations, start: FloatA
     beside a wrong tilt is a local minimum on a tilted camera's short arc.
     """
     unknowns = undistorted(start)
-    for fixed in ((RADIAL, DECENTERING), (DECENTERING,), ()):
-        precision = loosened(problem)
-        for block in fixed:
-            precision[block] = _FIXED
-        unknowns = most_probable(problem, observed, unknowns, precision=precision, iterations=25).unknowns
-    return unknowns
+    precision = loosened(problem)
+    precision[RADIAL] = precision[DECENTERING] = _FIXED
+    for freed in (RADIAL, DECENTERING):
+        unknowns = _loose_fit(problem, observed, unknowns, precision)
+        precision[freed] = _LOOSENED
+    return least_squares(problem, observed, unknowns)
+
+
+def _loose_fit(problem: Problem, observed: Observations, start: FloatArray, precision: FloatArray) -> FloatArray:
+    return most_probable(problem, observed, start, precision=precision, iterations=25).unknowns
 
 
 def loosened(problem: Problem) -> FloatArray:
