@@ -5,7 +5,9 @@ from sunarc.detection.disc.brightness import ClearSun, clear_sun
 from sunarc.detection.disc.detect import detect_sun
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
+from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.static_mask import static_mask
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
@@ -17,6 +19,7 @@ __all__ = [
     "DiscOptions",
     "Estimates",
     "Expectation",
+    "Exposure",
     "Lens",
     "Method",
     "Planes",
@@ -28,7 +31,9 @@ __all__ = [
     "combine",
     "detect_sun",
     "detect_sun_in_photo",
+    "detect_sun_in_stack",
     "locate",
     "planes_of",
     "radial_bias_px",
+    "static_mask",
 ]

@@ -9,7 +9,7 @@ from sunarc.findings import Finding, Message, Messages
 _ACCEPTED = "Accepted."
 _NO_SUN = "No sun in this image."
 _REJECTED = "A position is given and not used."
-_BY_LIGHT = "The light around the blob is not the sun's; a position is given and not used."
+_BY_RIM = "The bright region is not the sun, or too little of it is seen; a position is given and not used."
 _FILTER = "set detection.clear_level_per_us if there is a filter before the lens"
 
 MESSAGES = Messages(
@@ -59,19 +59,17 @@ MESSAGES = Messages(
     no_bright_region=Message("no region brighter than {least:g} of full scale; only single pixels", _NO_SUN),
     no_outstanding_region=Message("no region stands out: the brightest is at {level:.3f}", _NO_SUN),
     # ordinary images
-    blob_found=Message("a bright region of {diameter_px:.0f} px, the light around it even to {scatter:.3f}", _ACCEPTED),
+    blob_found=Message("a bright region of {diameter_px:.0f} px, round in {share:.2f} of the directions", _ACCEPTED),
+    stack_mean=Message("mean of {frames} exposures, chi² {chi2:.1f} a degree of freedom", _ACCEPTED),
     image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
     image_saturated=Message("more than half of the image is saturated", _NO_SUN),
     no_round_region=Message("no bright region is round", _NO_SUN),
     blob_displaced=Message("a round bright region {distance_px:.0f} px from where the sun should be", _REJECTED),
-    blob_light_hidden=Message("too little of the light around the bright region can be seen", _REJECTED),
-    blob_edged=Message("a white patch with an edge, no glare: {edge:.2f} of its light next to it", _BY_LIGHT),
-    blob_one_sided=Message("in only {share:.2f} of the directions around it the light falls off alike", _BY_LIGHT),
-    blob_light_uneven=Message("the light around it is uneven by {scatter:.3f} of its fall", _BY_LIGHT),
-    blob_light_elongated=Message(
-        "the light around it is drawn out: 1 - minor/major axis is {ellipticity:.2f}", _BY_LIGHT
-    ),
-    blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_LIGHT),
+    blob_edged=Message("a white patch with an edge, no glare: {near:.2f} of its level beside it", _BY_RIM),
+    blob_flat=Message("it does not stand out: {near:.2f} of its level beside it", _BY_RIM),
+    blob_one_sided=Message("its rim is round in only {share:.2f} of the directions", _BY_RIM),
+    blob_uneven=Message("its rim is uneven by {scatter:.3f} of its radius", _BY_RIM),
+    blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_RIM),
     # by what is known beside the image
     sun_elsewhere=Message(
         "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."

@@ -1,4 +1,4 @@
-"""The sun in ordinary and HDR images: the five estimators of Appendix A, and level circles for photographs."""
+"""The sun in ordinary and HDR images: the five estimators of Appendix A."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sunarc.array_types import Image
+from sunarc.detection.frames import require_photo
 from sunarc.detection.photo import centroids as estimators
 from sunarc.detection.photo.blob import Blob
-from sunarc.errors import InputError
 
 Plane = NDArray[np.float32]
 
@@ -86,14 +86,7 @@ def planes_of(image: Image, *, full_scale: int) -> Planes:
     ------
     InputError : another shape or type, or a full scale beyond it.
     """
-    if image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3) or min(image.shape) < 1:
-        raise InputError(
-            field="image", problem=f"its shape is {image.shape}", remedy="give rows, columns (and 3 colours)"
-        )
-    if image.dtype not in (np.uint8, np.uint16) or not 0 < full_scale <= np.iinfo(image.dtype).max:
-        raise InputError(
-            field="image", problem=f"{image.dtype} with full scale {full_scale}", remedy="give uint8 or uint16 counts"
-        )
+    require_photo(image, full_scale=full_scale)
     if image.ndim == 2:
         return Planes(image, image, full_scale)
     first, second, third = cv2.split(image)

@@ -1,0 +1,143 @@
+"""Where the sun may be in an ordinary image: compact regions that one level fills.
+
+The level is the highest that a region of some thickness reaches, not the brightest pixel: a camera may clip the sun at
+160 of 255 beneath a text overlay of 255. It is looked for in the faintest of the three colours, whose plateau is the
+smallest and the roundest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.array_types import BoolArray, Image
+from sunarc.detection.photo.blob import thickest
+
+Plane = NDArray[np.float32]
+Mask = NDArray[np.uint8]
+
+_SEARCHED_PX = 960
+"""Smaller side of the image in which plateaus are looked for; a sun of 5 px radius in 1920 px is still 2.5 px there."""
+_LEVEL = 0.97
+"""Of the plateau: JPEG's ringing and the sensor's unevenness stay above it (real images: 247 of 255 at the lowest)."""
+_LOWEST = 0.5
+"""Of the highest plateau: a lower one is no sun beside it."""
+_LEVELS, _IN_A_LEVEL, _TRIED = 4, 6, 48
+_LEAST_RADIUS_PX = 1.4  # in the reduced image: the 3 × 3 pixels of the erosion
+_HOLE = 0.3  # of the region's area: a black-sun artefact or a painted mark, not the clear sky within a ring of cloud
+_NEAR, _NEAR_PX = 1.7, 1.5  # radii, and px of the reduced image: where the light beside a circle is told
+_APART_PX = 9  # about a plateau its own glare is no second one
+
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+_COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
+
+
+class Plateau(NamedTuple):
+    """The largest circle within a region that one level fills.
+
+    x, y, radius : px of the image. level : counts.
+    """
+
+    x: float
+    y: float
+    radius: float
+    level: float
+
+
+def faintest_colour(image: Image) -> Image:
+    """Return the smallest of the colours, (rows, columns); a mono image as it is."""
+    if image.ndim == 2:
+        return image
+    first, second, third = cv2.split(image)
+    faintest: Image = cv2.min(cv2.min(first, second), third)  # type: ignore[assignment]
+    return faintest
+
+
+def faintest_of_mosaic(image: Image) -> Image:
+    """Return the smallest count of each 2 × 2 cell of a raw mosaic, (rows // 2, columns // 2)."""
+    rows, columns = (size // 2 * 2 for size in image.shape)
+    cells = [image[row:rows:2, column:columns:2] for row in (0, 1) for column in (0, 1)]
+    faintest: Image = np.minimum(np.minimum(cells[0], cells[1]), np.minimum(cells[2], cells[3]))
+    return faintest
+
+
+def plateaus(
+    plane: Image, *, least_level: float, least_near: float = 0.0, static: BoolArray | None = None
+) -> list[Plateau]:
+    """Return the largest circles within the plateaus of a plane, those of the highest level first.
+
+    Parameters
+    ----------
+    plane : (rows, columns), the faintest colour.
+    least_level : counts below which nothing is looked for.
+    least_near : light beside a circle over its level, below which it is left out (text, boxes, snow on a roof).
+    static : (rows, columns), pixels that do not take part.
+    """
+    step = max(1, round(min(plane.shape) / _SEARCHED_PX))
+    small = _reduced(plane, step, static)
+    found, taken = list[Plateau](), np.zeros(small.shape, np.uint8)
+    highest = cv2.erode(small, np.ones((3, 3), np.uint8))
+    top = float(highest.max(initial=0.0))
+    for _ in range(_LEVELS):
+        level = float(highest.max(initial=0.0))
+        if level < max(least_level, _LOWEST * top, 1.0):
+            break
+        region = _without(_filled((small >= _LEVEL * level).astype(np.uint8)), taken)
+        circles = [Plateau(*each, level) for each in thickest(region, most=_TRIED, least_radius=_LEAST_RADIUS_PX)]
+        shift = (step - 1) / 2.0
+        found += [
+            Plateau(step * c.x + shift, step * c.y + shift, step * c.radius, level)
+            for c in _in_their_light(small, circles, least_near * level)
+        ]
+        taken |= (small >= _LEVEL * level).astype(np.uint8) | region
+        highest[cv2.dilate(taken, np.ones((_APART_PX, _APART_PX), np.uint8)) > 0] = 0.0
+    return found
+
+
+def _reduced(plane: Image, step: int, static: BoolArray | None) -> Plane:
+    """Return means of step × step pixels."""
+    shown: Image = plane if static is None else np.where(static, 0, plane).astype(plane.dtype)  # type: ignore[assignment]
+    rows, columns = (size // step for size in plane.shape)
+    part = shown[: rows * step, : columns * step]
+    return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _in_their_light(small: Plane, circles: list[Plateau], least: float) -> list[Plateau]:
+    """Return the circles with light beside them, the largest with light all around first."""
+    lit = []
+    for circle in circles:
+        light = _light_near(small, circle)
+        if float(np.median(light)) >= least:
+            lit.append((-circle.radius * float(np.quantile(light, 0.25)), circle))
+    return [circle for _, circle in sorted(lit)[:_IN_A_LEVEL]]
+
+
+def _light_near(small: Plane, circle: Plateau) -> Plane:
+    """Return the light at 1.7 radii (and 1.5 px) of a circle in all directions, 0 beyond the image."""
+    far = _NEAR * circle.radius + _NEAR_PX
+    columns = np.rint(circle.x + far * _COSINE).astype(np.intp)
+    rows = np.rint(circle.y + far * _SINE).astype(np.intp)
+    inside = (columns >= 0) & (rows >= 0) & (columns < small.shape[1]) & (rows < small.shape[0])
+    return np.where(inside, small[np.where(inside, rows, 0), np.where(inside, columns, 0)], np.float32(0.0))
+
+
+def _filled(region: Mask) -> Mask:
+    """Return a mask with its small holes filled."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.pad(1 - region, 1, constant_values=1), connectivity=4)
+    if count <= 2:
+        return region
+    small = stats[:, cv2.CC_STAT_AREA] < _HOLE * np.count_nonzero(region)
+    small[[0, labels[0, 0]]] = False
+    return np.asarray(region | small[labels][1:-1, 1:-1], dtype=np.uint8)
+
+
+def _without(region: Mask, taken: Mask) -> Mask:
+    """Return a mask without the connected regions that hold some of another: they are the glare of a higher plateau."""
+    count, labels = cv2.connectedComponents(region, connectivity=8)
+    keep = np.ones(count, np.uint8)
+    keep[0] = 0
+    keep[np.unique(labels[taken > 0])] = 0
+    return np.asarray(keep[labels], dtype=np.uint8)

@@ -1,0 +1,241 @@
+"""The rim of a plateau: where the light first falls for good in every direction, and the circle through it.
+
+What lies outside the circle (a cloud beside the sun, a streak, glare on the dome) is more often wrong than what lies
+inside, so it is weighted harder. Circles at three levels each give a centre; their medians are the answer, and how far
+they are apart is a part of its uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.detection.photo.plateau import Plateau
+from sunarc.robust_statistics import biweights, mad_sigma
+
+RAYS = 180
+_LEVELS = (0.985, 0.97, 0.955)  # of the plateau: beside it, in the steepest part of the glare
+_SHARP_LEVELS = (0.85, 0.7, 0.5)  # of a disc whose light falls to half within a pixel or two
+_SHARP, _SHARP_PX = 2.0, 2.5  # inscribed radii, and px beyond: where such a disc's light is below half
+_START, _REACH, _REACH_PX = 0.5, 3.0, 10.0
+_STEPS = 60  # along an inscribed radius; never finer than half a pixel
+_LASTING, _LASTING_STEPS = 0.08, 3  # of the radius, and samples at least, for which a fall must last
+_BLUR, _LEAST_BLUR_PX, _BLUR_PX = 0.1, 0.4, 1.0  # of the radius, within these px
+_MOST_ROUNDS = 20
+_CUT_OUTSIDE, _CUT_INSIDE = 2.5, 4.0  # scales
+_LEAST_SCALE_PX, _LEAST_SCALE = 0.3, 0.01  # px, and of the radius
+_FIRST_SCALE = 0.06  # of the radius: of the first circle, through three points
+_LEAST_POINTS, _LEAST_SHARE = 20, 0.25
+_FOLLOWED, _FOLLOWED_SCALES = 0.06, 3.0  # of the radius, and scales, within which the rim follows the circle
+_AT = (1.7, 2.6)  # radii at which the light around is told
+
+_ANGLES = np.arange(RAYS) * (2.0 * math.pi / RAYS)
+_COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
+
+
+class Circle(NamedTuple):
+    """A circle through the rim at one level.
+
+    x, y, radius : px. scale : scatter of the rim about it, px. share : of the rays on which the rim follows it.
+    """
+
+    x: float
+    y: float
+    radius: float
+    scale: float
+    share: float
+
+
+class Rim(NamedTuple):
+    """The rim of a plateau.
+
+    x, y, radius : medians of the circles, px. scatter : of the rim about them, px. share : of the rays on which it
+    follows them. spread : rms distance of the circles' centres from the median, px. offset : from the centre of the
+    inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. near, far : light at 1.7
+    and 2.6 radii over the level, medians over the rays. circles: how many levels have one.
+    """
+
+    x: float
+    y: float
+    radius: float
+    scatter: float
+    share: float
+    spread: float
+    offset: float
+    ellipticity: float
+    level: float
+    near: float
+    far: float
+    circles: int
+
+
+class _Rays(NamedTuple):
+    """Light along the rays, (rays, radii), over the plateau's level; NaN where it is not known."""
+
+    light: FloatArray
+    radii: FloatArray
+
+
+def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -> Rim | None:
+    """Return the rim of a plateau; None where no circle follows it.
+
+    Parameters
+    ----------
+    plane : (rows, columns), the faintest colour.
+    plateau : an inscribed circle, as `plateaus` finds it.
+    static : (rows, columns), pixels that do not take part.
+    """
+    x, y, radius = plateau.x, plateau.y, plateau.radius
+    for _ in range(2):
+        rays = _rays(plane, plateau._replace(x=x, y=y, radius=radius), static)
+        crossings = [_crossings(rays, level, radius) for level in _levels_for(rays, radius)]
+        circles = [c for r in crossings if (c := _circle(r, x, y)) is not None and c.share >= _LEAST_SHARE]
+        if not circles:
+            return None
+        x, y, fitted = (float(np.median([c[k] for c in circles])) for k in range(3))
+        if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
+            return None
+        radius = min(fitted, 2.0 * plateau.radius)
+    return _summary(plateau, rays, crossings[0], circles, (x, y, fitted))
+
+
+def _summary(
+    plateau: Plateau, rays: _Rays, crossing: FloatArray, circles: list[Circle], center: tuple[float, float, float]
+) -> Rim:
+    x, y, radius = center
+    squares = [(c.x - x) ** 2 + (c.y - y) ** 2 for c in circles]
+    with np.errstate(all="ignore"):
+        near, far = (_light_at(rays, ratio * radius) for ratio in _AT)
+    return Rim(
+        x,
+        y,
+        radius,
+        scatter=float(np.median([c.scale for c in circles])),
+        share=float(np.median([c.share for c in circles])),
+        spread=math.sqrt(float(np.mean(squares))),
+        offset=math.hypot(x - plateau.x, y - plateau.y),
+        ellipticity=_ellipticity(crossing, radius),
+        level=plateau.level,
+        near=near,
+        far=far,
+        circles=len(circles),
+    )
+
+
+def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
+    """Sample the light along rays from half a radius outwards."""
+    x, y, radius, level = plateau
+    reach = _REACH * radius + _REACH_PX
+    half = math.ceil(reach) + 4
+    x0, y0 = max(0, round(x) - half), max(0, round(y) - half)
+    window = slice(y0, round(y) + half + 1), slice(x0, round(x) + half + 1)
+    blur = min(max(_BLUR * radius, _LEAST_BLUR_PX), _BLUR_PX)
+    part = cv2.GaussianBlur(plane[window].astype(np.float32), (0, 0), blur) / np.float32(level)
+    radii = np.arange(_START * radius, reach, max(0.5, radius / _STEPS))
+    columns = (x - x0 + np.outer(_COSINE, radii)).astype(np.float32)
+    rows = (y - y0 + np.outer(_SINE, radii)).astype(np.float32)
+    light = cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1.0,))
+    inside = (columns >= 0) & (rows >= 0) & (columns <= part.shape[1] - 1) & (rows <= part.shape[0] - 1)
+    if static is not None:
+        hidden = cv2.remap(static[window].astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderValue=(0.0,))
+        inside &= np.asarray(hidden) == 0.0
+    return _Rays(np.where(inside, np.asarray(light, dtype=np.float64), np.nan), radii)
+
+
+def _levels_for(rays: _Rays, radius: float) -> tuple[float, ...]:
+    beyond = _light_at(rays, max(_SHARP * radius, radius + _SHARP_PX))
+    return _SHARP_LEVELS if beyond < 0.5 else _LEVELS
+
+
+def _light_at(rays: _Rays, radius: float) -> float:
+    """Return the median light at a radius, 0 where nothing is known there."""
+    column = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
+    known = column[np.isfinite(column)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
+    """Return the radius on each ray, (rays,), from which the light stays below a level; NaN where it does not fall."""
+    step = rays.radii[1] - rays.radii[0]
+    lasting = max(_LASTING_STEPS, round(_LASTING * radius / step))
+    below = np.pad(np.cumsum(rays.light < level, axis=1), ((0, 0), (1, 0)))
+    starts = below[:, lasting:] - below[:, :-lasting] == lasting
+    after = np.maximum(np.argmax(starts, axis=1), 1)
+    ray = np.arange(len(after))
+    before, beyond = rays.light[ray, after - 1], rays.light[ray, after]
+    share = (before - level) / np.maximum(before - beyond, 1e-6)
+    # A ray that begins below the level, or passes what is not known, tells nothing.
+    known = starts.any(axis=1) & ~starts[:, 0] & (np.cumsum(np.isnan(rays.light), axis=1)[ray, after] == 0)
+    return np.where(known, rays.radii[after - 1] + np.clip(share, 0.0, 1.0) * step, np.nan)
+
+
+def _circle(crossings: FloatArray, x: float, y: float) -> Circle | None:
+    """Fit a circle to the rim of rays about (x, y) by Gauss-Newton steps with one-sided weights."""
+    known = np.isfinite(crossings)
+    if np.count_nonzero(known) < _LEAST_POINTS:
+        return None
+    points = np.column_stack([x + (crossings * _COSINE)[known], y + (crossings * _SINE)[known]])
+    state, scale = _consensus(points)
+    for _ in range(_MOST_ROUNDS):
+        offset = points - state[:2]
+        length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
+        residual = length - state[2]
+        weight = _weights(residual, scale)
+        design = np.column_stack([offset / length[:, None], np.ones(len(points))])
+        step = np.linalg.solve(design.T @ (design * weight[:, None]) + 1e-6 * np.eye(3), design.T @ (weight * residual))
+        state += np.clip(step, -0.5 * state[2], 0.5 * state[2])
+        inlier = weight > 0.0
+        if np.count_nonzero(inlier) < _LEAST_POINTS // 2 or state[2] < 1.0:
+            return None
+        scale = max(mad_sigma(residual[inlier]), _LEAST_SCALE_PX, _LEAST_SCALE * state[2])
+        if float(np.abs(step).max()) < 1e-3:
+            break
+    followed = np.abs(residual) < max(_FOLLOWED_SCALES * scale, _FOLLOWED * state[2])
+    x, y, radius = (float(value) for value in state)
+    return Circle(x, y, radius, scale, float(np.count_nonzero(followed)) / RAYS)
+
+
+def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return the circle through three of the points that most of them follow (x, y, radius), and its scale.
+
+    The triples are fixed ones: neighbours by a sixth to a third of the points, so that every arc is tried.
+    """
+    n = len(points)
+    first = np.arange(n)
+    triples = np.concatenate(
+        [np.column_stack([first, first + n // part, first + 2 * n // part]) % n for part in (3, 4, 6)]
+    )[::2]
+    a, b, c = (points[column] for column in triples.T)
+    ab, ac = b - a, c - a
+    cross = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    cross = np.where(np.abs(cross) < 1e-6, np.nan, cross)
+    ab2, ac2 = np.sum(ab**2, axis=1), np.sum(ac**2, axis=1)
+    x = a[:, 0] + (ac[:, 1] * ab2 - ab[:, 1] * ac2) / cross
+    y = a[:, 1] + (ab[:, 0] * ac2 - ac[:, 0] * ab2) / cross
+    radius = np.hypot(a[:, 0] - x, a[:, 1] - y)
+    residual = np.hypot(points[:, 0] - x[:, None], points[:, 1] - y[:, None]) - radius[:, None]
+    scale = _FIRST_SCALE * float(np.nanmedian(radius)) + _LEAST_SCALE_PX
+    followed = np.nansum(_weights(residual, scale), axis=1)
+    best = int(np.argmax(followed))
+    return np.array([x[best], y[best], radius[best]]), scale
+
+
+def _weights(residual: FloatArray, scale: float) -> FloatArray:
+    """Return Tukey's weights of distances from a circle, outwards positive, with the harder cut outside."""
+    return biweights(residual / (np.where(residual > 0.0, _CUT_OUTSIDE, _CUT_INSIDE) * scale))
+
+
+def _ellipticity(crossings: FloatArray, radius: float) -> float:
+    """Return 1 - minor/major axis of the rim, from the second harmonic of its radius."""
+    known = np.isfinite(crossings) & (np.abs(crossings - radius) < 0.5 * radius)
+    if np.count_nonzero(known) < _LEAST_POINTS:
+        return 0.0
+    wave = np.exp(2j * _ANGLES[known])
+    amplitude = 2.0 * abs(
+        complex(np.mean(crossings[known] / radius * wave) - np.mean(crossings[known] / radius) * np.mean(wave))
+    )
+    return min(2.0 * amplitude / (1.0 + amplitude), 1.0)

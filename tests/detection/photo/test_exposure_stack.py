@@ -1,0 +1,79 @@
+"""Stacks of exposures: the short ones rule, and what disagrees is left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.finding_codes import codes
+
+from sunarc.detection import Exposure, detect_sun_in_photo, detect_sun_in_stack
+from sunarc.errors import InputError
+
+SUN = (151.3, 128.6)
+
+
+def exposed(exposure: float, *, slope: float = 0.0, disc_px: float = 3.0, seed: int = 0) -> NDArray[np.uint8]:
+    """Return an image of 8 bits with a tone curve: disc, glare, sky with a slope across."""
+    rows, columns = np.mgrid[:300, :300]
+    far = np.hypot(columns - SUN[0], rows - SUN[1])
+    disc = 400.0 / (1.0 + np.exp(np.clip((far - disc_px) / 0.4, -50.0, 50.0)))
+    sky = 0.05 * (1.0 + slope * (columns - SUN[0]) / 100.0)
+    light = exposure * (disc + 8.0 / (1.0 + (far / 6.0) ** 2) + 0.5 / (1.0 + far / 40.0) + np.clip(sky, 0.0, None))
+    light += np.random.default_rng(seed).normal(0.0, 0.002, light.shape)
+    return np.asarray(np.round(255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)), dtype=np.uint8)
+
+
+def stack(exposures: tuple[float, ...], slope: float = 0.0) -> list[Exposure]:
+    return [Exposure(exposed(e, slope=slope, seed=k), 1000.0 * e) for k, e in enumerate(exposures)]
+
+
+def test_the_short_exposure_rules() -> None:
+    found = detect_sun_in_stack(stack((1.0, 0.1, 0.01), slope=0.8), full_scale=255)
+    alone = detect_sun_in_photo(exposed(1.0, slope=0.8), full_scale=255)
+    assert found.accepted
+    assert codes(found.findings) == ["blob_found", "stack_mean"]
+    assert found.findings[1].data["frames"] == 3
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.35)
+    assert found.exposure_us == 10.0
+    assert found.sigma_px is not None
+    assert found.sigma_px < 0.8 * (alone.sigma_px or 0.0)
+    assert (found.radius_px or math.inf) < 0.5 * (alone.radius_px or 0.0)
+
+
+def test_the_order_does_not_matter() -> None:
+    frames = stack((1.0, 0.1, 0.01))
+    one, other = (detect_sun_in_stack(each, full_scale=255) for each in (frames, frames[::-1]))
+    assert (one.x_px, one.y_px, one.sigma_px) == pytest.approx((other.x_px, other.y_px, other.sigma_px))
+
+
+def test_one_exposure_is_an_ordinary_image() -> None:
+    (frame,) = stack((1.0,))
+    assert detect_sun_in_stack([frame], full_scale=255) == detect_sun_in_photo(
+        frame.image, full_scale=255, exposure_us=frame.exposure_us
+    )
+
+
+def test_an_exposure_with_another_light_is_left_out() -> None:
+    frames = stack((1.0, 0.1))
+    lamp = np.zeros((300, 300), np.uint8)
+    rows, columns = np.mgrid[:300, :300]
+    lamp[np.hypot(columns - 60.0, rows - 220.0) < 4.0] = 255
+    found = detect_sun_in_stack([*frames, Exposure(lamp, 5.0)], full_scale=255)
+    assert found.accepted
+    assert (found.x_px, found.y_px) == pytest.approx(SUN, abs=0.5)
+    assert found.findings[1].data["frames"] == 2
+
+
+def test_short_exposures_alone_are_not_believed() -> None:
+    assert not detect_sun_in_stack(stack((0.01, 0.005)), full_scale=255).accepted
+
+
+def test_no_exposures_and_several_sizes_are_refused() -> None:
+    small = Exposure(np.zeros((10, 10), np.uint8), 1.0)
+    for frames in ([], [small, *stack((1.0,))]):
+        with pytest.raises(InputError) as error:
+            detect_sun_in_stack(frames, full_scale=255)
+        assert error.value.field == "exposures"

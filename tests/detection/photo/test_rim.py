@@ -1,0 +1,120 @@
+"""The circle through a plateau's rim: places to a fraction of a pixel, and what is beside the sun left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.detection.photo.suns import glare_image
+
+from sunarc.detection.photo.plateau import Plateau
+from sunarc.detection.photo.rim import Rim, rim_of
+
+SUN = Plateau(100.0, 90.0, 9.0, 4095.0)
+
+
+def rim(image: NDArray[np.uint16], plateau: Plateau = SUN, static: NDArray[np.bool_] | None = None) -> Rim:
+    found = rim_of(image, plateau, static=static)
+    assert found is not None
+    return found
+
+
+def distance(found: Rim, place: tuple[float, float] = (100.0, 90.0)) -> float:
+    return math.hypot(found.x - place[0], found.y - place[1])
+
+
+@pytest.mark.parametrize("place", [(100.0, 90.0), (60.3, 120.7), (140.5, 55.2)])
+@pytest.mark.parametrize("radius", [5.0, 9.0, 25.0])
+def test_a_round_sun_is_placed_to_a_tenth_of_a_pixel(place: tuple[float, float], radius: float) -> None:
+    plateau = Plateau(round(place[0]), round(place[1]), radius, 4095.0)
+    found = rim(glare_image(*place, radius=radius), plateau)
+    assert distance(found, place) < 0.15
+    assert found.radius == pytest.approx(radius, abs=1.3)
+    assert found.share > 0.95
+    assert found.scatter < max(0.05 * radius, 0.31)
+    assert found.ellipticity < 0.05
+    assert found.circles == 3
+
+
+@pytest.mark.parametrize("offset", [3.0, 6.0])
+def test_the_centre_does_not_hang_on_where_the_search_began(offset: float) -> None:
+    found = rim(glare_image(radius=12.0), Plateau(100.0 + offset, 90.0, 10.0, 4095.0))
+    assert distance(found) < 0.2
+    assert found.offset == pytest.approx(offset, abs=0.3)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 70.0, 200.0])
+def test_a_bright_cloud_over_a_quarter_of_the_rim_is_left_out(angle_deg: float) -> None:
+    image = glare_image(radius=15.0)
+    rows, columns = np.mgrid[:200, :200]
+    x, y = (c + 28.0 * f(math.radians(angle_deg)) for c, f in ((100.0, math.cos), (90.0, math.sin)))
+    image[np.hypot(columns - x, rows - y) < 16.0] = 4095
+    found = rim(image, Plateau(100.0, 90.0, 15.0, 4095.0))
+    assert distance(found) < 0.6
+    assert 0.6 < found.share < 0.95
+
+
+def test_a_streak_across_the_sun_is_left_out() -> None:
+    image = glare_image(radius=15.0)
+    image[86:95, :] = 4095
+    assert distance(rim(image, Plateau(100.0, 90.0, 15.0, 4095.0))) < 0.4
+
+
+def test_a_hidden_quarter_is_left_out() -> None:
+    image = glare_image(radius=20.0)
+    image[:, 112:] = 300
+    found = rim(image, Plateau(97.0, 90.0, 15.0, 4095.0))
+    assert distance(found) < 1.5
+    assert found.share < 0.9
+
+
+@pytest.mark.parametrize("squeeze", [0.0, 0.1, 0.2])
+def test_the_ellipticity_is_that_of_the_rim(squeeze: float) -> None:
+    rows, columns = np.mgrid[:200, :200]
+    far = np.hypot((columns - 100.0) * math.sqrt(1.0 - squeeze), (rows - 90.0) / math.sqrt(1.0 - squeeze))
+    image = np.clip(4095.0 * (0.4 + 1.0 / (1.0 + np.exp((far - 20.0) / 1.5))), 0, 4095).astype(np.uint16)
+    found = rim(image, Plateau(100.0, 90.0, 17.0, 4095.0))
+    assert found.ellipticity == pytest.approx(squeeze, abs=0.03)
+    assert distance(found) < 0.1
+
+
+def test_a_disc_on_a_dark_sky_is_taken_at_half_its_light() -> None:
+    rows, columns = np.mgrid[:200, :200]
+    far = np.hypot(columns - 100.4, rows - 90.2)
+    limb = np.clip(1.0 - (far / 6.0) ** 2, 0.0, 1.0) ** 0.25
+    image = np.clip(3000.0 * limb + 40.0, 0, 4095).astype(np.uint16)
+    found = rim(image, Plateau(100.0, 90.0, 4.0, 3000.0))
+    assert distance(found, (100.4, 90.2)) < 0.15
+    assert found.radius == pytest.approx(5.5, abs=0.6)
+    assert found.near < 0.1
+
+
+def test_what_stands_still_is_not_taken_for_a_rim() -> None:
+    image, static = glare_image(radius=15.0), np.zeros((200, 200), np.bool_)
+    image[70:110, 108:] = 0
+    static[70:110, 108:] = True
+    hidden = rim(image, Plateau(100.0, 90.0, 12.0, 4095.0), static)
+    assert distance(hidden) < 0.3
+    assert hidden.share < rim(glare_image(radius=15.0), Plateau(100.0, 90.0, 15.0, 4095.0)).share
+
+
+def test_light_that_never_falls_has_no_rim() -> None:
+    assert rim_of(np.full((200, 200), 4095, np.uint16), SUN) is None
+
+
+def test_a_rim_far_from_the_plateau_is_none() -> None:
+    assert rim_of(glare_image(), Plateau(150.0, 90.0, 4.0, 4095.0)) is None
+
+
+def test_at_the_corner_the_part_within_the_image_counts() -> None:
+    found = rim_of(glare_image(4.0, 5.0, radius=12.0), Plateau(6.0, 7.0, 7.0, 4095.0))
+    assert found is None or (distance(found, (4.0, 5.0)) < 2.0 and found.share < 0.8)
+
+
+def test_near_and_far_are_the_light_at_their_radii() -> None:
+    image = glare_image(radius=15.0)
+    found = rim(image, Plateau(100.0, 90.0, 15.0, 4095.0))
+    expected = [0.08 + 0.85 / (1.0 + (ratio * found.radius / 45.0) ** 2) for ratio in (1.7, 2.6)]
+    assert (found.near, found.far) == pytest.approx(expected, abs=0.02)
