@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from sunarc.calibration import (
     hemisphere,
     to_document,
 )
+from sunarc.exports import Exported, Format, export
 from sunarc.optics import Camera, project
 
 FloatArray = NDArray[np.float64]
@@ -78,6 +81,26 @@ def sky(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return directions[seen], pixels[seen]
 
 
+Export = Callable[[Format], Exported]
+
+
+@pytest.fixture(scope="session")
+def exported(document: dict[str, Any]) -> Export:
+    """Return the camera's calibration in a format; each is made once."""
+    return cache(partial(export, document))
+
+
 def worst_stated_px(error: str) -> float:
-    """Return the largest error that a sentence states first."""
+    """Return the largest error from a direction to a pixel that a sentence states."""
     return float(error.split(" px RMS and ")[1].split(" px", maxsplit=1)[0])
+
+
+def worst_stated_deg(error: str) -> float:
+    """Return the largest error from a pixel to a direction that a sentence states."""
+    return float(error.split(" degrees RMS and ")[1].split(" degrees", maxsplit=1)[0])
+
+
+def apart_deg(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the angles between unit vectors (n, 3)."""
+    across = np.linalg.norm(np.cross(first, second), axis=-1)
+    return np.asarray(np.degrees(np.arctan2(across, np.sum(first * second, axis=-1))))

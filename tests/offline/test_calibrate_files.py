@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,8 @@ from tests.fixtures.settings import SGP
 
 from sunarc.calibration import CalibrationOptions
 from sunarc.errors import InputError
-from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
+from sunarc.exports import export
+from sunarc.offline.calibrate_files import _start_camera, calibrate_file, image_circle_of
 from sunarc.runtime.clock import VirtualClock
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
@@ -60,6 +63,25 @@ def test_the_lens_of_other_images_is_not_kept(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         calibrated(path, size=(640, 480), start=start, pose_only=True)
     assert refused.value.field == "--start"
+
+
+def test_a_start_of_another_format_is_the_closest_camera(tmp_path: Path) -> None:
+    start = tmp_path / "fisheye.yml"
+    start.write_bytes(export(document_of(LENS), "opencv").content)
+    camera = _start_camera(start, (1748, 1600), CalibrationOptions(projection="equisolid"))
+    assert (camera.projection, camera.mirrored, camera.max_angle) == ("equisolid", False, math.radians(100.0))
+    assert camera.focal_length_px == pytest.approx(LENS.focal_length_px, rel=0.02)
+    assert camera.rotation_cam_enu == pytest.approx(LENS.rotation_cam_enu, abs=0.01)
+
+
+@pytest.mark.parametrize(("mirrored", "hand"), [("yes", False), ("no", True)])
+def test_a_start_of_the_other_handedness_is_refused(tmp_path: Path, mirrored: Any, *, hand: bool) -> None:  # noqa: ANN401
+    start = tmp_path / "start.json"
+    start.write_text(json.dumps(document_of(replace(LENS, mirrored=hand))))
+    with pytest.raises(InputError) as refused:
+        _start_camera(start, (1748, 1600), CalibrationOptions(mirrored=mirrored))
+    assert refused.value.field == "--start"
+    assert _start_camera(start, (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
 
 
 def test_a_circle_is_read_from_three_numbers() -> None:

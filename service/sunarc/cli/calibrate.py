@@ -43,7 +43,9 @@ def calibrate(
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
     level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
-    start: Annotated[Path | None, typer.Option(help="Begin at the camera of this calibration document.")] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="Begin at the camera of this file: a calibration document or another format.")
+    ] = None,
     pose_only: Annotated[
         bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
     ] = False,

@@ -17,6 +17,7 @@ from sunarc import __version__, app, offline
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
 from sunarc.cli.codes import all_codes, codes_as_markdown
+from sunarc.cli.compare import compare
 from sunarc.cli.database import db_cli, note_running_service, points_cli
 from sunarc.cli.export import export_calibration
 from sunarc.cli.options import Altitude, AsJson, CalibrationFile, Config, Latitude, Longitude
@@ -45,6 +46,7 @@ cli.add_typer(epochs_cli, name="epochs")
 cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
 cli.command("export")(export_calibration)
+cli.command()(compare)
 
 DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
 

@@ -12,13 +12,19 @@ import re
 
 import numpy as np
 import scipy.io
+from scipy.io.matlab import MatReadError
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration import BackProjectionMap
-from sunarc.exports.ocam import OcamModel
+from sunarc.errors import InputError
+from sunarc.exports.ocam import OcamModel, ocam_view
+from sunarc.exports.view import View
+from sunarc.extras import extra_module
 
 _HORIZON_DEG = 90.0
+_NEEDED = ("ss", "xc", "yc", "c", "d", "e", "width", "height")
+_SCHEMA = "give a camera file of asi_core's schema of 2025 (camera_data.schema.yaml)"
 
 
 def asi_core_yaml(
@@ -60,6 +66,63 @@ def asi_core_yaml(
         f"camera_mask_file: {_quoted(camera['camera_mask_file'])}  # beside this file; 1 where a pixel shows the sky",
     ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def read_asi_core(content: bytes, *, name: str, mask: bytes | None) -> View:
+    """Return the view of a camera file of asi_core.
+
+    Parameters
+    ----------
+    content, name : the file and what it is called.
+    mask : the file that it names as its mask; None where that is not there, which its loader allows, too.
+
+    Raises
+    ------
+    InputError
+        It is of another schema (asi_core's names no version), its polynomial has not four coefficients, or its mask is
+        of another size than its images.
+    """
+    yaml = extra_module("yaml", extra="formats")
+    try:
+        camera = yaml.safe_load(content)
+        inner, orientation = camera["internal_calibration"], camera["external_orientation"]
+        values = {key: inner[key] for key in _NEEDED}
+        numbers = np.array([*(values[key] for key in _NEEDED[1:]), *orientation], dtype=np.float64)
+        ss, invpol = (np.asarray(inner.get(key, []), dtype=np.float64) for key in ("ss", "invpol"))
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(field=name, problem=f"another schema than asi_core's ({error})", remedy=_SCHEMA) from None
+    if ss.shape != (4,) or numbers.shape != (10,):
+        problem = f"{ss.size} coefficients in ss and {numbers.size - 7} angles, where asi_core reads 4 and 3"
+        raise InputError(field=name, problem=problem, remedy=_SCHEMA)
+    xc, yc, c, d, e, width, height = numbers[:7]
+    _require_mask_size(mask, (int(height), int(width)), name=name)
+    model = OcamModel(
+        pixel_to_ray=ss,
+        ray_to_pixel=invpol,
+        center_row_column=np.array([xc, yc]),
+        affine=np.array([c, d, e]),
+        rotation=Rotation.from_euler("XYZ", numbers[7:]).as_matrix().T,
+    )
+    return ocam_view("asi-core", model, size=(int(width), int(height)))
+
+
+def mask_file(content: bytes) -> str | None:
+    """Return the name of the mask that a camera file names."""
+    found = re.search(rb"^camera_mask_file:\s*['\"]?([^'\"#\n]+?)['\"]?\s*(#.*)?$", content, re.MULTILINE)
+    return None if found is None else found.group(1).decode()
+
+
+def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) -> None:
+    if mask is None:
+        return
+    try:
+        shape = scipy.io.loadmat(io.BytesIO(mask))["Mask"][0][0][0].shape  # type: ignore[arg-type]
+    except (ValueError, KeyError, IndexError, TypeError, NotImplementedError, MatReadError) as error:
+        problem = f"its mask is no MATLAB array Mask ({error})"
+        raise InputError(field=name, problem=problem, remedy="write it again") from None
+    if shape != size:
+        problem = f"its mask is {shape[-1]}x{shape[0]} px, its images {size[1]}x{size[0]}"
+        raise InputError(field=name, problem=problem, remedy="give the mask of these images")
 
 
 def mask_name(camera: str) -> str:

@@ -9,10 +9,14 @@ from typing import Any, Literal, get_args
 
 from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
 from sunarc.exports.asi_core import asi_core_yaml, mask_mat, mask_name
-from sunarc.exports.mrcal import cameramodel, splined_model
-from sunarc.exports.ocam import OcamModel, calib_results, ocam_model
-from sunarc.exports.opencv import fisheye_model, opencv_yaml
+from sunarc.exports.comparison import compare
+from sunarc.exports.fisheye import fisheye_model, fisheye_view
+from sunarc.exports.mrcal import cameramodel, splined_model, splined_view
+from sunarc.exports.ocam import ocam_model, ocam_view
+from sunarc.exports.ocamcalib import calib_results
+from sunarc.exports.opencv import opencv_yaml
 from sunarc.exports.tables import Table, calibration_table, map_table, netcdf_bytes, npz_bytes
+from sunarc.exports.view import camera_view
 
 Format = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -77,9 +81,7 @@ def export(document: Mapping[str, Any], form: Format) -> Exported:
         case "asi-core":
             return _asi_core(calibration, document)
         case "mrcal":
-            model = splined_model(calibration.camera)
-            notes = [*_notes(document), f"this model {model.error}"]
-            return Exported(content=cameramodel(model, calibration.camera, notes=notes), error=str(model.error))
+            return _mrcal(calibration, document)
         case "netcdf" | "npz":
             table, error = calibration_table(calibration, document)
             return Exported(content=_file(form)(table), error=f"between the pixels of the grid, {error}")
@@ -98,34 +100,42 @@ def _file(form: MapFormat) -> Callable[[Table], bytes]:
 def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera = calibration.camera
     model = fisheye_model(camera)
+    error = str(compare(camera_view(camera), fisheye_view("opencv", model, size=(camera.width, camera.height))))
     notes = {
         "calibration": document["id"],
         "model": "cv2.fisheye: projectPoints(directions, Rodrigues(rotation_cam_enu), zeros, K, D)",
         "conventions": f"{_PIXELS}; rotation_cam_enu takes east-north-up to the camera (x right, y down, z out)",
         "limit": "the model divides by z: nothing at 90 degrees off the axis and beyond has a pixel",
-        "fit_error": f"this model {model.error}",
+        "fit_error": f"this model {error}",
     }
-    content = opencv_yaml(model, width=camera.width, height=camera.height, notes=notes)
-    return Exported(content=content, error=str(model.error))
+    return Exported(content=opencv_yaml(model, width=camera.width, height=camera.height, notes=notes), error=error)
+
+
+def _mrcal(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
+    camera = calibration.camera
+    model = splined_model(camera)
+    error = str(compare(camera_view(camera), splined_view(model, size=(camera.width, camera.height))))
+    notes = [*_notes(document), f"this model {error}"]
+    return Exported(content=cameramodel(model, camera, notes=notes), error=error)
 
 
 def _ocam(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
-    camera, model = calibration.camera, ocam_model(calibration.camera)
-    error = _both_errors(model)
-    content = calib_results(model, width=camera.width, height=camera.height, notes=[*_notes(document), error])
+    camera = calibration.camera
+    model = ocam_model(camera)
+    error = str(compare(camera_view(camera), ocam_view("ocamcalib", model, size=(camera.width, camera.height))))
+    content = calib_results(
+        model, width=camera.width, height=camera.height, notes=[*_notes(document), f"this model {error}"]
+    )
     return Exported(content=content, error=error)
-
-
-def _both_errors(model: OcamModel) -> str:
-    return f"from a ray to a pixel it {model.forward_error}; from a pixel to a ray it {model.backward_error}"
 
 
 def _asi_core(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
-    error, name = _both_errors(model), mask_name(str(document["camera"]))
+    error = str(compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height))))
+    name = mask_name(str(document["camera"]))
     notes = [
         *_notes(document),
-        error,
+        f"this model {error}",
         "asi_core's own azimuth matrix is counted in radians counter-clockwise from east: it is pi/2 - azimuth",
         "its object coordinates are (north, east, up); its x_center is the row, its y_center the column",
     ]

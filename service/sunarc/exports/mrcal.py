@@ -6,6 +6,7 @@ about the axis, moved by a cubic B-spline surface over u, then scaled by the foc
 
 from __future__ import annotations
 
+import ast
 import math
 from dataclasses import dataclass
 
@@ -14,8 +15,10 @@ from scipy.sparse import csr_array, kron, vstack
 from scipy.sparse.linalg import spsolve
 
 from sunarc.array_types import FloatArray
-from sunarc.exports.sky import FitError, fit_error, sky_of
-from sunarc.optics import Camera
+from sunarc.errors import InputError
+from sunarc.exports.sky import sky_of
+from sunarc.exports.view import View, lens_view
+from sunarc.optics import Camera, rotation_matrix
 
 _KNOTS = 40
 _STIFFNESS = 1e-7
@@ -30,35 +33,33 @@ class SplinedModel:
     ----------
     name : of the lens model, with its configuration.
     intrinsics : focal lengths, centre, control points (px, px, then in u).
-    error : how far it is from ours.
+    rotation_vector : rad, from east-north-up to the camera.
     """
 
     name: str
     intrinsics: FloatArray
-    error: FitError
+    rotation_vector: tuple[float, float, float]
 
 
 def splined_model(camera: Camera) -> SplinedModel:
     """Return mrcal's splined model that is closest to a camera; its pose is the camera's own."""
     sky = sky_of(camera, within=camera.max_angle)
     fov_deg = min(math.ceil(2.0 * math.degrees(sky.within + _MARGIN)), 330)
-    knots_per_u = (_KNOTS - 3) / (4.0 * math.tan(math.radians(fov_deg) / 4.0))
     sign = -1.0 if camera.mirrored else 1.0
     focal = np.array([sign * camera.focal_length_px[0], camera.focal_length_px[1]])
     x0, y0 = camera.principal_point_px
     center = np.array([camera.width - 1.0 - x0 if camera.mirrored else x0, y0])
     u = 2.0 * sky.rays[:, :2] / (1.0 + sky.rays[:, 2:])
-    design = _design(u, knots_per_u)
+    design = _design(u, _knots_per_u(fov_deg))
     displacement = (sky.pixels - center) / focal - u
     bending = _bending()
     # Control points beyond the image have no data: the third differences continue the surface smoothly.
     normal = (design.T @ design + _STIFFNESS * (bending.T @ bending)).tocsc()
     control = spsolve(normal, design.T @ displacement)
-    row_column = (u + design @ control) * focal + center
     return SplinedModel(
         name=f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={_KNOTS}_Ny={_KNOTS}_fov_x_deg={fov_deg}",
         intrinsics=np.r_[focal, center, control.ravel()],
-        error=fit_error(camera, sky, row_column),
+        rotation_vector=camera.rotation_cam_enu,
     )
 
 
@@ -76,6 +77,65 @@ def cameramodel(model: SplinedModel, camera: Camera, *, notes: list[str]) -> byt
         + f"    'imagersize': [ {camera.width}, {camera.height} ]\n"
         + "}\n"
     ).encode()
+
+
+def splined_view(model: SplinedModel, *, size: tuple[int, int]) -> View:
+    """Return the view of a model, up to the field of view that its name states."""
+    focal, center, control = model.intrinsics[:2], model.intrinsics[2:4], model.intrinsics[4:].reshape(-1, 2)
+    half = math.radians(_fov_deg(model.name)) / 2.0
+
+    def shown(rays: FloatArray) -> FloatArray:
+        with np.errstate(all="ignore"):
+            u = 2.0 * rays[:, :2] / (1.0 + rays[:, 2:])
+        valid = np.hypot(u[:, 0], u[:, 1]) <= 2.0 * math.tan(half / 2.0)
+        u = np.where(valid[:, None], u, 0.0)
+        pixels = (u + _design(u, _knots_per_u(_fov_deg(model.name))) @ control) * focal + center
+        return np.where(valid[:, None], pixels, np.nan)
+
+    return lens_view(
+        "mrcal",
+        size=size,
+        rotation=rotation_matrix(model.rotation_vector),
+        pixels_of_rays=shown,
+        center=center,
+        focal=focal,
+    )
+
+
+def read_mrcal(content: bytes, *, name: str) -> View:
+    """Return the view of a camera model of mrcal: splined as ours.
+
+    Raises
+    ------
+    InputError
+        It is no camera model, or one of another lens model.
+    """
+    try:
+        read = ast.literal_eval(content.decode())
+        lens, (width, height) = str(read["lensmodel"]), read["imagersize"]
+        extrinsics, intrinsics = (np.array(read[key], dtype=np.float64) for key in ("extrinsics", "intrinsics"))
+    except (ValueError, SyntaxError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise InputError(
+            field=name, problem=f"no camera model of mrcal ({error})", remedy="give a .cameramodel"
+        ) from None
+    expected = f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={_KNOTS}_Ny={_KNOTS}_fov_x_deg="
+    if not lens.startswith(expected) or intrinsics.shape != (4 + 2 * _KNOTS**2,) or extrinsics.shape != (6,):
+        raise InputError(
+            field=name,
+            problem=f"lens model {lens} with {intrinsics.size} intrinsics",
+            remedy=f"convert it: mrcal-convert-lensmodel {expected}180 FILE",
+        )
+    x, y, z = extrinsics[:3].tolist()
+    model = SplinedModel(name=lens, intrinsics=intrinsics, rotation_vector=(x, y, z))
+    return splined_view(model, size=(int(width), int(height)))
+
+
+def _knots_per_u(fov_deg: float) -> float:
+    return (_KNOTS - 3) / (4.0 * math.tan(math.radians(fov_deg) / 4.0))
+
+
+def _fov_deg(name: str) -> float:
+    return float(name.rpartition("=")[2])
 
 
 def _design(u: FloatArray, knots_per_u: float) -> csr_array:

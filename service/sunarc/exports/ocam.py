@@ -1,4 +1,4 @@
-"""Scaramuzza's omnidirectional model, and OCamCalib's `calib_results.txt`.
+"""Scaramuzza's omnidirectional model.
 
 It counts pixels from 0 and names the row first: its x runs down the image and its y to the right, and so do the
 first two axes of its camera frame; the third one points into the camera, away from the sky.
@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial import Chebyshev, Polynomial
+from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray
-from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
+from sunarc.exports.sky import Sky, sky_of
+from sunarc.exports.view import View
 from sunarc.optics import Camera, project, rotation_matrix
 
 _FORWARD = 11
@@ -24,6 +27,12 @@ _CUBIC = ((0, 1, 2, 3),)
 """Those of readers that take four coefficients."""
 _GOOD_ENOUGH_PX = 0.02
 _SCALE = 1000.0
+_STEPS = np.r_[1.0, 1.0, np.full(5, 1e-3), np.ones(_FORWARD + 1)]
+"""By what the parameters differ in size: px, affine part and radians, px."""
+_NODES = 20001
+"""Of the table that inverts a polynomial: a linear interpolation of it is exact to 1e-5 px."""
+FRAME = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""From a camera frame of x right, y down, z out of the lens to Scaramuzza's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,8 +47,8 @@ class OcamModel:
     center_row_column : px from 0.
     affine : c, d, e of [row, column] = [[c, d], [e, 1]] [x, y] + center; for a mirrored image c is negative. The matrix
         is symmetric (after the mirroring): a rotation about the axis belongs to `rotation` alone.
-    rotation : (3, 3) from east-north-up to its camera frame (down the image, right, into the camera).
-    forward_error, backward_error : of ray_to_pixel and of pixel_to_ray.
+    rotation : (3, 3) from east-north-up to its camera frame (down the image, right, into the camera); `FRAME`
+        where a file has none.
     """
 
     pixel_to_ray: FloatArray
@@ -47,8 +56,6 @@ class OcamModel:
     center_row_column: FloatArray
     affine: FloatArray
     rotation: FloatArray
-    forward_error: FitError
-    backward_error: FitError
 
 
 def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
@@ -68,7 +75,9 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     start = np.zeros(7 + _FORWARD + 1)
     start[:2] = y0, camera.width - 1.0 - x0 if camera.mirrored else x0
     start[2] = 1.0
-    start[7:9] = 0.5 * math.pi * _SCALE * 0.6, 0.6 * _SCALE
+    domain = [-0.5 * math.pi, sky.within - 0.5 * math.pi]
+    # A radius of f times the angle off the axis, as a Chebyshev series: with plain powers the solver crawls.
+    start[7:9] = np.array([0.5, 0.5]) * sky.within * camera.focal_length_px[0]
     free = np.ones(start.size, dtype=bool)
     # Readers of the cubic form ignore the affine part in places, so that it has to stay the identity.
     free[2:4] = not cubic
@@ -78,50 +87,76 @@ def ocam_model(camera: Camera, *, cubic: bool = False) -> OcamModel:
     def misfit(moving: FloatArray) -> FloatArray:
         parameters = start.copy()
         parameters[free] = moving
-        return np.asarray(_forward(parameters, rays, sign) - row_column_of_rays).ravel()
+        return np.asarray(_forward(parameters, rays, sign, domain) - row_column_of_rays).ravel()
 
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     found = start.copy()
-    found[free] = least_squares(misfit, start[free], x_scale="jac", method="trf").x
-    row_column = _forward(found, rays, sign)
+    found[free] = least_squares(misfit, start[free], x_scale=_STEPS[free], method="lm").x
+    forward_px = float(np.max(np.linalg.norm(_forward(found, rays, sign, domain) - row_column_of_rays, axis=-1)))
     rotation = rotation_matrix(found[4:7]) @ frame @ rotation_matrix(camera.rotation_cam_enu)
-    forward_error = fit_error(camera, sky, row_column[:, ::-1])
-    good_px = max(_GOOD_ENOUGH_PX, 1.3 * forward_error.max_px)
+    good_px = max(_GOOD_ENOUGH_PX, 1.3 * forward_px)
     affine, tried = _affine(found, sign), _CUBIC if cubic else _BACKWARD
-    polynomial, backward_error = _backward(camera, sky, found[:2], affine, rotation, tried=tried, good_px=good_px)
+    polynomial = _backward(camera, sky, found[:2], affine, rotation, tried=tried, good_px=good_px)
     return OcamModel(
         pixel_to_ray=polynomial,
-        ray_to_pixel=found[7:],
+        ray_to_pixel=np.asarray(Chebyshev(found[7:], domain).convert(kind=Polynomial).coef, dtype=np.float64),
         center_row_column=found[:2],
         affine=affine,
         rotation=rotation,
-        forward_error=forward_error,
-        backward_error=backward_error,
     )
 
 
-def calib_results(model: OcamModel, *, width: int, height: int, notes: list[str]) -> bytes:
-    """Return OCamCalib's text file; its notes stand at the end, which readers ignore."""
-
-    def counted(numbers: FloatArray) -> str:
-        return " ".join([str(len(numbers)), *(f"{number:.17e}" for number in numbers)])
-
-    row, column = model.center_row_column
+def ocam_view(form: str, model: OcamModel, *, size: tuple[int, int], has_pose: bool = True) -> View:
+    """Return the view of a model: each of its two polynomials as far as it rises off the axis."""
+    turn = model.rotation
     c, d, e = model.affine
-    blocks = [
-        ('polynomial coefficients for the DIRECT mapping function (from a pixel to a ray: "cam2world")',
-         counted(model.pixel_to_ray)),
-        ('polynomial coefficients for the inverse mapping function (from a ray to a pixel: "world2cam")',
-         counted(model.ray_to_pixel)),
-        ('center: "row" and "column", starting from 0 (C convention)', f"{row:.9f} {column:.9f}"),
-        ('affine parameters "c", "d", "e"', f"{c:.12f} {d:.12f} {e:.12f}"),
-        ('image size: "height" and "width"', f"{height} {width}"),
-    ]  # fmt: skip
-    text = "\n".join(f"#{title}\n\n{values}\n" for title, values in blocks)
-    rotation = "; ".join(" ".join(f"{value:.12f}" for value in line) for line in model.rotation)
-    comments = [*notes, f"R from east-north-up to (down the image, right, into the camera): {rotation}"]
-    return (text + "\n" + "".join(f"# {line}\n" for line in comments)).encode()
+    plane = np.array([[c, d], [e, 1.0]])
+    to_radius = model.ray_to_pixel if len(model.ray_to_pixel) else None
+    radii = np.linspace(0.0, math.hypot(*size), _NODES)
+    z_of = np.polynomial.polynomial.polyval(radii, model.pixel_to_ray)
+    elevations = np.arctan2(z_of, radii)
+    last = _end_of_rise(elevations)
+    limit = math.pi / 2 if to_radius is None else _highest(to_radius)
+
+    def project_rays(directions: FloatArray) -> FloatArray:
+        rays = directions @ turn.T
+        across = np.hypot(rays[:, 0], rays[:, 1])
+        elevation = np.arctan2(rays[:, 2], across)
+        if to_radius is None:
+            radius = np.interp(elevation, elevations[:last], radii[:last], right=np.nan)
+        else:
+            radius = np.where(elevation <= limit, np.polynomial.polynomial.polyval(elevation, to_radius), np.nan)
+        scaled = rays[:, :2] * (radius / np.where(across > 0.0, across, 1.0))[:, None]
+        return np.asarray((scaled @ plane.T + model.center_row_column)[:, ::-1])
+
+    def unproject_pixels(pixels: FloatArray) -> FloatArray:
+        xy = (pixels[:, ::-1] - model.center_row_column) @ np.linalg.inv(plane).T
+        radius = np.linalg.norm(xy, axis=-1)
+        rays = np.column_stack([xy, np.polynomial.polynomial.polyval(radius, model.pixel_to_ray)])
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return np.where((radius <= radii[last - 1])[:, None], rays, np.nan) @ turn
+
+    return View(
+        form=form,
+        width=size[0],
+        height=size[1],
+        project=project_rays,
+        unproject=unproject_pixels,
+        has_pose=has_pose,
+    )
+
+
+def _end_of_rise(values: NDArray[np.floating[Any]]) -> int:
+    """Return how many of the first values rise."""
+    falls = np.diff(values) <= 0.0
+    return int(np.argmax(falls)) + 1 if np.any(falls) else len(values)
+
+
+def _highest(ray_to_pixel: FloatArray) -> float:
+    """Return the angle above the image plane up to which a radius rises, looked for beyond 10 degrees off the axis."""
+    angles = np.linspace(math.radians(-80.0), math.pi / 2, _NODES)
+    return float(angles[_end_of_rise(np.polynomial.polynomial.polyval(angles, ray_to_pixel)) - 1])
 
 
 def _affine(parameters: FloatArray, sign: float) -> FloatArray:
@@ -130,11 +165,14 @@ def _affine(parameters: FloatArray, sign: float) -> FloatArray:
     return np.array([sign * stretch, shear, sign * shear]) + 0.0  # no -0
 
 
-def _forward(parameters: FloatArray, rays: FloatArray, sign: float) -> FloatArray:
-    """Return (n, 2) rows and columns of rays in the model's frame before its small turn."""
+def _forward(parameters: FloatArray, rays: FloatArray, sign: float, domain: list[float]) -> FloatArray:
+    """Return (n, 2) rows and columns of rays in the model's frame before its small turn.
+
+    `parameters`: centre, two of the affine part, a rotation vector, and a Chebyshev series of the radius on `domain`.
+    """
     ray = rays @ rotation_matrix(parameters[4:7]).T
     across = np.hypot(ray[:, 0], ray[:, 1])
-    radius = np.polynomial.polynomial.polyval(np.arctan2(ray[:, 2], across), parameters[7:])
+    radius = Chebyshev(parameters[7:], domain)(np.arctan2(ray[:, 2], across))
     x, y = ray[:, 0] / across * radius, ray[:, 1] / across * radius
     c, d, e = _affine(parameters, sign)
     return np.stack([c * x + d * y + parameters[0], e * x + y + parameters[1]], axis=-1)
@@ -149,8 +187,8 @@ def _backward(
     *,
     tried: tuple[tuple[int, ...], ...],
     good_px: float,
-) -> tuple[FloatArray, FitError]:
-    """Return the polynomial from a pixel to a ray, with the first powers that are good enough, and its error."""
+) -> FloatArray:
+    """Return the polynomial from a pixel to a ray, with the first powers that are good enough."""
     c, d, e = affine
     plane = (sky.pixels[:, ::-1] - center) @ np.linalg.inv(np.array([[c, d], [e, 1.0]])).T
     radius = np.linalg.norm(plane, axis=-1)
@@ -165,11 +203,9 @@ def _backward(
         z = Polynomial(polynomial)(radius)
         rays = np.concatenate([plane, z[:, None]], axis=-1) @ rotation
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        # The pixel's error is minus that of where its ray lands, mirrored about the pixel to keep the sign.
-        error = fit_error(camera, sky, 2.0 * sky.pixels - _landing(camera, rays))
-        if error.max_px < good_px:
+        if np.nanmax(np.linalg.norm(_landing(camera, rays) - sky.pixels, axis=-1)) < good_px:
             break
-    return polynomial, error
+    return polynomial
 
 
 def _landing(camera: Camera, directions: FloatArray) -> FloatArray:

@@ -1,69 +1,19 @@
-"""OpenCV's fisheye model (Kannala and Brandt's): K, D and R, as `cv2.FileStorage` reads them."""
+"""OpenCV's fisheye model: K, D and R, as `cv2.FileStorage` writes and reads them."""
 
 from __future__ import annotations
-
-import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.exports.sky import FitError, Sky, fit_error, sky_of
-from sunarc.optics import Camera, rotation_matrix
+from sunarc.errors import InputError
+from sunarc.exports.fisheye import RADIAL, Fisheye, FisheyeModel, fisheye_view
+from sunarc.exports.view import View
 
-_WITHIN = math.radians(89.5)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FisheyeModel:
-    """OpenCV's fisheye camera.
-
-    Attributes
-    ----------
-    matrix : K (3, 3) px; its first element is negative for a mirrored image.
-    distortion : D (4,), k1 … k4.
-    rotation : R (3, 3) from east-north-up to the camera.
-    error : how far it is from ours; it divides by z, so that it has no pixel at 90 degrees off the axis and beyond.
-    """
-
-    matrix: FloatArray
-    distortion: FloatArray
-    rotation: FloatArray
-    error: FitError
-
-
-def fisheye_model(camera: Camera) -> FisheyeModel:
-    """Return OpenCV's fisheye model that is closest to a camera."""
-    sky = sky_of(camera, within=_WITHIN)
-    sign = -1.0 if camera.mirrored else 1.0
-    x0, y0 = camera.principal_point_px
-    start = np.array(
-        [
-            sign * camera.focal_length_px[0],
-            camera.focal_length_px[1],
-            camera.width - 1.0 - x0 if camera.mirrored else x0,
-            y0,
-            *(0.0,) * 4,
-            *(0.0,) * 3,
-        ]
-    )
-    # Pixels, distortion and radians differ by three orders: without scales the solver stops early.
-    scale = np.r_[np.full(4, 1.0), np.full(4, 1e-3), np.full(3, 1e-3)]
-
-    def misfit(parameters: FloatArray) -> FloatArray:
-        return np.asarray(_projected(parameters, sky) - sky.pixels).ravel()
-
-    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
-
-    found = least_squares(misfit, start, x_scale=scale, method="lm").x
-    fx, fy, cx, cy = found[:4]
-    return FisheyeModel(
-        matrix=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-        distortion=found[4:8],
-        rotation=rotation_matrix(found[8:]) @ rotation_matrix(camera.rotation_cam_enu),
-        error=fit_error(camera, sky, _projected(found, sky)),
-    )
+_MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix")
+_DISTORTION = ("distortion_coefficients", "distCoeffs", "Distortion_Coefficients", "D", "dist_coeffs")
+_SIZES = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
+_ROTATION = "rotation_cam_enu"
 
 
 def opencv_yaml(model: FisheyeModel, *, width: int, height: int, notes: dict[str, str]) -> bytes:
@@ -75,16 +25,45 @@ def opencv_yaml(model: FisheyeModel, *, width: int, height: int, notes: dict[str
         storage.write(name, size)
     storage.write("camera_matrix", model.matrix)
     storage.write("distortion_coefficients", model.distortion[:, None])
-    storage.write("rotation_cam_enu", model.rotation)
+    storage.write(_ROTATION, model.rotation)
     text = str(storage.releaseAndGetString())
     return text.replace("\\'", "'").encode()  # OpenCV escapes an apostrophe, which YAML does not know
 
 
-def _projected(parameters: FloatArray, sky: Sky) -> FloatArray:
-    ray = sky.rays @ rotation_matrix(parameters[8:]).T
-    across = np.hypot(ray[:, 0], ray[:, 1])
-    theta = np.arctan2(across, ray[:, 2])
-    square = theta**2
-    k1, k2, k3, k4 = parameters[4:8]
-    radius = theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
-    return np.asarray(ray[:, :2] * (radius / across)[:, None] * parameters[:2] + parameters[2:4])
+def read_opencv(content: bytes, *, name: str) -> View:
+    """Return the view of a fisheye calibration, YAML, XML or JSON of `cv2.FileStorage`.
+
+    Raises
+    ------
+    InputError
+        It is none: not four distortion coefficients (a calibration of cv2.calibrateCamera has 5 and more), or no size.
+    """
+    try:
+        storage = cv2.FileStorage(content.decode(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        matrix, distortion, rotation = (_first(storage, names) for names in (_MATRIX, _DISTORTION, (_ROTATION,)))
+        sizes = [[int(storage.getNode(one).real()) for one in pair] for pair in _SIZES]
+    except (cv2.error, SystemError, UnicodeDecodeError):  # its constructor fails without saying how
+        raise InputError(field=name, problem="OpenCV cannot read it", remedy="give a cv2.FileStorage file") from None
+    if matrix is None or matrix.shape != (3, 3):
+        raise InputError(field=name, problem="no 3x3 camera matrix", remedy=f"name it {_MATRIX[0]}")
+    if distortion is None or distortion.size != 4:
+        count = "no" if distortion is None else str(distortion.size)
+        raise InputError(
+            field=name,
+            problem=f"{count} distortion coefficients, where cv2.fisheye has 4",
+            remedy="give a calibration of cv2.fisheye; that of cv2.calibrateCamera cannot describe a fisheye lens",
+        )
+    width, height = next((pair for pair in sizes if min(pair) > 0), (0, 0))
+    if width == 0:
+        raise InputError(field=name, problem="no image size", remedy="add image_width and image_height, px")
+    parameters = np.zeros(len(Fisheye))
+    parameters[:4] = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    parameters[list(RADIAL)] = distortion.ravel()
+    model = FisheyeModel(parameters=parameters, rotation=np.eye(3) if rotation is None else rotation)
+    return fisheye_view("opencv", model, size=(width, height), has_pose=rotation is not None)
+
+
+def _first(storage: cv2.FileStorage, names: tuple[str, ...]) -> FloatArray | None:
+    """Return the first matrix that a file has of several names."""
+    nodes = (storage.getNode(name) for name in names)
+    return next((np.asarray(node.mat(), dtype=np.float64) for node in nodes if node.isMap()), None)

@@ -7,15 +7,17 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import IntArray
 from sunarc.calibration import BackProjectionMap, Calibration, lookup
-from sunarc.exports.sky import FitError, fit_error, sky_of
+from sunarc.errors import InputError
+from sunarc.exports.comparison import Comparison, compare
+from sunarc.exports.view import View, camera_view, grid_view
 from sunarc.extras import extra_module
-from sunarc.optics import Camera, project
 
 _STEP = 8
 _CONVENTIONS = (
@@ -87,6 +89,40 @@ def npz_bytes(table: Table) -> bytes:
     return target.getvalue()
 
 
+def read_table(content: bytes, *, name: str) -> View:
+    """Return the view of a NetCDF or npz file of ours: its `direction` on its `x` and `y`, interpolated bilinearly.
+
+    Raises
+    ------
+    InputError
+        It has not these variables, or no direction at all.
+    """
+    try:
+        if content.startswith(b"PK"):
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                x, y, directions = (np.asarray(file[key]) for key in ("x", "y", "direction"))
+        else:
+            h5netcdf = extra_module("h5netcdf", extra="netcdf")
+            with h5netcdf.File(io.BytesIO(content), "r") as file:
+                x, y, directions = (np.asarray(file.variables[key][...]) for key in ("x", "y", "direction"))
+    except (KeyError, ValueError, OSError, BadZipFile) as error:
+        raise InputError(
+            field=name, problem=f"no map of directions ({error})", remedy="give a NetCDF or npz file of sunarc export"
+        ) from None
+    require_directions(directions, (len(y), len(x)), name=name)
+    size = (int(x[-1]) + 1, int(y[-1]) + 1)
+    return grid_view("netcdf", size=size, x=x, y=y, directions=directions.astype(np.float64))
+
+
+def require_directions(directions: NDArray[Any], shape: tuple[int, int], *, name: str) -> None:
+    """Raise InputError where a map has another shape than stated, or nothing but NaN."""
+    if directions.shape != (*shape, 3):
+        problem = f"directions of shape {directions.shape}, where {(*shape, 3)} are expected"
+        raise InputError(field=name, problem=problem, remedy="write the file again")
+    if not np.any(np.isfinite(directions)):
+        raise InputError(field=name, problem="NaN everywhere", remedy="write the file again")
+
+
 def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: Mapping[str, Variable]) -> Table:
     """Return the map of what every pixel sees, with masks of its shape."""
     height, width = found.zenith_deg.shape
@@ -98,17 +134,19 @@ def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: M
     )
 
 
-def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> tuple[Table, FitError]:
+def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> tuple[Table, Comparison]:
     """Return a calibration as arrays: parameters, covariance, and a grid of what every eighth pixel sees.
 
     The error is that of a bilinear interpolation of the unit vectors between the pixels of the grid.
     """
     camera = calibration.camera
+    size = (camera.width, camera.height)
     x, y = _every(_STEP, camera.width), _every(_STEP, camera.height)
     grid = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
     # The grid is that of the service's own table, so that a file and the API give the same directions.
     directions = lookup(calibration).back_project(grid.reshape(-1, 2)).reshape(len(y), len(x), -1)
-    error = _bilinear_error(camera, x, y, np.asarray(directions[..., 2:5], dtype=np.float64))
+    views = np.asarray(directions[..., 2:5], dtype=np.float64)
+    error = compare(camera_view(camera), grid_view("netcdf", size=size, x=x, y=y, directions=views))
     names = np.array(calibration.parameter_names)
     variables = _axes(x, y) | {"camera": _camera(document)}
     variables |= _views(directions[..., 0], directions[..., 1], directions[..., 2:5], directions[..., 5])
@@ -211,13 +249,3 @@ def _attributes(document: Mapping[str, Any], *, title: str) -> dict[str, Any]:
         "calibration": document["id"],
         "valid_from": document["valid_from"] or "",
     }
-
-
-def _bilinear_error(camera: Camera, x: IntArray, y: IntArray, directions: FloatArray) -> FitError:
-    sky = sky_of(camera, within=camera.max_angle)
-    from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
-
-    between = RegularGridInterpolator((y, x), directions, bounds_error=False, fill_value=None)(sky.pixels[:, ::-1])
-    # Interpolated unit vectors are a little short; a reader has to do the same.
-    between /= np.linalg.norm(between, axis=-1, keepdims=True)
-    return fit_error(camera, sky, project(camera, between))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import uuid
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import sunarc
 from sunarc.archive import read_sightings
 from sunarc.calibration import (
-    Calibration,
     CalibrationOptions,
     ImageCircle,
     SunPoints,
@@ -19,9 +20,12 @@ from sunarc.calibration import (
     to_document,
 )
 from sunarc.errors import InputError
+from sunarc.exports import closest_camera
 from sunarc.extras import extra_module
+from sunarc.offline.compare_files import read_view_file
 from sunarc.offline.files import read_image, read_lines, require_inside
 from sunarc.offline.project_files import read_calibration
+from sunarc.optics import Camera
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 from sunarc.utc import utc_time
@@ -41,7 +45,8 @@ def calibrate_file(
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
-    `pose_only` keeps the lens of the calibration `start` and fits its pose alone.
+    `start` is of any format that is read; `pose_only` keeps the lens of the calibration document `start` and fits its
+    pose alone.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
@@ -54,11 +59,12 @@ def calibrate_file(
         temperature=table.temperature,
         pressure=table.pressure,
     )
-    known = None if start is None else read_calibration(start)
-    if known is not None and pose_only:
-        solved = estimate_pose(points, start=_of_size(known, image_size), site=site, options=options)
+    if start is not None and pose_only:
+        known = read_calibration(start)
+        _require_size(known.camera, image_size)
+        solved = estimate_pose(points, start=known, site=site, options=options)
     else:
-        begin = None if known is None else known.camera
+        begin = None if start is None else _start_camera(start, image_size, options)
         solved, points = calibrate_moved(
             points, site=site, image_size=image_size, options=options, circle=circle, start=begin
         )
@@ -82,16 +88,33 @@ def calibrate_file(
     )
 
 
-def _of_size(known: Calibration, image_size: tuple[int, int]) -> Calibration:
-    """Return the calibration whose lens is kept; one of other images would be no answer."""
-    size = (known.camera.width, known.camera.height)
+def _start_camera(path: Path, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
+    """Return the camera to begin at: that of a document, or the one closest to what a file of another format says."""
+    view = read_view_file(path)
+    camera = view.camera
+    if camera is None:
+        closest, _ = closest_camera(view, projection=options.projection)
+        camera = replace(closest, max_angle=math.radians(options.max_angle_deg))
+    _require_size(camera, image_size)
+    if options.mirrored != "auto" and camera.mirrored != (options.mirrored == "yes"):
+        hands = ("not mirrored", "mirrored")
+        raise InputError(
+            field="--start",
+            problem=f"is {hands[camera.mirrored]}, where --mirrored {options.mirrored} is set",
+            remedy="set --mirrored auto, or name a camera of this handedness",
+        )
+    return camera
+
+
+def _require_size(camera: Camera, image_size: tuple[int, int]) -> None:
+    """Raise InputError where a start is of other images: it would be no answer."""
+    size = (camera.width, camera.height)
     if size != image_size:
         raise InputError(
             field="--start",
             problem=f"is of {size[0]}x{size[1]} images, not {image_size[0]}x{image_size[1]}",
             remedy="name a calibration of this camera",
         )
-    return known
 
 
 def image_circle_of(text: str) -> ImageCircle:
