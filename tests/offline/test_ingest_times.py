@@ -13,7 +13,10 @@ from PIL import Image
 from tests.fixtures.settings import new_settings
 
 from sunarc.errors import InputError
-from sunarc.offline.ingest import Ingested, _from_name, _taken, ingest_folder
+from sunarc.offline.ingest.image_times import Naming, _from_name, taken
+from sunarc.offline.ingest.run import IngestOptions, ingest_folder
+from sunarc.offline.ingest.summary import Summary
+from sunarc.offline.messages import RefusedImageError
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 EXIF_SECTION, TAKEN, ZONE = 0x8769, 36867, 36881
@@ -33,8 +36,8 @@ def with_exif(path: Path, tags: dict[int, str]) -> Path:
     return path
 
 
-def ingested(folder: Path, **more: float) -> list[Ingested]:
-    return list(ingest_folder(new_settings(folder), folder / "images", **more))  # type: ignore[arg-type]
+def ingested(folder: Path) -> Summary:
+    return ingest_folder(new_settings(folder), folder / "images", options=IngestOptions())
 
 
 @pytest.mark.parametrize(
@@ -75,38 +78,38 @@ def test_a_time_before_the_year_1_after_its_offset_is_none() -> None:
 
 def test_a_pattern_with_a_zone_needs_no_offset(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "2013-05-13 13.30 -0500.png")
-    assert _taken(path, "%Y-%m-%d %H.%M %z", timedelta(hours=3)) == (NOON, None)
+    assert taken(path, Naming("%Y-%m-%d %H.%M %z", timedelta(hours=3))) == (NOON, None)
 
 
 def test_a_pattern_without_a_zone_is_the_offset_ahead_of_utc(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "2013-05-13 13.30.png")
-    assert _taken(path, "%Y-%m-%d %H.%M", timedelta(hours=-5)) == (NOON, None)
+    assert taken(path, Naming("%Y-%m-%d %H.%M", timedelta(hours=-5))) == (NOON, None)
 
 
 @pytest.mark.parametrize(("stem", "offset_h"), [("sky", 0.0), ("0001-01-01", 5.0)])
 def test_a_name_that_the_pattern_cannot_date_is_refused(tmp_path: Path, stem: str, offset_h: float) -> None:
     with pytest.raises(InputError) as refused:
-        _taken(dark_image(tmp_path / f"{stem}.png"), "%Y-%m-%d", timedelta(hours=offset_h))
+        taken(dark_image(tmp_path / f"{stem}.png"), Naming("%Y-%m-%d", timedelta(hours=offset_h)))
     assert refused.value.field == f"{stem}.png"
 
 
 def test_a_sidecar_goes_before_the_name(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "20200101T000000Z_5us.png")
     path.with_suffix(".json").write_text('{"time_utc": "2013-05-13T18:30:00Z", "exposure_us": 20}')
-    assert _taken(path, None, NO_OFFSET) == (NOON, 20.0)
+    assert taken(path, Naming(None, NO_OFFSET)) == (NOON, 20.0)
 
 
 def test_a_sidecar_without_an_exposure_leaves_the_names(tmp_path: Path) -> None:
     path = dark_image(tmp_path / "20200101T000000Z_5us.png")
     path.with_suffix(".json").write_text('{"time_utc": "2013-05-13T18:30:00Z"}')
-    assert _taken(path, None, NO_OFFSET) == (NOON, 5.0)
+    assert taken(path, Naming(None, NO_OFFSET)) == (NOON, 5.0)
 
 
 @pytest.mark.parametrize("exposure", ["null", "0"])
 def test_an_exposure_that_is_not_known_is_none(tmp_path: Path, exposure: str) -> None:
     path = dark_image(tmp_path / "a.png")
     path.with_suffix(".json").write_text(f'{{"time_utc": "2013-05-13T18:30:00Z", "exposure_us": {exposure}}}')
-    assert _taken(path, None, NO_OFFSET) == (NOON, None)
+    assert taken(path, Naming(None, NO_OFFSET)) == (NOON, None)
 
 
 @pytest.mark.parametrize("exposure", ['"20us"', "-5", "NaN", "Infinity", "[20]", "true"])
@@ -114,50 +117,40 @@ def test_a_sidecar_with_a_wrong_exposure_skips_its_image_alone(tmp_path: Path, e
     path = dark_image(tmp_path / "images" / "a.png")
     path.with_suffix(".json").write_text(f'{{"time_utc": "2013-05-13T18:30:00Z", "exposure_us": {exposure}}}')
     dark_image(tmp_path / "images" / "20130513T184000Z.png")
-    outcomes = {one.path.name: one for one in ingested(tmp_path)}
-    assert {name: one.outcome for name, one in outcomes.items()} == {
-        "a.png": "skipped",
-        "20130513T184000Z.png": "added",
-    }
-    assert outcomes["a.png"].text.startswith("a.json, exposure_us: ")
+    summary = ingested(tmp_path)
+    assert [(one.path, one.finding.code) for one in summary.skipped] == [("a.png", "file_sidecar")]
+    assert (summary.accepted, summary.rejected) == (0, 1)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"time_utc": 3}', '{"time_utc": "yesterday"}', "\udcff"])
 def test_a_sidecar_that_cannot_be_read_is_refused(tmp_path: Path, text: str) -> None:
     path = dark_image(tmp_path / "20200101T000000Z.png")
     path.with_suffix(".json").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(InputError) as refused:
-        _taken(path, None, NO_OFFSET)
-    assert refused.value.field.startswith("20200101T000000Z.json")
+    with pytest.raises(RefusedImageError) as refused:
+        taken(path, Naming(None, NO_OFFSET))
+    assert refused.value.finding.code == "file_sidecar"
 
 
 def test_the_zone_of_exif_goes_before_the_offset(tmp_path: Path) -> None:
     path = with_exif(tmp_path / "a.jpg", {TAKEN: "2013:05:13 13:30:00", ZONE: "-05:00"})
-    assert _taken(path, None, timedelta(hours=3)) == (NOON, None)
+    assert taken(path, Naming(None, timedelta(hours=3))) == (NOON, None)
 
 
 def test_exif_without_a_zone_is_the_offset_ahead_of_utc(tmp_path: Path) -> None:
     path = with_exif(tmp_path / "a.jpg", {TAKEN: "2013:05:13 20:30:00"})
-    assert _taken(path, None, timedelta(hours=2)) == (NOON, None)
+    assert taken(path, Naming(None, timedelta(hours=2))) == (NOON, None)
 
 
 @pytest.mark.parametrize("tags", [{}, {TAKEN: "    :  :     :  :  "}, {TAKEN: "2013:05:13 13:30:00", ZONE: "noon"}])
 def test_an_image_whose_exif_tells_no_time_is_refused(tmp_path: Path, tags: dict[int, str]) -> None:
     with pytest.raises(InputError) as refused:
-        _taken(with_exif(tmp_path / "a.jpg", tags), None, NO_OFFSET)
+        taken(with_exif(tmp_path / "a.jpg", tags), Naming(None, NO_OFFSET))
     assert refused.value.field == "a.jpg"
 
 
 def test_an_image_taken_at_night_is_skipped(tmp_path: Path) -> None:
     dark_image(tmp_path / "images" / "20130513T060000Z.png")
-    (one,) = ingested(tmp_path)
-    assert one.outcome == "skipped"
-
-
-def test_two_images_of_one_time_are_stored_once(tmp_path: Path) -> None:
-    for name in ("a_20130513T183000Z.png", "b_20130513T183000Z.png"):
-        dark_image(tmp_path / "images" / name)
-    assert [one.outcome for one in ingested(tmp_path)] == ["added", "known"]
+    assert [one.finding.code for one in ingested(tmp_path).skipped] == ["file_at_night"]
 
 
 @pytest.mark.parametrize("content", ["", "notes.txt"])

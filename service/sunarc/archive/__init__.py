@@ -1,9 +1,9 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events in one SQLite file.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions` · `values` what goes in and comes out · `tables types` the schema · `engine store`
-connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership space_reserve` the
-file on disk · `images` composites · `csv_files` sightings as CSV.
+epoch_closing sighting_revisions file_sightings` · `values` what goes in and comes out · `tables types` the schema ·
+`engine store` connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership
+space_reserve` the file on disk · `images` composites · `csv_files` sightings as CSV.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -17,6 +17,7 @@ from sunarc.archive.csv_files import (
     write_sightings,
 )
 from sunarc.archive.epoch_closing import EPOCH_CLOSED
+from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
@@ -60,6 +61,8 @@ __all__ = [
     "DiskUsage",
     "Event",
     "EventSeverity",
+    "FileSighting",
+    "ImageKey",
     "ImageStore",
     "PoseEpoch",
     "Recovery",
@@ -74,6 +77,7 @@ __all__ = [
     "check",
     "downgrade",
     "head_revision",
+    "image_key",
     "lock_holder",
     "lock_state",
     "newest_sound_copy",

@@ -15,6 +15,7 @@ from sunarc.archive.days_and_events import Journal
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
+from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import require_file, require_head
 from sunarc.archive.sighting_revisions import SightingRevisions
@@ -22,7 +23,7 @@ from sunarc.archive.sightings import Sightings
 from sunarc.errors import OutsideError
 
 
-class Archive(Sightings, SightingRevisions, EpochClosing, UsedSightings, Journal, MeasuredAir):
+class Archive(Sightings, FileSightings, SightingRevisions, EpochClosing, UsedSightings, Journal, MeasuredAir):
     """The database: values in, values out; safe to use from any thread."""
 
     def __init__(self, engine: Engine, file: DatabaseFile) -> None:

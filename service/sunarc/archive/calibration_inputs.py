@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from sqlalchemy import Connection, Select, func, insert, select
+from sqlalchemy import Connection, Select, func, insert, select, update
 
 from sunarc.archive.columns import read_columns
 from sunarc.archive.store import Store
@@ -43,12 +44,14 @@ class UsedSightings(Store):
             try:
                 ids, epochs = _unpacked(row.ids), [(str(name), int(start)) for name, start in row.epochs]
                 air = _unpacked_air(row.air, ids.size)
+                sigma = _unpacked_sigma(row.sigma, ids.size)
             except (TypeError, ValueError, zlib.error):
                 raise _changed(calibration_id, "the list of its sightings is damaged") from None
             found = read_columns(connection, row.camera, [sun_point.c.id.in_(_listed(ids))])
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
         columns = _as_then(found, epochs, air)
+        columns = columns if sigma is None else replace(columns, sigma_px=sigma)
         # Rows of the same keys may have been edited since: the fit would not be the same.
         if _digest(columns) != row.digest:
             raise _changed(calibration_id, "its sightings were changed since")
@@ -67,6 +70,21 @@ def keep_used(connection: Connection, calibration_id: str, columns: SunPointColu
             air=_packed_air(columns),
         )
     )
+
+
+def keep_sigma(connection: Connection, camera: str) -> None:
+    """Store with each calibration of a camera the sigma of its sightings, before the sightings' own is changed."""
+    c = used_sightings.c
+    rows = connection.execute(
+        select(c.calibration, c.ids)
+        .join(calibration, calibration.c.id == c.calibration)
+        .where(calibration.c.camera == camera, c.sigma.is_(None))
+    ).all()
+    for row in rows:
+        with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
+            found = read_columns(connection, camera, [sun_point.c.id.in_(_listed(_unpacked(row.ids)))])
+            packed = zlib.compress(found.sigma_px.astype("<f8").tobytes(), 9)
+            connection.execute(update(used_sightings).where(c.calibration == row.calibration).values(sigma=packed))
 
 
 def copy_used(connection: Connection, calibration_id: str, *, to: str) -> None:
@@ -113,6 +131,13 @@ def _unpacked_air(packed: bytes | None, count: int) -> FloatArray:
     if packed is None:
         return np.full((2, count), np.nan)
     return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(2, count)
+
+
+def _unpacked_sigma(packed: bytes | None, count: int) -> FloatArray | None:
+    """Return the sigma that a calibration was given, (n,) px; None where it is the sightings' own still."""
+    if packed is None:
+        return None
+    return np.frombuffer(zlib.decompress(packed), dtype="<f8").astype(np.float64).reshape(count)
 
 
 def _digest(columns: SunPointColumns) -> str:

@@ -20,6 +20,8 @@ def sun_point_of(
     time: datetime,
     exposure_us: float = 0.0,
     clock_error_s: float | None = None,
+    file: str = "",
+    ingest_pass: int | None = None,
 ) -> SunPoint:
     """Return the sighting that a detection amounts to, accepted or not."""
     return SunPoint(
@@ -29,5 +31,7 @@ def sun_point_of(
         reason=detection.reason,
         exposure_us=exposure_us,
         clock_error_s=clock_error_s,
+        file=file,
+        ingest_pass=ingest_pass,
         **{name: getattr(detection, name) for name in _SHARED},
     )

@@ -94,7 +94,9 @@ sun_point = Table(
     Column("clock_error_s", Number),
     Column("temperature_c", Number),
     Column("pressure_hpa", Number),
-    UniqueConstraint("camera", "time", "body", "exposure_us", "method"),
+    Column("file", Text, nullable=False, server_default=""),
+    Column("ingest_pass", Integer),
+    UniqueConstraint("camera", "time", "body", "exposure_us", "method", "file"),
 )
 
 day = Table(
@@ -157,6 +159,7 @@ used_sightings = Table(
     Column("epochs", JSON, nullable=False),
     Column("digest", Text, nullable=False),
     Column("air", LargeBinary),
+    Column("sigma", LargeBinary),
 )
 
 refit = Table(

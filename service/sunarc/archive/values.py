@@ -96,6 +96,8 @@ class SunPoint(Returned):
     clock_error_s: Annotated[float | None, described("Bound of the error of its time, s.", 0.01)] = None
     temperature_c: Annotated[float | None, Field(exclude=True)] = None  # of the air, measured with the sighting;
     pressure_hpa: Annotated[float | None, Field(exclude=True)] = None  # None takes the day's (`DayAir`)
+    file: Annotated[str, Field(exclude=True)] = ""  # name of the image file; "" for a frame of the camera
+    ingest_pass: Annotated[int | None, Field(exclude=True)] = None  # 1 without a prediction, 2 with one; None: no file
 
     def __post_init__(self) -> None:
         """Refuse an accepted sighting without a pixel."""

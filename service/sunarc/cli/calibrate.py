@@ -8,11 +8,11 @@ from typing import Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 
-from sunarc import offline
 from sunarc.calibration import CalibrationOptions
 from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
+from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.reproduce import solve_again
 from sunarc.runtime.clock import SystemClock
@@ -70,7 +70,7 @@ def calibrate(
     )
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
-    document = offline.calibrate_file(
+    document = calibrate_file(
         points,
         site=Site(
             latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
@@ -83,7 +83,7 @@ def calibrate(
             level_within_deg=level_within,
         ),
         clock=SystemClock(),
-        circle=None if image_circle is None else offline.image_circle_of(image_circle),
+        circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,
         plots=plots,

@@ -11,6 +11,7 @@ from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.findings import Messages
+from sunarc.offline.messages import MESSAGES as OF_OFFLINE
 from sunarc.runtime.messages import MESSAGES as OF_RUNTIME
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
@@ -21,6 +22,7 @@ _TABLES: dict[str, Messages] = {
     "runtime": OF_RUNTIME,
     "workers": OF_WORKERS,
     "app": OF_APP,
+    "offline": OF_OFFLINE,
 }
 _HEAD = """# Codes of findings
 

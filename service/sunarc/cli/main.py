@@ -4,28 +4,39 @@ from __future__ import annotations
 
 import os
 import sys
-from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import track
 
-from sunarc import __version__, app, offline
+from sunarc import __version__, app
 from sunarc.cli.calibrate import calibrate
 from sunarc.cli.calibrations import calibrations_cli, epochs_cli
 from sunarc.cli.codes import all_codes, codes_as_markdown
 from sunarc.cli.compare import compare
-from sunarc.cli.database import db_cli, note_running_service, points_cli
+from sunarc.cli.database import db_cli, points_cli
 from sunarc.cli.export import export_calibration
-from sunarc.cli.options import Altitude, AsJson, CalibrationFile, Config, Latitude, Longitude
+from sunarc.cli.ingest import ingest
+from sunarc.cli.options import (
+    Altitude,
+    AsJson,
+    CalibrationFile,
+    Config,
+    DetectionMethod,
+    Latitude,
+    Longitude,
+    choice_of,
+)
 from sunarc.cli.output import print_json, table
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.offline.compile_kernels import compile_kernels as compile_all
+from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
+from sunarc.offline.project_files import project_csv, unproject_csv
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
 from sunarc.settings import all_settings, as_markdown, load_settings
@@ -45,15 +56,11 @@ cli.add_typer(calibrations_cli, name="calibrations")
 cli.add_typer(epochs_cli, name="epochs")
 cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
+cli.command()(ingest)
 cli.command("export")(export_calibration)
 cli.command()(compare)
 
-DetectionMethod = Annotated[str, typer.Option("--method", help="auto, disc (microsecond frames) or paper (ordinary).")]
-
-Choice = TypeVar("Choice", bound=str)
-
 _out = Console(soft_wrap=True)
-_err = Console(stderr=True, soft_wrap=True)
 
 
 def main() -> None:
@@ -102,7 +109,7 @@ def compile_kernels() -> None:
 
     Example: sunarc compile
     """
-    offline.compile_kernels()
+    compile_all()
 
 
 @cli.command()
@@ -163,10 +170,8 @@ def detect(
     """
     if overlay is not None and len(images) != 1:
         raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
-    mosaic = None if bayer is None else _choice("--bayer", bayer, BAYERS)
-    found = offline.detect_in_files(
-        images, method=_choice("--method", method, offline.METHODS), full_scale=full_scale, bayer=mosaic
-    )
+    mosaic = None if bayer is None else choice_of("--bayer", bayer, BAYERS)
+    found = detect_in_files(images, method=choice_of("--method", method, METHODS), full_scale=full_scale, bayer=mosaic)
     if as_json:
         print_json(found)
     else:
@@ -178,46 +183,9 @@ def detect(
     if len(unread) == len(found):
         raise typer.Exit(2)
     if overlay is not None:
-        offline.draw_overlay(images[0], found[0], overlay)
+        draw_overlay(images[0], found[0], overlay)
     if not any(row["accepted"] for row in found):
         raise typer.Exit(1)
-
-
-@cli.command()
-def ingest(
-    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
-    *,
-    config: Config = None,
-    method: DetectionMethod = "auto",
-    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
-    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
-    as_json: AsJson = False,
-) -> None:
-    """Find the sun in a folder of archived images and fill the archive; what it has is skipped.
-
-    Example: sunarc ingest images/ --config sunarc.toml
-    """
-    settings = load_settings(config)
-    answers = offline.ingest_folder(
-        settings,
-        folder,
-        method=_choice("--method", method, offline.METHODS),
-        time_pattern=time_pattern,
-        utc_offset_h=utc_offset,
-    )
-    outcomes: Counter[str] = Counter()
-    skipped: list[dict[str, str]] = []
-    for answer in track(answers, console=_err, description="ingesting", disable=not sys.stderr.isatty()):
-        outcomes[answer.outcome] += 1
-        if answer.outcome == "skipped":
-            skipped.append({"file": str(answer.path), "reason": answer.text})
-    note_running_service(settings.state)
-    if as_json:
-        print_json({**outcomes, "files_skipped": skipped})
-        return
-    for row in skipped:
-        print(f"skipped {row['file']}: {row['reason']}")
-    print(f"{outcomes['added']} added, {outcomes['known']} known already, {outcomes['skipped']} skipped")
 
 
 @cli.command()
@@ -226,7 +194,7 @@ def project(calibration: CalibrationFile) -> None:
 
     Example: sunarc project --calibration calibration.json < directions.csv
     """
-    offline.project_csv(calibration, sys.stdin, sys.stdout)
+    project_csv(calibration, sys.stdin, sys.stdout)
 
 
 @cli.command()
@@ -235,7 +203,7 @@ def unproject(calibration: CalibrationFile) -> None:
 
     Example: sunarc unproject --calibration calibration.json < pixels.csv
     """
-    offline.unproject_csv(calibration, sys.stdin, sys.stdout)
+    unproject_csv(calibration, sys.stdin, sys.stdout)
 
 
 @cli.command()
@@ -281,10 +249,3 @@ def check(
         _out.print(table(("", "", ""), [[result.outcome, result.what, result.text] for result in results]))
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
-
-
-def _choice(option: str, text: str, choices: tuple[Choice, ...]) -> Choice:
-    for choice in choices:
-        if text == choice:
-            return choice
-    raise InputError(field=option, problem=f"{text!r} is unknown", remedy=f"use one of {', '.join(choices)}")

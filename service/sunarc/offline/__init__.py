@@ -1,21 +1,7 @@
-"""Functions of the commands that work on files and databases, without a running service."""
+"""Functions of the commands that work on files and databases, without a running service.
 
-from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
-from sunarc.offline.compile_kernels import compile_kernels
-from sunarc.offline.detect_files import METHODS, detect_in_files, detect_in_image, draw_overlay
-from sunarc.offline.ingest import Ingested, ingest_folder
-from sunarc.offline.project_files import project_csv, unproject_csv
-
-__all__ = [
-    "METHODS",
-    "Ingested",
-    "calibrate_file",
-    "compile_kernels",
-    "detect_in_files",
-    "detect_in_image",
-    "draw_overlay",
-    "image_circle_of",
-    "ingest_folder",
-    "project_csv",
-    "unproject_csv",
-]
+`detect_files` · `ingest` a folder to sightings · `import_sightings` a CSV file to sightings · `calibrate_files`
+sightings to a calibration · `reproduce` a past calibration again · `project_files` · `export_archive` · `cameras` the
+settings' camera in the archive · `files` · `compile_kernels`. Import the modules: the processes that look at images
+load no more than they need.
+"""

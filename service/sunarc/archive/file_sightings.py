@@ -1,0 +1,104 @@
+"""Sightings of image files: which files are known, and answers that take the place of former ones."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+from dataclasses import asdict
+from datetime import datetime
+from typing import NamedTuple
+
+from sqlalchemy import Connection, Integer, and_, select, type_coerce, update
+from sqlalchemy.dialects.sqlite import insert
+
+from sunarc.archive.calibration_inputs import keep_sigma
+from sunarc.archive.store import Store
+from sunarc.archive.tables import sun_point
+from sunarc.archive.values import SunPoint
+from sunarc.utc import to_microseconds
+
+SUPERSEDED = "another method's sighting of the same image is accepted"
+"""Reason of a sighting that was set aside: an image counts once."""
+ImageKey = tuple[int, float, str]
+"""Time (microseconds since 1970-01-01 UTC), exposure (us, 0 where not known) and file name of an image."""
+_KEY = ("camera", "time", "body", "exposure_us", "method", "file")
+
+
+class FileSighting(NamedTuple):
+    """What the archive holds of an image file by one method; `file` is empty where it is not known (version 0.2)."""
+
+    time_us: int
+    exposure_us: float
+    file: str
+    method: str
+    accepted: bool
+    verdict: str
+    ingest_pass: int | None
+    x_px: float | None = None
+    y_px: float | None = None
+    sigma_px: float | None = None
+    radius_px: float | None = None
+
+    @property
+    def key(self) -> ImageKey:
+        """What tells the image from others."""
+        return self.time_us, self.exposure_us, self.file
+
+
+class FileSightings(Store):
+    """The part of the archive with the sightings of image files."""
+
+    def file_sightings(self, camera: str, *, times_us: Container[int]) -> list[FileSighting]:
+        """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
+        c = sun_point.c
+        names = [name for name in FileSighting._fields if name != "time_us"]
+        rows = select(type_coerce(c.time, Integer), *(c[name] for name in names)).where(
+            c.camera == camera, c.body == "sun"
+        )
+        with self._reading() as connection:
+            return [FileSighting(*row) for row in connection.execute(rows.order_by(c.id)) if row[0] in times_us]
+
+    def name_files(self, camera: str, keys: Iterable[ImageKey]) -> None:
+        """Give sightings that have no file name, of the keys' times and exposures, the names in the keys."""
+        c = sun_point.c
+        with self._writing() as connection:
+            for time_us, exposure_us, file in keys:
+                unnamed = (c.camera == camera, type_coerce(c.time, Integer) == time_us, c.file == "")
+                change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
+                connection.execute(change.values(file=file))
+
+    def replace_sun_points(self, points: Iterable[SunPoint]) -> None:
+        """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
+
+        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once.
+        """
+        with self._writing() as connection:
+            for point in points:
+                row = asdict(point)
+                statement = insert(sun_point).values(row)
+                connection.execute(statement.on_conflict_do_update(index_elements=_KEY, set_=row))
+                if point.accepted:
+                    _set_others_aside(connection, point)
+
+    def scale_sigma(self, camera: str, *, method: str, factor: float) -> int:
+        """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
+
+        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again.
+        """
+        c = sun_point.c
+        of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
+        with self._writing() as connection:
+            keep_sigma(connection, camera)
+            return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
+
+
+def _set_others_aside(connection: Connection, point: SunPoint) -> None:
+    c = sun_point.c
+    same_image = (c.camera == point.camera, c.time == point.time, c.body == point.body, c.file == point.file)
+    others = (c.exposure_us == point.exposure_us, c.method != point.method, c.accepted.is_(True))
+    change = update(sun_point).where(*same_image, *others)
+    connection.execute(change.values(accepted=False, verdict="set_aside", reason=SUPERSEDED))
+
+
+def image_key(time: datetime, exposure_us: float | None, file: str) -> ImageKey:
+    """Return the key of an image that was not looked at yet."""
+    return to_microseconds(time), exposure_us or 0.0, file

@@ -1,0 +1,103 @@
+"""The command `sunarc ingest`: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sunarc.cli.database import note_running_service
+from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of
+from sunarc.cli.output import print_json, table
+from sunarc.errors import InputError
+from sunarc.offline.detect_files import METHODS
+from sunarc.offline.ingest.image_times import Naming
+from sunarc.offline.ingest.run import IngestOptions, ReportProgress, ingest_folder, usable_processors
+from sunarc.offline.ingest.summary import Summary
+from sunarc.settings import load_settings
+
+_LISTED = 20
+"""Images that are named with the reason why they were left out; --json lists all."""
+
+
+def ingest(
+    folder: Annotated[Path, typer.Argument(help="Folder of images.")],
+    *,
+    config: Config = None,
+    method: DetectionMethod = "auto",
+    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
+    reprocess: Annotated[
+        bool, typer.Option("--reprocess", help="Look at known images again, and replace their sightings.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes; one for each processor unless given.", show_default=False)
+    ] = None,
+    contact_sheet: Annotated[
+        Path | None, typer.Option(help="PNG with examples of each verdict; in the state folder unless given.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.
+
+    It can be stopped at any time (Ctrl-C) and goes on where it was when it is called again.
+
+    Example: sunarc ingest images/ --config sunarc.toml
+    """
+    settings = load_settings(config)
+    if workers is not None and workers < 1:
+        raise InputError(field="--workers", problem=f"{workers} is below 1", remedy="give 1 or more")
+    options = IngestOptions(
+        method=choice_of("--method", method, METHODS),
+        naming=Naming(time_pattern, timedelta(hours=utc_offset)),
+        reprocess=reprocess,
+        processes=workers or usable_processors(),
+        contact_sheet=contact_sheet,
+    )
+    with _progress() as progress:
+        summary = ingest_folder(settings, folder, options=options, progress=progress)
+    note_running_service(settings.state)
+    if as_json:
+        print_json(summary.as_json())
+    else:
+        _print_summary(summary)
+
+
+@contextmanager
+def _progress() -> Iterator[ReportProgress]:
+    """Give the function that draws a progress bar; it draws none where standard error is no terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, soft_wrap=True)
+    with Progress(*columns, console=console, disable=not sys.stderr.isatty()) as bars:
+        tasks = {}
+
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield update
+
+
+def _print_summary(summary: Summary) -> None:
+    record = summary.as_json()
+    for row in record["files_skipped"][:_LISTED]:
+        print(f"skipped {row['file']}: {row['reason']}")
+    if len(record["files_skipped"]) > _LISTED:
+        print(f"… and {len(record['files_skipped']) - _LISTED} more (--json lists them)")
+    rows = [[verdict, str(n)] for verdict, n in summary.by_verdict.items()]
+    rows += [[f"skipped: {code}", str(n)] for code, n in summary.by_reason.items()]
+    Console(soft_wrap=True).print(table(("verdict", "images"), rows))
+    print(
+        f"{summary.accepted} accepted, {summary.rejected} rejected, {summary.known} known already, "
+        f"{len(summary.skipped)} skipped"
+    )
+    if summary.contact_sheet is not None:
+        print(f"examples of each verdict: {summary.contact_sheet}")

@@ -1,0 +1,47 @@
+"""What a process does with one image file: read, check, look for the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sunarc.detection import Detection, Expectation
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.offline.detect_files import Method, detect_in_image
+from sunarc.offline.ingest.image_checks import read_checked_image
+from sunarc.offline.messages import RefusedImageError
+
+Answer = Detection | Finding
+"""A detection, with or without a sun; or why the image is left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """An image to look at.
+
+    Attributes
+    ----------
+    path : the file.
+    exposure_us : exposure time; None where not known.
+    method : see `detect_in_image`.
+    size : width and height that it must have, px.
+    expectation : where the sun should be; None without a prediction.
+    """
+
+    path: Path
+    exposure_us: float | None
+    method: Method
+    size: tuple[int, int]
+    expectation: Expectation | None = None
+
+
+def detect_in_file(task: Task) -> Answer:
+    """Read one image and look for the sun in it."""
+    try:
+        image = read_checked_image(task.path, size=task.size)
+        return detect_in_image(image, method=task.method, expectation=task.expectation, exposure_us=task.exposure_us)
+    except RefusedImageError as error:
+        return error.finding
+    except InputError as error:
+        return Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})

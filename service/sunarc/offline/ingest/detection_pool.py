@@ -1,0 +1,79 @@
+"""Detection in many image files at once, in processes: they read and compute, the caller alone writes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import cv2
+
+from sunarc.findings import Finding
+from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file
+
+_AHEAD = 4
+"""Images handed to each process before the first answer is read: bounds the memory of a long run."""
+
+
+def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> Iterator[Answer]:
+    """Yield the answers of the tasks, in their order; fewer than a process is worth are computed here.
+
+    An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
+    """
+    if processes < 2 or n_tasks <= 2 * processes:
+        yield from map(detect_in_file, tasks)
+        return
+    waiting = iter(tasks)
+    lost: list[Task] | None = []
+    while lost is not None:
+        for task in lost:
+            yield _alone(task)
+        lost = yield from _until_a_process_dies(waiting, processes)
+
+
+def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[Answer, None, list[Task] | None]:
+    """Yield answers; return the tasks that were under way when a process died, None when all are done."""
+    under_way: deque[tuple[Task, Future[Answer]]] = deque()
+    pool = _pool(processes)
+    try:
+        for task in tasks:
+            under_way.append((task, _submitted(pool, task)))
+            if len(under_way) >= _AHEAD * processes:
+                yield under_way[0][1].result()
+                under_way.popleft()
+        while under_way:
+            yield under_way[0][1].result()
+            under_way.popleft()
+    except BrokenProcessPool:
+        return [task for task, _ in under_way]
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return None
+
+
+def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answer]:
+    """Return the future answer of a task; a pool that is broken already answers with its error."""
+    try:
+        return pool.submit(detect_in_file, task)
+    except BrokenProcessPool as error:
+        broken = Future[Answer]()
+        broken.set_exception(error)
+        return broken
+
+
+def _alone(task: Task) -> Answer:
+    """Return the answer of a task in a process of its own; that it died is an answer, too."""
+    with _pool(1) as pool:
+        try:
+            return pool.submit(detect_in_file, task).result()
+        except BrokenProcessPool as error:
+            return Finding("worker_died", {"error": str(error)})
+
+
+def _pool(processes: int) -> ProcessPoolExecutor:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the children alone: one process a core is enough
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(processes, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,))

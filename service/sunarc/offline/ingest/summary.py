@@ -1,0 +1,65 @@
+"""What a run over a folder came to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sunarc.archive import FileSighting, ImageKey
+from sunarc.offline.ingest.index import ImageFile, Skipped
+from sunarc.offline.messages import MESSAGES
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """Counts of a folder's images.
+
+    Attributes
+    ----------
+    accepted, rejected : images looked at in this run, by whether a fit may use their sighting.
+    known : images that were in the archive before, and were left as they were.
+    by_verdict : all images of the folder in the archive, those known before among them, by the verdict on them.
+    skipped : images that were left out, with the reason.
+    contact_sheet : picture with examples of each verdict; None where there is no image.
+    """
+
+    accepted: int
+    rejected: int
+    known: int
+    by_verdict: Mapping[str, int]
+    skipped: tuple[Skipped, ...]
+    contact_sheet: Path | None
+
+    @property
+    def by_reason(self) -> dict[str, int]:
+        """Images that were left out, by the code of the reason."""
+        return dict(Counter(one.finding.code for one in self.skipped).most_common())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `sunarc ingest --json`."""
+        return {
+            "accepted": self.accepted,
+            "rejected": self.rejected,
+            "known": self.known,
+            "skipped": len(self.skipped),
+            "by_verdict": dict(self.by_verdict),
+            "by_reason": self.by_reason,
+            "contact_sheet": None if self.contact_sheet is None else str(self.contact_sheet),
+            "files_skipped": [
+                {"file": one.path, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
+                for one in self.skipped
+            ],
+        }
+
+
+def newest_verdicts(images: Iterable[ImageFile], stored: Iterable[FileSighting]) -> dict[ImageFile, FileSighting]:
+    """Return the sighting that counts of each image: the accepted one, else the one stored last."""
+    by_key: dict[ImageKey, FileSighting] = {}
+    for one in stored:
+        former = by_key.get(one.key)
+        if former is None or one.accepted or not former.accepted:
+            by_key[one.key] = one
+    return {image: by_key[image.key] for image in images if image.key in by_key}

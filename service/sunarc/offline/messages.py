@@ -1,0 +1,51 @@
+"""The messages of the commands that read files: why an image was left out, and what a run over a folder came to."""
+
+from __future__ import annotations
+
+from sunarc.errors import InputError
+from sunarc.findings import Finding, Message, Messages
+
+_LEFT_OUT = "The image was left out; nothing is stored of it."
+
+MESSAGES = Messages(
+    file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG or TIFF file of 8 or 16 bits"),
+    file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
+    file_animated=Message("the file has {frames} frames", _LEFT_OUT, "write each frame to a file of its own"),
+    file_cmyk=Message("its colours are for print (CMYK)", _LEFT_OUT, "convert it to RGB or grey"),
+    file_transparent=Message(
+        "{share:.2f} of its pixels are transparent", _LEFT_OUT, "write it without an alpha channel"
+    ),
+    file_rotated=Message(
+        "EXIF orientation {orientation}: readers that follow it show the image rotated or mirrored",
+        _LEFT_OUT,
+        "remove the tag where all images have it (exiftool -Orientation= -overwrite_original)",
+    ),
+    file_preview=Message("a preview, not linear in light", _LEFT_OUT, "none: the composite beside it is read"),
+    file_copy=Message("another file has the same name, time and exposure", _LEFT_OUT, "none"),
+    file_time_pattern=Message("the name does not match {pattern!r}", _LEFT_OUT, "correct --time-pattern"),
+    file_time_unknown=Message("no time in its name, sidecar or EXIF", _LEFT_OUT, "give --time-pattern"),
+    file_sidecar=Message("the sidecar cannot be read: {error}", _LEFT_OUT, 'write {{"time_utc": "…Z"}}'),
+    file_at_night=Message(
+        "the sun was at {zenith_deg:.1f} degrees from the zenith", _LEFT_OUT, "none; or correct --utc-offset"
+    ),
+    worker_died=Message("the process that read it died: {error}", _LEFT_OUT, "open it in another program"),
+    file_size_differs=Message(
+        "image size {width}x{height} px, the camera's is {camera_width}x{camera_height}",
+        _LEFT_OUT,
+        "give images of another size another camera name",
+    ),
+)
+
+
+class RefusedImageError(InputError):
+    """An image that is left out.
+
+    Parameters
+    ----------
+    name : the file, or its part that is wrong.
+    finding : why, of `MESSAGES`.
+    """
+
+    def __init__(self, name: str, finding: Finding) -> None:
+        super().__init__(field=name, problem=MESSAGES.text_of(finding), remedy=MESSAGES.remedy_of(finding))
+        self.finding = finding

@@ -1,0 +1,57 @@
+"""Detection in processes: the same answers in the same order as without, and a process that dies is an answer."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sunarc.detection import Detection
+from sunarc.findings import Finding
+from sunarc.offline.ingest import detection_pool
+from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file
+from sunarc.offline.ingest.detection_pool import detect_in_pool
+
+N_TASKS = 8
+EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]
+
+
+def tasks(folder: Path) -> list[Task]:
+    made = []
+    for number in range(N_TASKS):
+        path = f"{number}.png"
+        size = 40 if number % 5 else 41
+        cv2.imwrite(str(folder / path), np.zeros((size, size), dtype=np.uint8))
+        made.append(Task(path=folder / path, exposure_us=20.0, method="auto", size=(40, 40)))
+    return made
+
+
+def dying(task: Task) -> Answer:
+    """Do as a process does that the kernel ends on one image."""
+    if task.path.name == "2.png":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return detect_in_file(task)
+
+
+def codes(answers: list[Answer]) -> list[str]:
+    return [one.code if isinstance(one, Finding) else one.verdict for one in answers]
+
+
+def test_few_images_are_looked_at_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detection_pool, "_pool", None)
+    here = list(detect_in_pool(tasks(tmp_path), n_tasks=4, processes=2))
+    assert codes(here) == EXPECTED
+    assert all(one.exposure_us == 20.0 for one in here if isinstance(one, Detection))
+
+
+def test_answers_keep_the_order_and_an_image_that_kills_its_process_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detection_pool, "detect_in_file", dying)
+    monkeypatch.setattr(detection_pool, "_AHEAD", 1)
+    answers = list(detect_in_pool(tasks(tmp_path), n_tasks=N_TASKS, processes=2))
+    assert codes(answers) == [*EXPECTED[:2], "worker_died", *EXPECTED[3:]]
