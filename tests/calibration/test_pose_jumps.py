@@ -160,3 +160,10 @@ def test_steps_that_overlap_one_another_count_once() -> None:
     steps = [search.PoseStep(10.0, 20.0, 0.3), search.PoseStep(15.0, 25.0, 0.3), search.PoseStep(20.0, 30.0, 0.1)]
     assert search._distinct(steps) == [steps[0], steps[2]]
     assert search._distinct([]) == []
+
+
+@pytest.mark.parametrize(("row", "expected"), [(1, (100, 103)), (29, (126, 129))])
+def test_places_near_an_end_of_the_record_begin_or_end_with_it(row: int, expected: tuple[int, int]) -> None:
+    turns = np.random.default_rng(2).normal(0.0, 0.003, (30, 3))
+    turns[row:, 2] += 0.4
+    assert search._spans(search._Daily(np.arange(100, 130), turns))[0] == expected

@@ -151,3 +151,18 @@ def test_the_windows_of_cloud_lie_at_the_ends_and_about_the_step(rows: module._R
         assert (at, at + long) in windows
         assert (at - 0.5 * long, at + 0.5 * long) in windows
     assert max(end - begin for begin, end in windows) == 4500.0
+
+
+@pytest.mark.parametrize(("first", "count"), [(8, 5), (20, 4), (3, 7)])
+def test_the_ends_of_an_episode_draw_in_to_what_cloud_drew_aside(rows: module._Rows, first: int, count: int) -> None:
+    residual = 0.1 * np.random.default_rng(6).standard_normal((N, 2))
+    inside = slice(first, first + count)
+    residual[inside] += [2.0, -1.0]
+    model = module._Model(rows=rows, residual=residual, derivatives=np.zeros((N, 2, 1)))
+    for early, late in ((-1, 0), (0, 1), (-1, 1)):  # sightings too many before and after
+        begin, end = (float(rows.unix_s[i]) for i in (first + early, first + count - 1 + late))
+        begun = (Episode(begin - 50.0, end + 50.0, amplitude_px=2.0, time_s=1200.0),)
+        (found,) = module._refined(model, Amplitudes(), begun)
+        covered = np.flatnonzero((rows.unix_s >= found.begin_s) & (rows.unix_s <= found.end_s))
+        assert covered.tolist() == list(range(first, first + count))
+        assert model.log_likelihood(Amplitudes(), (found,)) > model.log_likelihood(Amplitudes(), begun) + 5.0

@@ -124,3 +124,7 @@ def test_eight_and_sixteen_bits_are_raw_frames(image: Image, full_scale: int) ->
 def test_a_sensor_of_which_nothing_else_is_known_is_black_mono_and_not_binned() -> None:
     sensor = Sensor(full_scale=4095, gain_e_per_count=5.0)
     assert (sensor.black_level, sensor.bayer, sensor.blooming, sensor.binning) == (0.0, None, False, 1)
+
+
+def test_a_prediction_without_a_stated_uncertainty_has_two_pixels() -> None:
+    assert Expectation(x_px=5.0, y_px=6.0).uncertainty_px == 2.0

@@ -25,8 +25,8 @@ from sunarc.calibration.initial_guess.multistart import (
 from sunarc.calibration.least_squares.priors import DECENTERING, HIGHER, LENS, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
-from sunarc.optics import PARAMETER_NAMES
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
+from sunarc.optics import PARAMETER_NAMES, rotation_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -54,6 +54,18 @@ def seen(problem: Problem, truth: FloatArray) -> Observations:
 def test_the_indices_of_the_decentering_are_those_of_the_lens() -> None:
     names = [PARAMETER_NAMES[i] for i in LENS]
     assert (names[Whitened.P1], names[Whitened.P3], names[Whitened.P4]) == ("p1", "p3", "p4")
+
+
+def test_a_sighting_beyond_the_angle_that_the_camera_answers_is_missed(
+    problem: Problem, truth: FloatArray, seen: Observations
+) -> None:
+    axis = rotation_matrix(truth[problem.pose_slice(0)])[2]
+    limit = float(np.median(np.arccos(seen.directions @ axis)))
+    distance = distance_sigmas(replace(problem, max_angle=limit), seen, truth)
+    assert np.sum(distance == UNSEEN_PX) == 60
+    beyond = np.arccos(seen.directions @ axis) > limit
+    np.testing.assert_array_equal(distance == UNSEEN_PX, beyond)
+    np.testing.assert_allclose(distance[~beyond], distance_sigmas(problem, seen, truth)[~beyond])
 
 
 def test_distances_are_in_relative_sigmas(problem: Problem, truth: FloatArray, seen: Observations) -> None:

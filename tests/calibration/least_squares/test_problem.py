@@ -141,6 +141,29 @@ def test_the_fit_answers_as_far_as_the_projection_has_angles() -> None:
     assert problem_for(camera, problem.prior, n_epochs=3).n_epochs == 3
 
 
+@pytest.mark.parametrize("limit_deg", [95.0, 120.0])
+def test_directions_beyond_the_angle_that_the_camera_answers_are_told_apart_in_each_epoch(limit_deg: float) -> None:
+    camera = small_camera()
+    level = replace(camera, rotation_cam_enu=(0.0, 0.0, 0.0))
+    tilted = replace(camera, rotation_cam_enu=(math.radians(30.0), 0.0, 0.0))  # the axis leans to the north
+    prior = small_problem(camera).prior
+    problem = problem_for(camera, prior, n_epochs=2, max_angle=math.radians(limit_deg))
+    elevation = np.radians([80.0, 2.0, -4.0, -6.0, 25.0, -31.0])
+    south = np.stack([np.zeros(6), -np.cos(elevation), np.sin(elevation)], axis=-1)
+    for epoch, lean in enumerate((0.0, 30.0)):
+        seen = Observations(
+            directions=south, pixels=np.zeros((6, 2)), information=np.ones(6), epoch=np.full(6, epoch, dtype=np.int64)
+        )
+        off_axis = 90.0 - np.degrees(elevation) + lean
+        beyond = problem.beyond(problem.unknowns([level, tilted]), seen)
+        assert beyond.tolist() == (off_axis > limit_deg).tolist()
+
+
+def test_a_right_angle_off_the_axis_always_counts() -> None:
+    problem = problem_for(small_camera(), small_problem(small_camera()).prior, n_epochs=1, max_angle=0.5)
+    assert problem.max_angle == pytest.approx(math.pi / 2)
+
+
 def test_observations_hold_the_inverse_square_of_the_relative_sigma() -> None:
     times = 1_368_468_000.0 + 600.0 * np.arange(30.0)
     pixels = np.stack([100.0 + 5.0 * np.arange(30.0), 200.0 + 3.0 * np.arange(30.0)], axis=-1)

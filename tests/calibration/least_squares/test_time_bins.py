@@ -110,3 +110,9 @@ def test_the_mean_of_a_bin_has_the_variance_of_its_information() -> None:
         gathered, mean = bins.gathered(data, noise, information)
         means.append(mean[0])
     assert 0.9 < np.var(means) * gathered.information[0] < 1.1
+
+
+def test_a_run_s_first_bin_holds_sixteen_whatever_came_before() -> None:
+    times = np.r_[np.arange(5.0), 86_400.0 + np.arange(40.0)]
+    bins = time_bins(_usable(times, day=np.repeat([0, 1], [5, 40])))
+    assert np.bincount(bins.member).tolist() == [5, 16, 16, 8]

@@ -216,3 +216,16 @@ def test_coverage_of_the_conditioned_errors() -> None:
         after = conditioned(model, at, _seen(residual, variance=0.01))
         inside.append(np.abs(after.mean - truth) < 1.96 * np.sqrt(np.diag(after.covariance)))
     assert 0.93 < np.mean(inside) < 0.97
+
+
+@pytest.mark.parametrize("offset", [-0.05, 0.05])
+def test_a_sighting_is_an_inlier_where_that_is_likelier_by_the_shares(offset: float) -> None:
+    covariance = np.diag([0.5, 0.5])
+    # alone, its leave-one-out prediction is the prior; four of five sightings are true
+    density = float(multivariate_normal(np.zeros(2), 0.54 * np.eye(2)).logpdf([1.0, 0.0]))
+    equal = density + math.log(0.8) - math.log(0.2)
+    beside = np.array([[0.0, 0.0], [1.0, 0.0]])
+    both = Sightings(residual=beside, variance=np.full(2, 0.04), false_density=np.array([-50.0, equal + offset]))
+    apart = np.kron(np.eye(2), covariance)
+    found = fit_inlier_mixture(apart, both, np.ones(2, dtype=bool))
+    assert found.inlier.tolist() == [True, offset < 0.0]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import SelectionOptions, SunPoints, hemisphere, select_sightings
+from sunarc.calibration.selection.selection import _grade
 from sunarc.calibration.selection.sky_grid import sky_patches, solid_angle_sr
 from sunarc.errors import InputError
 from sunarc.sky import Site, sun_directions
@@ -114,3 +115,12 @@ def test_an_empty_record_gives_an_empty_selection() -> None:
 def test_limits_that_leave_nothing_are_refused() -> None:
     with pytest.raises(InputError, match="most_per_patch"):
         SelectionOptions(most_per_patch=0)
+
+
+def test_a_pass_is_graded_by_the_mean_of_its_sigmas_in_powers_of_two() -> None:
+    sigma = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.4, 0.1, 0.4, 0.02, np.nan])
+    member = np.array([0, 0, 0, 0, 0, 1, 2, 2, 3, 4])
+    count = np.bincount(member)
+    # a lone sighting of four times the usual sigma is two grades down, beside a usual one it is one; finer is usual
+    assert _grade(sigma, member, count).tolist() == [0, 2, 1, 0, 0]
+    assert _grade(np.full(10, np.nan), member, count).tolist() == [0, 0, 0, 0, 0]

@@ -129,7 +129,7 @@ def single_problem(
     prior = lens_prior(
         camera, tolerances=options.tolerances, circle=circle, field_angle=field_angle(camera, observed, options)
     )
-    return problem_for(camera, prior, n_epochs=n_epochs)
+    return problem_for(camera, prior, n_epochs=n_epochs, max_angle=math.radians(options.max_angle_deg))
 
 
 def field_angle(camera: Camera, observed: Observations, options: CalibrationOptions) -> float:

@@ -17,7 +17,7 @@ from sunarc.calibration.initial_guess.ransac import ransac_start
 from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
 
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
@@ -116,9 +116,14 @@ def lowest(
 
 
 def distance_sigmas(problem: Problem, observed: Observations, unknowns: FloatArray) -> FloatArray:
-    """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma."""
+    """Return (n,): distances between seen and modelled pixels, px, divided by the sightings' relative sigma.
+
+    A sighting further off the axis than the camera will answer is missed (`UNSEEN_PX`): a camera that is tilted away
+    from part of the sun's track must not win by meeting it where it does not answer.
+    """
     residual = problem.residuals(unknowns, observed)
-    return np.asarray(np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information))
+    distance = np.hypot(residual[:, 0], residual[:, 1]) * np.sqrt(observed.information)
+    return np.where(problem.beyond(unknowns, observed), UNSEEN_PX, distance)
 
 
 def _plain_starts(problem: Problem, observed: Observations, start: FloatArray) -> list[FloatArray]:

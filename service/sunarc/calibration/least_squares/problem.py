@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Camera, Param, angle_limit, project_fast, project_with_rows_fast
+from sunarc.optics import Camera, Param, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import by_direction
 from sunarc.sky import raised, upward
+
+_RIGHT_ANGLE = math.pi / 2
 
 
 def _no_refraction() -> FloatArray:
@@ -78,12 +81,14 @@ class Problem:
     n_epochs : number of poses.
     n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
         one for each cause, in units of `Observations.refraction_sd`.
+    max_angle : rad, how far off the axis the fitted camera will answer; the fit itself has no such limit.
     """
 
     template: Camera
     prior: LensPrior
     n_epochs: int
     n_air: int = 0
+    max_angle: float = math.pi
 
     @property
     def size(self) -> int:
@@ -121,6 +126,15 @@ class Problem:
             predicted[in_epoch] = project_fast(self.camera(unknowns, epoch), directions[in_epoch])
         return finite(observed.pixels - predicted)
 
+    def beyond(self, unknowns: FloatArray, observed: Observations) -> BoolArray:
+        """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
+        cosine = np.empty(len(observed))
+        for epoch in range(self.n_epochs):
+            in_epoch = self._of(epoch, observed)
+            axis = rotation_matrix(unknowns[self.pose_slice(epoch)])[2]
+            cosine[in_epoch] = observed.directions[in_epoch] @ axis
+        return np.asarray(cosine < math.cos(self.max_angle))
+
     def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
         residual = np.empty(observed.pixels.shape)
@@ -154,7 +168,13 @@ def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArr
     return np.asarray(np.einsum("nai,ni->na", by_direction(camera, by_parameters), upward(directions)))
 
 
-def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int) -> Problem:
-    """Return the problem of fitting a camera like the template, at any angle that its projection has."""
+def problem_for(template: Camera, prior: LensPrior, *, n_epochs: int, max_angle: float = math.pi) -> Problem:
+    """Return the problem of fitting a camera like the template, at any angle that its projection has.
+
+    Parameters
+    ----------
+    max_angle : rad, see `Problem`; the sun is always allowed to be a right angle off the axis.
+    """
     widest = angle_limit(template.projection) * (1.0 - 1e-6)
-    return Problem(template=replace(template, max_angle=widest), prior=prior, n_epochs=n_epochs)
+    template = replace(template, max_angle=widest)
+    return Problem(template=template, prior=prior, n_epochs=n_epochs, max_angle=max(max_angle, _RIGHT_ANGLE))
