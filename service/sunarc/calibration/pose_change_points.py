@@ -45,7 +45,7 @@ _GAIN = 40.0
 """What three more unknowns must take from the squares of the residuals, in variances, wherever the move may be."""
 _LEAST_EVIDENCE = 15.0
 """Powers of e by which a move must be likelier than none: a camera is moved about once a year, at one of hundreds of
-sightings of the day (-11.5 together), and the move should then be 20 times as probable as none (3); one of 1,000
+sightings of the day (-11.5 together), and the move should then be 20 times as probable as none (3); none of 1,000
 cameras that stood still reaches it (docs/studies.md)."""
 _MOST = 6
 _FEWEST = 20

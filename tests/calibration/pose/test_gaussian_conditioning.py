@@ -226,6 +226,6 @@ def test_a_sighting_is_an_inlier_where_that_is_likelier_by_the_shares(offset: fl
     equal = density + math.log(0.8) - math.log(0.2)
     beside = np.array([[0.0, 0.0], [1.0, 0.0]])
     both = Sightings(residual=beside, variance=np.full(2, 0.04), false_density=np.array([-50.0, equal + offset]))
-    apart = np.kron(np.eye(2), covariance)
+    apart = np.asarray(np.kron(np.eye(2), covariance), dtype=np.float64)
     found = fit_inlier_mixture(apart, both, np.ones(2, dtype=bool))
     assert found.inlier.tolist() == [True, offset < 0.0]
