@@ -101,6 +101,24 @@ def test_clouds_and_shadows_are_where_the_geometry_puts_them(imager: Imager) -> 
     assert np.all(np.isnan(below.latitude))
 
 
+def test_draws_come_with_their_axis_before_the_shape_of_the_question(imager: Imager) -> None:
+    pixels = np.array([[[700.0, 760.0], [900.0, 500.0]], [[650.0, 700.0], [800.0, 810.0]]])
+    estimated = imager.back_project(pixels)
+    drawn = imager.back_project_draws(pixels, draws=32, seed=5)
+    assert drawn.shape == (32, 2, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=-1), 1.0)
+    spread = np.degrees(np.sqrt(0.5 * np.sum(np.var(drawn, axis=0), axis=-1)))
+    assert np.all((spread / estimated.sigma_deg > 0.5) & (spread / estimated.sigma_deg < 1.7))
+    again = imager.project_draws(drawn[3], draws=32, seed=5)
+    assert again.shape == (32, 2, 2, 2)
+    np.testing.assert_allclose(again[3], pixels, atol=1e-3)
+    clouds, shadows = imager.geolocate_draws(pixels, height_m=1500.0, height_sigma_m=100.0, draws=32, seed=5)
+    assert clouds.shape == shadows.shape == (32, 2, 2, 3)
+    located = imager.geolocate(pixels, height_m=1500.0, height_sigma_m=100.0)[0]
+    wide = np.sqrt(0.5 * np.sum(np.var(clouds[..., :2], axis=0), axis=-1))
+    assert np.all((wide / located.sigma_m > 0.5) & (wide / located.sigma_m < 1.7))
+
+
 def test_the_map_and_the_exports_come_as_they_are(imager: Imager) -> None:
     found = imager.map(sun_radius_deg=5.0)
     told = imager.back_project([[400.0, 900.0]])

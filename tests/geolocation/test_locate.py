@@ -121,3 +121,30 @@ def test_the_doubt_on_the_ground_is_that_of_moved_directions() -> None:
 def agree(one: Located, many: Located) -> None:
     measured = np.cov(many.position_m[:, :2].T)
     np.testing.assert_allclose(measured, one.covariance_m2[0, :2, :2], rtol=0.05, atol=0.005)
+
+
+def test_the_error_of_the_height_is_the_difference_that_it_makes() -> None:
+    low, high = (clouds(SKY[:30], height_m=1500.0 + step, covariance=SURE[:30], site=SITE) for step in (-0.5, 0.5))
+    found = clouds(SKY[:30], height_m=1500.0, covariance=SURE[:30], site=SITE, height_sigma_m=40.0)
+    sun = direction_from_angles(zenith_deg=[35.0], azimuth_deg=[140.0])[0]
+    for at, spread in (
+        ((low, high), found.covariance_m2),
+        ((shadows(low, sun, SITE), shadows(high, sun, SITE)), shadows(found, sun, SITE).covariance_m2),
+    ):
+        shift = 40.0 * (at[1].position_m - at[0].position_m)
+        expected = shift[:, :, None] * shift[:, None, :]
+        scale = np.nanmax(np.abs(expected), axis=(1, 2), keepdims=True)
+        np.testing.assert_allclose(spread / scale, expected / scale, atol=2e-3)
+
+
+def test_the_errors_of_height_and_direction_add_as_independent_ones() -> None:
+    directions, spread = SKY[:5], across(SKY[:5], radius=1e-3)
+    both = clouds(
+        directions, height_m=1500.0, covariance=spread, site=SITE, height_sigma_m=[0.0, 10.0, 20.0, 30.0, 40.0]
+    )
+    alone = clouds(directions, height_m=1500.0, covariance=spread, site=SITE)
+    height = clouds(
+        directions, height_m=1500.0, covariance=SURE[:5], site=SITE, height_sigma_m=[0.0, 10.0, 20.0, 30.0, 40.0]
+    )
+    np.testing.assert_allclose(both.covariance_m2, alone.covariance_m2 + height.covariance_m2, atol=1e-9)
+    assert np.all(height.covariance_m2[0] == 0.0)

@@ -41,10 +41,12 @@ from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, Refit
-from sunarc.calibration import lookup
+from sunarc.calibration import draw_ensemble, lookup
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
 
+_ENSEMBLES = 4
+"""Ensembles that are kept: each of up to 64 draws, 5 MB."""
 _STATIC = FilePath(__file__).parent / "static"
 _WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
 _COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
@@ -84,6 +86,16 @@ def create_app(
         ready=SingleFlightCache(
             lambda record: lookup(archive.model(record.id)),
             key=lambda record: record.id,  # a model never changes under one id
+        ),
+        ensembles=SingleFlightCache(
+            lambda asked: draw_ensemble(
+                archive.model(asked.calibration),
+                draws=asked.draws,
+                seed=asked.seed,
+                calibration_id=asked.calibration,
+            ),
+            key=lambda asked: asked.key,
+            most=_ENSEMBLES,
         ),
         camera=camera,
         site=site,

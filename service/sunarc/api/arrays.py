@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import math
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
@@ -159,22 +160,27 @@ class BytesResponse(Response):
 
 def rows_response(
     rows: Rows,
-    answer: Callable[[Rows], Rows],
+    answers: Sequence[Callable[[Rows], Rows]],
     *,
+    draws: int,
     width: int,
     headers: dict[str, str],
     slot: Callable[[], AbstractAsyncContextManager[None]],
 ) -> PartsResponse:
-    """Answer rows with rows (n, `width`), as a .npy file that is computed while it is being sent."""
-    start = _header(rows.dtype, (rows.shape[0], width))
+    """Answer rows with rows, as a .npy file that is computed while it is being sent.
+
+    Its shape is (n, `width`), the one answer's; with `draws` it is (draws, n, `width`), one answer after the other.
+    """
+    shape = (draws, rows.shape[0], width) if draws else (rows.shape[0], width)
+    start = _header(rows.dtype, shape)
     chunks = [rows[begin : begin + _CHUNK] for begin in range(0, len(rows), _CHUNK)]
 
-    def made(chunk: Rows) -> memoryview:
+    def made(answer: Callable[[Rows], Rows], chunk: Rows) -> memoryview:
         return np.ascontiguousarray(answer(chunk)).data.cast("B")
 
     return PartsResponse(
-        [lambda: start, *(partial(made, chunk) for chunk in chunks)],
-        length=len(start) + rows.shape[0] * width * rows.dtype.itemsize,
+        [lambda: start, *(partial(made, answer, chunk) for answer in answers for chunk in chunks)],
+        length=len(start) + math.prod(shape) * rows.dtype.itemsize,
         media_type=NPY,
         headers=headers,
         slot=slot,
@@ -186,7 +192,7 @@ def bytes_ahead(rows: Rows, width: int) -> int:
     return min(len(rows), (_AHEAD + 1) * _CHUNK) * width * rows.dtype.itemsize
 
 
-def _header(dtype: np.dtype[np.floating], shape: tuple[int, int]) -> bytes:
+def _header(dtype: np.dtype[np.floating], shape: tuple[int, ...]) -> bytes:
     stream = io.BytesIO()
     npy.write_array_header_1_0(stream, {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape})
     return stream.getvalue()

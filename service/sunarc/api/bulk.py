@@ -17,14 +17,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
-from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, rows_response
+from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
 from sunarc.api.compute_slots import ComputeSlots
-from sunarc.api.context import ApiContext
+from sunarc.api.context import ApiContext, Sampling
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Lookup
+from sunarc.calibration import Ensemble, Lookup
 
 RequestModel = TypeVar("RequestModel", bound=BaseModel)
 
@@ -63,6 +63,9 @@ class Computation:
     answer : returns the answer's rows for the request's rows.
     answer_columns : names of the answer's columns.
     as_json : returns the answer's rows as a JSON object.
+    draw : returns the rows of one draw of an ensemble, (n, `draw_columns`), for the request's rows.
+    draw_columns : names of its columns.
+    draws_as_json : returns the rows of all draws, (draws, n, columns), as a JSON object.
     double : answer in double precision whatever the question has.
     """
 
@@ -71,30 +74,42 @@ class Computation:
     answer: Callable[[Answering, Rows], Rows]
     answer_columns: tuple[str, ...]
     as_json: Callable[[Answering, Rows], dict[str, Any]]
+    draw: Callable[[Answering, Ensemble, int, Rows], Rows]
+    draw_columns: tuple[str, ...]
+    draws_as_json: Callable[[FloatArray], dict[str, Any]]
     double: bool = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What a request asks beside its rows: the time, and how many draws of which seed."""
+
+    at: datetime | None
+    draws: int
+    seed: int
+
+
 async def compute(
-    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, at: datetime | None
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
 ) -> Response:
     """Answer a request in kind: JSON with JSON, .npy with .npy."""
     media_type = request.headers.get("content-type", _JSON).partition(";")[0].strip().lower()
     if media_type == NPY:
-        return await _rows(computation, context, slots, request, at)
+        return await _rows(computation, context, slots, request, question)
     if media_type != _JSON:
         fault = Fault(field="content-type", problem=f"{media_type!r} is not read here", remedy=f"send {_JSON} or {NPY}")
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, fault)
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
         # On the event loop only where nothing has to be read or made: that would hold up every other request.
-        ours_now = at is None and not request.path_params["camera"]
+        ours_now = question.at is None and not question.draws and not request.path_params["camera"]
         if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
-            return _json(computation, context, request, body, at)
-        return await run_in_threadpool(_json, computation, context, request, body, at)
+            return _json(computation, context, request, body, question)
+        return await run_in_threadpool(_json, computation, context, request, body, question)
     client = client_network(request.scope)
     slots.require_room(client)
     async with slots.slot(client):
-        answer = await run_in_threadpool(_json, computation, context, request, body, at)
+        answer = await run_in_threadpool(_json, computation, context, request, body, question)
     request.state.holding.grow(len(answer.body))
     return answer
 
@@ -117,6 +132,7 @@ def body_of(schema: str, rows: str) -> dict[str, Any]:
 def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     """Return the description of an answer that may be rows."""
     text = f"What was asked; as .npy, (n, {len(columns)}) in the precision of the question: {', '.join(columns)}."
+    text += " With draws, (draws, n, columns): see Sunarc-Columns."
     headers = {
         "Sunarc-Calibration": {"description": "Id of the calibration that answered.", "schema": {"type": "string"}},
         "Sunarc-Columns": {"description": "Names of the columns of a .npy.", "schema": {"type": "string"}},
@@ -124,33 +140,49 @@ def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
     return {200: {"description": text, "headers": headers, "content": {NPY: {}}}}
 
 
-def _json(
-    computation: Computation, context: ApiContext, request: Request, body: bytes, at: datetime | None
-) -> Response:
+def _json(computation: Computation, context: ApiContext, request: Request, body: bytes, question: Question) -> Response:
     rows = computation.read(body, context.options.max_points)
-    answering = _answering(context, request, at)
+    require_few(len(rows) * question.draws, most=context.options.max_points, field="draws")
+    answering = _answering(context, request, question.at)
     answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
+    if question.draws:
+        ensemble = _ensemble(answering, question)
+        drawn = np.array([computation.draw(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
+        answer["draws"] = computation.draws_as_json(drawn)
     content = to_json(answer, inf_nan_mode="null")
     return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
 
 
 async def _rows(
-    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, at: datetime | None
+    computation: Computation, context: ApiContext, slots: ComputeSlots, request: Request, question: Question
 ) -> Response:
     client = client_network(request.scope)
     slots.require_room(client)
     rows = read_rows(await request.body(), columns=computation.columns, most=context.options.max_rows)
     rows = rows.astype(np.float64) if computation.double else rows
-    width = len(computation.answer_columns)
+    require_few(len(rows) * question.draws, most=context.options.max_rows, field="draws")
+    columns = computation.draw_columns if question.draws else computation.answer_columns
+    width = len(columns)
     request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
-    answering = await run_in_threadpool(_answering, context, request, at)
+    answering = await run_in_threadpool(_answering, context, request, question.at)
+    answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
+    if question.draws:
+        ensemble = await run_in_threadpool(_ensemble, answering, question)
+        answers = [partial(computation.draw, answering, ensemble, draw) for draw in ensemble]
     return rows_response(
         rows,
-        partial(computation.answer, answering),
+        answers,
+        draws=question.draws,
         width=width,
-        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(computation.answer_columns)},
+        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(columns)},
         slot=partial(slots.slot, client),
     )
+
+
+def _ensemble(answering: Answering, question: Question) -> Ensemble:
+    """Return the draws that are asked for."""
+    sampling = Sampling(calibration=answering.record.id, draws=question.draws, seed=question.seed)
+    return answering.context.ensembles.get(sampling)
 
 
 def _answering(context: ApiContext, request: Request, at: datetime | None) -> Answering:

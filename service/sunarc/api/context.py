@@ -15,7 +15,7 @@ from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, Refit
-from sunarc.calibration import Calibration, Lookup
+from sunarc.calibration import Calibration, Ensemble, Lookup
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
@@ -76,6 +76,20 @@ class SingleFlightCache(Generic[Input, Value]):
             return found
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """Which draws of a calibration are asked for: at least one; the seed decides them."""
+
+    calibration: str
+    draws: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Return what makes it another ensemble."""
+        return f"{self.calibration}/{self.seed}/{self.draws}"
+
+
 class DaySites:
     """Cameras' sites in the measured air of a day, as last read; read again after anything was written to the archive.
 
@@ -113,6 +127,7 @@ class ApiContext:
     token: bytes | None = field(repr=False)
     sites: DaySites
     ready: SingleFlightCache[CalibrationRecord, Lookup]
+    ensembles: SingleFlightCache[Sampling, Ensemble]
 
     def of(self, request: Request) -> ApiContext:
         """Return what is served of the camera in a request's path; of this service's own where the path names none."""

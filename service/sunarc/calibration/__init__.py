@@ -2,11 +2,13 @@
 
 `calibrate` the entry · `model` values · `selection` of sightings · `initial_guess`, `least_squares`, `fit` the robust
 fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
-comparison of every sighting with the calibration · `pose_change_points`, `pose_step_search`, `pose_step_evidence`
-pose changes within a record · `reproduce` a stored fit again. The maths: docs/maths.md.
+comparison of every sighting with the calibration · `ensemble` joint draws of the errors · `pose_change_points`,
+`pose_step_search`, `pose_step_evidence` pose changes within a record · `reproduce` a stored fit again. The maths:
+docs/maths.md.
 """
 
 from sunarc.calibration.calibrate import calibrate
+from sunarc.calibration.ensemble import MOST_DRAWS, Ensemble, draw_ensemble
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.least_squares.priors import prior_knowledge
 from sunarc.calibration.model.backward import BackwardModel, back_project, camera_sees, fit_backward
@@ -47,6 +49,7 @@ __all__ = [
     "BACK_PROJECTED",
     "DOUBTFUL_CLOCK_SHARE",
     "MAX_CLOCK_ERROR_S",
+    "MOST_DRAWS",
     "PROJECTED",
     "SCHEMA",
     "BackProjectionMap",
@@ -55,6 +58,7 @@ __all__ = [
     "CalibrationOptions",
     "DayMeasure",
     "DayVerdict",
+    "Ensemble",
     "Field",
     "ImageCircle",
     "LensTolerances",
@@ -83,6 +87,7 @@ __all__ = [
     "decide_day",
     "disagreement",
     "distance_px",
+    "draw_ensemble",
     "estimate_pose",
     "find_image_circle",
     "find_pose_steps",

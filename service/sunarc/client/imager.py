@@ -61,7 +61,7 @@ class Located(NamedTuple):
 
     position_m : (..., 3) metres east, north and up of the camera.
     latitude, longitude, altitude : (...) degrees and metres.
-    sigma_m : (...) 1-sigma per axis on the ground, by the calibration alone.
+    sigma_m : (...) 1-sigma per axis on the ground, by the calibration and the height.
     covariance_m2 : (..., 2, 2) of east and north.
     """
 
@@ -141,8 +141,26 @@ class Imager:
             calibration=calibration,
         )
 
+    def back_project_draws(
+        self, pixels: ArrayLike, *, draws: int, seed: int = 0, at: datetime | None = None
+    ) -> FloatArray:
+        """Return unit vectors (draws, ..., 3) of pixels (..., 2), by draws of an ensemble of possible truths.
+
+        The id of the calibration and the seed decide the draws: errors that are common to all pixels are the same in
+        every question.
+        """
+        rows, _, shape = self._rows("/back-project", pixels, 2, at, draws=draws, seed=seed)
+        return rows[..., 2:5].reshape(draws, *shape, 3)
+
+    def project_draws(
+        self, direction: ArrayLike, *, draws: int, seed: int = 0, at: datetime | None = None
+    ) -> FloatArray:
+        """Return pixels (draws, ..., 2) of vectors (..., 3), by the draws of `back_project_draws`."""
+        rows, _, shape = self._rows("/project", direction, 3, at, draws=draws, seed=seed)
+        return rows.reshape(draws, *shape, 2)
+
     def geolocate(
-        self, pixels: ArrayLike, *, height_m: ArrayLike, at: datetime | None = None
+        self, pixels: ArrayLike, *, height_m: ArrayLike, height_sigma_m: float = 0.0, at: datetime | None = None
     ) -> tuple[Located, Located]:
         """Return where clouds are that pixels (..., 2) see, and where their shadows are.
 
@@ -150,13 +168,30 @@ class Imager:
         ----------
         pixels : (..., 2) px.
         height_m : (...) or one: of the cloud base above the camera's altitude.
+        height_sigma_m : 1-sigma of the height.
         at : gives the calibration and the sun.
         """
-        pixel = np.asarray(pixels, dtype=np.float64)
-        height = np.broadcast_to(np.asarray(height_m, dtype=np.float64), pixel.shape[:-1])
-        points = np.concatenate([pixel, height[..., None]], axis=-1)
-        rows, _, shape = self._rows("/geolocate", points, 3, at)
+        points = _points(pixels, height_m, height_sigma_m)
+        rows, _, shape = self._rows("/geolocate", points, points.shape[-1], at)
         return _located(rows[:, :10], shape), _located(rows[:, 10:], shape)
+
+    def geolocate_draws(
+        self,
+        pixels: ArrayLike,
+        *,
+        height_m: ArrayLike,
+        height_sigma_m: float = 0.0,
+        draws: int,
+        seed: int = 0,
+        at: datetime | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the clouds' and the shadows' positions (draws, ..., 3): metres east, north and up of the camera.
+
+        A draw has one error of the calibration and one of the height for all pixels; `seed` as in `back_project_draws`.
+        """
+        points = _points(pixels, height_m, height_sigma_m)
+        rows, _, shape = self._rows("/geolocate", points, points.shape[-1], at, draws=draws, seed=seed)
+        return rows[..., :3].reshape(draws, *shape, 3), rows[..., 6:9].reshape(draws, *shape, 3)
 
     def calibration(self, *, at: datetime | None = None) -> dict[str, Any]:
         """Return the calibration document."""
@@ -206,16 +241,15 @@ class Imager:
         return columns
 
     def _rows(
-        self, path: str, values: ArrayLike, width: int, at: datetime | None
+        self, path: str, values: ArrayLike, width: int, at: datetime | None, *, draws: int = 0, seed: int = 0
     ) -> tuple[FloatArray, str, tuple[int, ...]]:
         array = np.asarray(values, dtype=np.float64)
         if array.ndim < 1 or array.shape[-1] != width:
             raise ValueError(f"shape {array.shape}: the last dimension has to be {width}")
         stream = io.BytesIO()
         np.save(stream, np.ascontiguousarray(array.reshape(-1, width)), allow_pickle=False)
-        content, headers = self._transport.ask(
-            f"{self._prefix}{path}", {"at": _time(at)}, body=stream.getvalue(), media_type=_NPY
-        )
+        query = {"at": _time(at)} | ({"draws": str(draws), "seed": str(seed)} if draws else {})
+        content, headers = self._transport.ask(f"{self._prefix}{path}", query, body=stream.getvalue(), media_type=_NPY)
         with _expected_content():
             rows = np.asarray(np.load(io.BytesIO(content), allow_pickle=False), dtype=np.float64)
             calibration = headers["Sunarc-Calibration"]
@@ -231,6 +265,14 @@ def _expected_content() -> Iterator[None]:
         yield
     except (ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ImagerError(f"the answer cannot be read: {error}; check the address", status=200) from None
+
+
+def _points(pixels: ArrayLike, height_m: ArrayLike, height_sigma_m: float) -> FloatArray:
+    """Return (..., 3): pixels with the height of the cloud base that they see; (..., 4) where it has a 1-sigma."""
+    pixel = np.asarray(pixels, dtype=np.float64)
+    columns = (height_m, height_sigma_m) if height_sigma_m else (height_m,)
+    broadcast = [np.broadcast_to(np.asarray(one, dtype=np.float64), pixel.shape[:-1])[..., None] for one in columns]
+    return np.concatenate([pixel, *broadcast], axis=-1)
 
 
 def _located(rows: FloatArray, shape: tuple[int, ...]) -> Located:

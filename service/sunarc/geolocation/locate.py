@@ -6,7 +6,7 @@ cloud seen 10 degrees above the horizon by less than 1 % of its distance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +28,7 @@ class Located:
     ----------
     position_m : (n, 3) metres east, north and up of the site; up falls with distance as the Earth curves away.
     geodetic : latitude, longitude, altitude.
-    covariance_m2 : (n, 3, 3) of the position, from the uncertainty of the view direction alone.
+    covariance_m2 : (n, 3, 3) of the position, from the uncertainties of the view direction and of the height.
     """
 
     position_m: FloatArray
@@ -36,7 +36,9 @@ class Located:
     covariance_m2: FloatArray
 
 
-def clouds(directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArray, site: Site) -> Located:
+def clouds(
+    directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArray, site: Site, height_sigma_m: ArrayLike = 0.0
+) -> Located:
     """Return where view directions pass through a cloud base.
 
     Parameters
@@ -45,6 +47,7 @@ def clouds(directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArra
     height_m : (n) or one: of the cloud base above the site's altitude, the same along the curved Earth.
     covariance : (n, 3, 3) of the unit vectors.
     site : where the camera stands.
+    height_sigma_m : (n) or one: 1-sigma of the height, m, independent of the direction's error.
 
     Returns
     -------
@@ -54,7 +57,11 @@ def clouds(directions: FloatArray, *, height_m: ArrayLike, covariance: FloatArra
     with np.errstate(invalid="ignore"):
         valid = (directions[:, 2] > _LEVEL) & (height > 0.0)
     direction = np.where(valid[:, None], directions, np.nan)
-    return _through(np.zeros_like(direction), direction, site.altitude + height, covariance, site)
+    sigma = np.broadcast_to(np.asarray(height_sigma_m, dtype=np.float64), height.shape)
+    found = _through(np.zeros_like(direction), direction, site.altitude + height, covariance, site)
+    # a higher base is met further along the ray, which rises by the cosine of its angle to the vertical there
+    shift = direction * (sigma / np.sum(direction * found.geodetic.up, axis=-1))[:, None]
+    return replace(found, covariance_m2=found.covariance_m2 + shift[:, :, None] * shift[:, None, :])
 
 
 def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:

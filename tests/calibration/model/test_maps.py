@@ -84,8 +84,8 @@ def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
     """What numba runs cannot be traced: the same source is run by the interpreter."""
     constants, rings, spokes = ready.table.constants, 96, 192
     for x, y in [(315.0, 243.0), (400.0, 100.0), (200.0, 350.0), (315.2, 300.0), (639.0, 479.0)]:
-        compiled = module._ring_and_spoke(constants, rings, spokes, ready.rings_per_radius, x, y)
-        plain = module._ring_and_spoke.py_func(constants, rings, spokes, ready.rings_per_radius, x, y)
+        compiled = module.ring_and_spoke(constants, rings, spokes, ready.rings_per_radius, x, y)
+        plain = module.ring_and_spoke.py_func(constants, rings, spokes, ready.rings_per_radius, x, y)
         np.testing.assert_allclose(compiled, plain, rtol=1e-12)
         assert 0.0 <= plain[0] <= rings - 1.0
         assert 0.0 <= plain[1] <= spokes
@@ -95,7 +95,7 @@ def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
 
 @pytest.mark.parametrize("place", [0.0, 0.3, 5.5, 93.999, 94.0, 95.0])
 def test_the_weights_of_a_cubic_spline(place: float) -> None:
-    node, *weights = module._weights.py_func(place, 94)
+    node, *weights = module.spline_weights.py_func(place, 94)
     assert sum(weights) == pytest.approx(1.0)
     # a cubic B-spline reproduces lines: nodes -1, 0, 1, 2 about the place
     assert sum(w * (node + k - 1.0) for k, w in enumerate(weights)) == pytest.approx(place)
@@ -110,7 +110,7 @@ def test_a_place_is_the_polar_one_of_an_ideal_lens() -> None:
     for angle_deg, radius in [(10.0, 0.5), (200.0, 1.2), (350.0, 0.02)]:
         turn = math.radians(angle_deg)
         x, y = 319.5 + 200.0 * radius * math.cos(turn), 239.5 + 200.0 * radius * math.sin(turn)
-        ring, spoke = module._ring_and_spoke.py_func(ready.table.constants, 96, 192, ready.rings_per_radius, x, y)
+        ring, spoke = module.ring_and_spoke.py_func(ready.table.constants, 96, 192, ready.rings_per_radius, x, y)
         assert ring == pytest.approx(radius * ready.rings_per_radius, rel=1e-6)
         assert spoke == pytest.approx(angle_deg * 192.0 / 360.0, rel=1e-6)
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import ideal_camera
 
-from sunarc.calibration.model.direction_table import _RINGS, _SPOKES, _in_image, _ring_and_spoke, _spline, _weights
+from sunarc.calibration.model.direction_table import (
+    _RINGS,
+    _SPOKES,
+    _in_image,
+    polar_spline,
+    ring_and_spoke,
+    spline_weights,
+)
 from sunarc.optics.fast import inverse_table
 
 CONSTANTS = inverse_table(ideal_camera()).constants
@@ -19,19 +26,19 @@ RINGS, SPOKES = 20, 36
 def test_the_spoke_is_the_angle_about_the_principal_point_from_0_to_below_all(angle_deg: float) -> None:
     angle = math.radians(angle_deg)
     x, y = 319.5 + 80.0 * math.cos(angle), 239.5 + 80.0 * math.sin(angle)
-    ring, spoke = _ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, x, y)
+    ring, spoke = ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, x, y)
     assert ring == pytest.approx(80.0 / 200.0 * 10.0)
     assert spoke == pytest.approx(angle_deg / 10.0, abs=1e-9)
     assert 0.0 <= spoke < SPOKES
 
 
 def test_beyond_the_last_ring_the_last_one_answers() -> None:
-    assert _ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, 319.5 + 1e4, 239.5)[0] == RINGS - 1.0
+    assert ring_and_spoke(CONSTANTS, RINGS, SPOKES, 10.0, 319.5 + 1e4, 239.5)[0] == RINGS - 1.0
 
 
 @pytest.mark.parametrize("place", [0.0, 0.25, 3.5, 6.999, 7.0])
 def test_the_weights_are_those_of_a_cubic_b_spline(place: float) -> None:
-    node, *weights = _weights(place, 6)
+    node, *weights = spline_weights(place, 6)
     t = place - node
 
     def b_spline(u: float) -> float:
@@ -52,7 +59,7 @@ def test_the_image_reaches_to_the_outer_edges_of_its_pixels(x: float, y: float, 
 def test_the_spline_passes_through_its_sheet() -> None:
     ring, spoke = np.mgrid[:_RINGS, :_SPOKES]
     sheet = 2.0 + (ring / _RINGS) ** 2 * np.cos(2.0 * math.pi * spoke / _SPOKES)
-    c = _spline(sheet)
+    c = polar_spline(sheet)
     assert c.shape == (_RINGS + 2, _SPOKES + 3)
     across = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
     through = (across[:, :-3] + 4.0 * across[:, 1:-2] + across[:, 2:-1]) / 6.0

@@ -9,15 +9,15 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, body_of, compute, parsed_body, row_responses
+from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, parsed_body, row_responses
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
-from sunarc.api.schemas.parameters import At
+from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
-from sunarc.calibration import BACK_PROJECTED, PROJECTED
-from sunarc.sky import direction_from_angles
+from sunarc.calibration import BACK_PROJECTED, PROJECTED, Ensemble
+from sunarc.sky import angles_from_direction, direction_from_angles
 
 
 def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
@@ -31,9 +31,9 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         responses=row_responses(BACK_PROJECTED) | failures,
         openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
     )
-    async def back_project(request: Request, at: At = None) -> Response:
+    async def back_project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Tell where pixels look, and how sure that is, now or at the moment `at`."""
-        return await compute(_BACK_PROJECTION, context, slots, request, at)
+        return await compute(_BACK_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     @routes.post(
         "/project",
@@ -41,9 +41,9 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         responses=row_responses(PROJECTED) | failures,
         openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),
     )
-    async def project(request: Request, at: At = None) -> Response:
+    async def project(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Tell where directions land, and how sure that is, now or at the moment `at`."""
-        return await compute(_PROJECTION, context, slots, request, at)
+        return await compute(_PROJECTION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     return routes
 
@@ -87,9 +87,41 @@ def _back_project(answering: Answering, pixels: Rows) -> Rows:
 
 
 def _project(answering: Answering, vectors: Rows) -> Rows:
+    return answering.ready.project(_unit(vectors))
+
+
+def _unit(vectors: Rows) -> FloatArray:
+    """Return the unit vectors (n, 3) of vectors of any length, in their precision."""
     with np.errstate(all="ignore"):  # a vector of length 0 has no direction, and its pixel no number
         scaled = vectors / np.max(np.abs(vectors), axis=-1, keepdims=True)  # squares of tiny or huge ones would fail
-        return answering.ready.project(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+        return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+
+
+def _draw_directions(_answering: Answering, ensemble: Ensemble, draw: int, pixels: Rows) -> Rows:
+    directions = ensemble.back_project(draw, np.asarray(pixels, dtype=np.float64))
+    angles = np.stack(angles_from_direction(directions), axis=-1)
+    return _as_precise(np.concatenate([angles, directions], axis=1), pixels)
+
+
+def _draw_pixels(_answering: Answering, ensemble: Ensemble, draw: int, vectors: Rows) -> Rows:
+    return _as_precise(ensemble.project(draw, _unit(np.asarray(vectors, dtype=np.float64))), vectors)
+
+
+def _as_precise(rows: FloatArray, question: Rows) -> Rows:
+    """Return rows in the precision of the question."""
+    return rows.astype(np.float32) if question.dtype == np.float32 else rows
+
+
+def _direction_draws_json(drawn: FloatArray) -> dict[str, Any]:
+    return {
+        "zenith_deg": drawn[..., 0].tolist(),
+        "azimuth_deg": drawn[..., 1].tolist(),
+        "direction_enu": [finite_rows(rows[:, 2:5]) for rows in drawn],
+    }
+
+
+def _pixel_draws_json(drawn: FloatArray) -> dict[str, Any]:
+    return {"pixels": [finite_rows(rows) for rows in drawn]}
 
 
 def _pixels_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
@@ -103,8 +135,22 @@ def _pixels_json(_answering: Answering, rows: Rows) -> dict[str, Any]:
 
 
 _BACK_PROJECTION = Computation(
-    read=read_pixels, columns=(2,), answer=_back_project, answer_columns=BACK_PROJECTED, as_json=_directions_json
+    read=read_pixels,
+    columns=(2,),
+    answer=_back_project,
+    answer_columns=BACK_PROJECTED,
+    as_json=_directions_json,
+    draw=_draw_directions,
+    draw_columns=BACK_PROJECTED[:5],
+    draws_as_json=_direction_draws_json,
 )
 _PROJECTION = Computation(
-    read=_read_directions, columns=(3,), answer=_project, answer_columns=PROJECTED, as_json=_pixels_json
+    read=_read_directions,
+    columns=(3,),
+    answer=_project,
+    answer_columns=PROJECTED,
+    as_json=_pixels_json,
+    draw=_draw_pixels,
+    draw_columns=PROJECTED[:2],
+    draws_as_json=_pixel_draws_json,
 )

@@ -9,14 +9,15 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, body_of, compute, parsed_body, row_responses
+from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, parsed_body, row_responses
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.directions import finite_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
-from sunarc.api.schemas.parameters import At
+from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
+from sunarc.calibration import Ensemble
 from sunarc.geolocation import Located, clouds, shadows
 from sunarc.sky import sun_angles, sun_directions
 
@@ -44,11 +45,13 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         "/geolocate",
         response_model=GeolocateAnswer,
         responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
-        openapi_extra=body_of("GeolocateRequest", "(n, 3) x, y in px and the cloud base's height in m."),
+        openapi_extra=body_of(
+            "GeolocateRequest", "(n, 3) x, y in px, cloud base height in m; or (n, 4) with the height's 1-sigma in m."
+        ),
     )
-    async def geolocate(request: Request, at: At = None) -> Response:
+    async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
         """Tell where clouds of a given height and their shadows are, now or at the moment `at`, and how sure."""
-        return await compute(_GEOLOCATION, context, slots, request, at)
+        return await compute(_GEOLOCATION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     return routes
 
@@ -57,10 +60,12 @@ def _read(body: bytes, most: int) -> FloatArray:
     request = parsed_body(GeolocateRequest, body)
     if request.points is not None:
         require_few(len(request.points), most=most, field="points")
-        return np.array(request.points, dtype=np.float64).reshape(-1, 3)
-    pixels = np.array(request.pixels or [], dtype=np.float64).reshape(-1, 2)
-    require_few(len(pixels), most=most, field="pixels")
-    return np.concatenate([pixels, np.full((len(pixels), 1), request.height_m)], axis=1)
+        points = np.array(request.points, dtype=np.float64).reshape(-1, 3)
+    else:
+        pixels = np.array(request.pixels or [], dtype=np.float64).reshape(-1, 2)
+        require_few(len(pixels), most=most, field="pixels")
+        points = np.concatenate([pixels, np.full((len(pixels), 1), request.height_m)], axis=1)
+    return np.concatenate([points, np.full((len(points), 1), request.height_sigma_m)], axis=1)
 
 
 def _locate(answering: Answering, points: Rows) -> Rows:
@@ -68,9 +73,32 @@ def _locate(answering: Answering, points: Rows) -> Rows:
     directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
-        cloud = clouds(directions, height_m=exact[:, 2], covariance=covariance, site=site)
+        cloud = clouds(
+            directions, height_m=exact[:, 2], covariance=covariance, site=site, height_sigma_m=_height_sigma(exact)
+        )
         shadow = shadows(cloud, sun_directions(answering.time.timestamp(), site), site)
         return np.concatenate([_row(cloud), _row(shadow)], axis=1)
+
+
+def _height_sigma(points: FloatArray) -> FloatArray:
+    """Return (n,): 1-sigma of the heights, m; 0 where none is given."""
+    return points[:, 3] if points.shape[1] > 3 else np.zeros(len(points))
+
+
+def _draw_places(answering: Answering, ensemble: Ensemble, draw: int, points: Rows) -> Rows:
+    """Return (n, 12): clouds and shadows by one draw; its heights are off by one number of sigmas, all to one side."""
+    site, exact = answering.context.site_at(answering.time), np.asarray(points, dtype=np.float64)
+    directions = ensemble.back_project(draw, exact[:, :2])
+    height = exact[:, 2] + ensemble.common[draw] * _height_sigma(exact)
+    with np.errstate(all="ignore"):  # what has no place is answered with null
+        cloud = clouds(directions, height_m=height, covariance=np.zeros((len(exact), 3, 3)), site=site)
+        shadow = shadows(cloud, sun_directions(answering.time.timestamp(), site), site)
+        return np.concatenate([_row(cloud)[:, :6], _row(shadow)[:, :6]], axis=1)
+
+
+def _place_draws_json(drawn: FloatArray) -> dict[str, Any]:
+    parts = {"cloud": drawn[..., :6], "shadow": drawn[..., 6:]}
+    return {part: {name: rows[..., k].tolist() for k, name in enumerate(_OF_ONE[:6])} for part, rows in parts.items()}
 
 
 def _row(found: Located) -> FloatArray:
@@ -108,5 +136,13 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
 
 
 _GEOLOCATION = Computation(
-    read=_read, columns=(3,), answer=_locate, answer_columns=LOCATED, as_json=_geolocation_json, double=True
+    read=_read,
+    columns=(3, 4),
+    answer=_locate,
+    answer_columns=LOCATED,
+    as_json=_geolocation_json,
+    draw=_draw_places,
+    draw_columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
+    draws_as_json=_place_draws_json,
+    double=True,
 )

@@ -36,6 +36,24 @@ class BackProjectRequest(Body):
     pixels: list[Pixel] = Field(description="(n, 2) px.", examples=[[[871.96, 883.0], [400.0, 912.5]]])
 
 
+class DirectionDraws(BaseModel):
+    """Where pixels look by each draw, the first axis; null where no direction lands on the pixel."""
+
+    zenith_deg: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[0.21], [0.22]]])
+    azimuth_deg: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[140.2], [140.9]]])
+    direction_enu: list[list[Unit | None]] = Field(
+        description="(draws, n) unit vectors, east-north-up.", examples=[[[[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]]]]
+    )
+
+
+class PixelDraws(BaseModel):
+    """Where directions land by each draw, the first axis; null outside the camera's field."""
+
+    pixels: list[list[Pair | None]] = Field(
+        description="(draws, n) x, y in px.", examples=[[[[400.0, 912.5]], [[400.1, 912.4]]]]
+    )
+
+
 class BackProjectAnswer(BaseModel):
     """Where pixels look. null where no direction lands on the pixel: outside the field there is no number."""
 
@@ -47,6 +65,7 @@ class BackProjectAnswer(BaseModel):
     )
     sigma_deg: Answers = Field(description="1-sigma per axis on the sphere, degrees.", examples=[[0.002, 0.003]])
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True, True]])
+    draws: DirectionDraws | None = Field(default=None, description="Present where draws were asked for.")
 
 
 _TWO_WAYS: tuple[JsonDict, ...] = (
@@ -106,6 +125,7 @@ class ProjectAnswer(BaseModel):
         description="Covariance of x and y, px².", examples=[[[[0.0016, 0.0], [0.0, 0.0016]]]]
     )
     inside: list[bool] = Field(description="Within the image and the camera's field.", examples=[[True]])
+    draws: PixelDraws | None = Field(default=None, description="Present where draws were asked for.")
 
 
 class Sun(BaseModel):

@@ -10,6 +10,9 @@ from sunarc.api.schemas.parameters import Answers, Number, Pair, Pixel
 from sunarc.json_fields import Time, described
 
 Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
+HeightSigma = Annotated[
+    Number, Field(ge=0.0, le=10_000.0, description="1-sigma of the height, the same error for all points, m.")
+]
 Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x, y in px, cloud base height in m.")]
 
 
@@ -48,6 +51,8 @@ class GeolocateRequest(BaseModel):
         examples=[[[400.0, 912.5, 1500.0]]],
     )
 
+    height_sigma_m: HeightSigma = Field(default=0.0, examples=[100.0])
+
     @model_validator(mode="after")
     def _one_way(self) -> GeolocateRequest:
         if (self.pixels is None, self.height_m is None) == (self.points is not None,) * 2:
@@ -74,12 +79,30 @@ class Places(BaseModel):
     longitude: Answers = Field(description="Degrees, east positive, WGS 84.", examples=[[-97.4714]])
     altitude: Answers = Field(description="Metres, on the same scale as the camera's.", examples=[[1818.0]])
     sigma_m: Answers = Field(
-        description="1-sigma per axis on the ground, by the calibration alone, m.", examples=[[0.2]]
+        description="1-sigma per axis on the ground, by the calibration and the height, m.", examples=[[0.2]]
     )
     covariance_m2: list[Annotated[list[Pair], Field(min_length=2, max_length=2)] | None] = Field(
-        description="Covariance of east and north, by the calibration alone, square metres.",
+        description="Covariance of east and north, by the calibration and the height, square metres.",
         examples=[[[[0.04, 0.0], [0.0, 0.04]]]],
     )
+
+
+class PlaceDraws(BaseModel):
+    """Where clouds, or shadows, are by each draw, the first axis; null where there is no place."""
+
+    east_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[1204.1], [1204.5]]])
+    north_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[-310.7], [-310.2]]])
+    up_m: list[Answers] = Field(description="(draws, n) metres.", examples=[[[1499.8], [1499.8]]])
+    latitude: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[36.6012], [36.6012]]])
+    longitude: list[Answers] = Field(description="(draws, n) degrees.", examples=[[[-97.4714], [-97.4714]]])
+    altitude: list[Answers] = Field(description="(draws, n) metres.", examples=[[[1818.0], [1818.0]]])
+
+
+class GeolocateDraws(BaseModel):
+    """Clouds and shadows by each draw of the calibration and of the height."""
+
+    cloud: PlaceDraws = Field(description="Where the clouds are.")
+    shadow: PlaceDraws = Field(description="Where their shadows are.")
 
 
 class GeolocateAnswer(BaseModel):
@@ -90,3 +113,4 @@ class GeolocateAnswer(BaseModel):
     sun: SunPlace = Field(description="Where the sun stands, degrees.")
     cloud: Places = Field(description="Where the clouds are, metres and degrees.")
     shadow: Places = Field(description="Where their shadows are, metres and degrees.")
+    draws: GeolocateDraws | None = Field(default=None, description="Present where draws were asked for.")

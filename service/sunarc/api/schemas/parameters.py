@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from fastapi import Header, Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
+from sunarc.calibration import MOST_DRAWS
 from sunarc.json_fields import EXAMPLE_TIME, Time, described
 
 MOST_ROWS = 10_000
@@ -49,6 +50,18 @@ class Body(BaseModel):
 
 
 At = Annotated[Time | None, Query(description="The time to answer for; now where not given.", examples=[EXAMPLE_TIME])]
+Draws = Annotated[
+    int,
+    Query(
+        ge=0,
+        le=MOST_DRAWS,
+        description="Draws of an ensemble of possible truths to answer with too, as likely as the uncertainty says.",
+        examples=[16],
+    ),
+]
+Seed = Annotated[
+    int, Query(ge=0, lt=2**32, description="With the calibration's id it decides the draws.", examples=[1])
+]
 Since = Annotated[Time | None, Query(description="From then on.", examples=[EXAMPLE_TIME])]
 Until = Annotated[Time | None, Query(description="Before then.", examples=[EXAMPLE_TIME])]
 IfNoneMatch = Annotated[

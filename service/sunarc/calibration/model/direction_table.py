@@ -94,13 +94,13 @@ def lookup(calibration: Uncertain) -> Lookup:
     table = inverse_table(camera)
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
     azimuth = np.linspace(0.0, 2.0 * math.pi, _SPOKES, endpoint=False)
-    covariance, sigma = uncertainties(calibration, _directions(table, radius, azimuth))
+    covariance, sigma = uncertainties(calibration, polar_directions(table, radius, azimuth))
     # the Cholesky factor is smooth where the covariance is, and any spline of it is positive definite
     xx = np.sqrt(np.maximum(covariance[:, 0, 0], 1e-12))
     yx = covariance[:, 1, 0] / xx
     yy = np.sqrt(np.maximum(covariance[:, 1, 1] - yx**2, 0.0))
     sheets = np.stack([xx, yx, yy, sigma], axis=-1).reshape(_RINGS, _SPOKES, 4)
-    splines = np.stack([_spline(sheets[..., k]) for k in range(4)], axis=-1)
+    splines = np.stack([polar_spline(sheets[..., k]) for k in range(4)], axis=-1)
     return Lookup(
         camera=camera,
         table=table,
@@ -110,7 +110,7 @@ def lookup(calibration: Uncertain) -> Lookup:
     )
 
 
-def _directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
+def polar_directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) -> FloatArray:
     """Return unit vectors (rings · spokes, 3) that the lens without its decentering brings to these places."""
     position = np.minimum(radius * table.constants.per_radius, len(table.pieces) - 1e-9)
     piece = position.astype(np.int64)
@@ -125,11 +125,15 @@ def _directions(table: InverseTable, radius: FloatArray, azimuth: FloatArray) ->
     return np.asarray(ray.reshape(-1, 3) @ table.rotation)
 
 
-def _spline(sheet: FloatArray) -> FloatArray:
-    """Return coefficients for rings -1 … rings and spokes -1 … spokes + 1 (they go round)."""
+def polar_spline(sheet: FloatArray) -> FloatArray:
+    """Return spline coefficients of values (rings, spokes) for rings -1 … rings and spokes -1 … spokes + 1.
+
+    The first ring is the axis, and the spokes go round. Where a value is not finite the largest one stands for it.
+    """
+    rings, spokes = sheet.shape
     sheet = np.where(np.isfinite(sheet), sheet, np.nanmax(sheet, initial=0.0))
     # through the axis a ray goes on at the opposite azimuth: the spline needs no edge there
-    inner = np.roll(sheet[1 : _PADDING + 1], _SPOKES // 2, axis=1)[::-1]  # beyond the axis is the other side
+    inner = np.roll(sheet[1 : _PADDING + 1], spokes // 2, axis=1)[::-1]  # beyond the axis is the other side
     outer = sheet
     for _ in range(_PADDING):
         # cubic continuation beyond the last ring: a mirrored edge would bend the spline there
@@ -137,7 +141,7 @@ def _spline(sheet: FloatArray) -> FloatArray:
         outer = np.concatenate([outer, extrapolated[None]])
     along = spline_filter1d(np.concatenate([inner, outer]), order=3, axis=0, mode="mirror")
     around = spline_filter1d(along, order=3, axis=1, mode="grid-wrap")
-    inner_part = around[_PADDING - 1 : _PADDING + _RINGS + 1]
+    inner_part = around[_PADDING - 1 : _PADDING + rings + 1]
     return np.concatenate([inner_part[:, -1:], inner_part, inner_part[:, :2]], axis=1)
 
 
@@ -153,10 +157,10 @@ def _in_chunks(rows: Rows, answer: Callable[[FloatArray], FloatArray]) -> Rows:
 
 
 @njit(nogil=True)
-def _ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
+def ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
     constants: InverseConstants, rings: int, spokes: int, rings_per_radius: float, x: float, y: float
 ) -> tuple[float, float]:
-    """Return the ring and the spoke of a pixel, the decentering taken out to first order."""
+    """Return the ring and the spoke (real numbers) of a pixel, the decentering taken out to first order."""
     x_hat, y_hat = calibrated_of(constants, x, y)
     shift_x, shift_y = decentering_of(constants, x_hat, y_hat)
     x_hat, y_hat = x_hat - shift_x, y_hat - shift_y
@@ -166,7 +170,7 @@ def _ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _weights(position: float, last: int) -> tuple[int, float, float, float, float]:
+def spline_weights(position: float, last: int) -> tuple[int, float, float, float, float]:
     """Return the first of four nodes and the weights of a cubic spline."""
     node = min(int(position), last)
     s = position - node
@@ -198,9 +202,9 @@ def _write_angles(  # noqa: PLR0917 - compiled functions take positions
             result[i, :6] = np.nan
             result[i, 6] = 0.0
             continue
-        ring, spoke = _ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
-        a, a0, a1, a2, a3 = _weights(ring, rings - 2)
-        b, b0, b1, b2, b3 = _weights(spoke, spokes - 1)
+        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
+        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
+        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
         total = 0.0
         for k, weight in enumerate((a0, a1, a2, a3)):
             row = sheet[a + k]
@@ -228,9 +232,9 @@ def _write_pixels(  # noqa: PLR0917 - compiled functions take positions
             result[i, :6] = np.nan
             result[i, 6] = 0.0
             continue
-        ring, spoke = _ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
-        a, a0, a1, a2, a3 = _weights(ring, rings - 2)
-        b, b0, b1, b2, b3 = _weights(spoke, spokes - 1)
+        ring, spoke = ring_and_spoke(constants, rings, spokes, rings_per_radius, x, y)
+        a, a0, a1, a2, a3 = spline_weights(ring, rings - 2)
+        b, b0, b1, b2, b3 = spline_weights(spoke, spokes - 1)
         xx, yx, yy = 0.0, 0.0, 0.0
         for k, along in enumerate((a0, a1, a2, a3)):
             for m, around in enumerate((b0, b1, b2, b3)):
