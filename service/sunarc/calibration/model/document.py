@@ -221,7 +221,9 @@ def _size(key: str, value: float) -> int:
 
 def _read_field(read: _Reader, size: int) -> Field:
     key = "uncertainty.field"
-    orders = np.array(read.items(f"{key}.orders"), dtype=np.int64).reshape(-1, 2)
+    orders = read.array(f"{key}.orders", (len(read.items(f"{key}.orders")), 2)).astype(np.int64)
+    if np.any(orders < 1):
+        raise InputError(field=f"{key}.orders", problem="a number below 1", remedy="give numbers of half waves")
     center, half = read.numbers(f"{key}.center_px", 2), read.numbers(f"{key}.half_px", 2)
     return Field(
         amplitude_px=read.number(f"{key}.amplitude_px"),

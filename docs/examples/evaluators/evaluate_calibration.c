@@ -1,0 +1,86 @@
+/* Evaluates a calibration (docs/model.md) whose numbers were written one a line by
+
+     jq -r '[.image.width, (if .image.mirrored then 1 else 0 end),
+             (["perspective", "equidistant", "equisolid", "stereographic", "orthographic"] | index($p)),
+             .model.focal_length_px, .model.skew_px, .model.principal_point_px, .model.rotation_cam_enu,
+             .model.translation, .model.radial, .model.decentering, .model.max_angle_deg,
+             .backward_model.radial, .backward_model.decentering] | flatten[]' \
+        --arg p "$(jq -r .model.projection calibration.json)" calibration.json > calibration.txt
+
+   cc -O2 evaluate_calibration.c -lm -o evaluate && ./evaluate calibration.txt < questions
+   A question of two numbers (p X Y) is answered with east north up, one of three (d EAST NORTH UP) with x y. */
+#include <math.h>
+#include <stdio.h>
+
+static double n[40]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 */
+enum { F = 3, SKEW = 5, CENTER = 6, ROTATION = 8, SHIFT = 11, RADIAL = 14, P = 22, MOST = 26, BACK = 27, Q = 35 };
+
+static double ideal(double x, int inverse) {
+    switch ((int)n[2]) {
+    case 0: return inverse ? atan(x) : tan(x);
+    case 1: return x;
+    case 2: return inverse ? 2 * asin(x / 2) : 2 * sin(x / 2);
+    case 3: return inverse ? 2 * atan(x / 2) : 2 * tan(x / 2);
+    default: return inverse ? asin(x) : sin(x);
+    }
+}
+
+static double polynomial(const double *k, double x) { /* k2 x^2 + ... + k9 x^9 */
+    double sum = 0;
+    for (int i = 7; i >= 0; i--) sum = sum * x + k[i];
+    return sum * x * x;
+}
+
+static void decenter(const double *c, int higher, double r, double x, double y, double *d) {
+    double u = r > 0 ? x / r : 1, v = r > 0 ? y / r : 0, g = 0;
+    for (int i = higher; i >= 1; i--) g = (g + c[1 + i]) * r * r;
+    g = (1 + g) * r * r;
+    d[0] = g * (c[0] * (1 + 2 * u * u) + 2 * c[1] * u * v);
+    d[1] = g * (2 * c[0] * u * v + c[1] * (1 + 2 * v * v));
+}
+
+static void rotation(double R[3][3]) { /* of the rotation vector (Rodrigues) */
+    const double *w = n + ROTATION, angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), s = angle > 0 ? angle : 1;
+    const double a[3] = {w[0] / s, w[1] / s, w[2] / s}, c = cos(angle), t = sin(angle);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            R[i][j] = (i == j) * c + (1 - c) * a[i] * a[j] + (i == j ? 0 : ((j - i + 3) % 3 == 1 ? -t : t) * a[3 - i - j]);
+}
+
+static void project(const double *d, double *pixel) {
+    double R[3][3], ray[3], e[2];
+    rotation(R);
+    for (int i = 0; i < 3; i++) ray[i] = R[i][0] * d[0] + R[i][1] * d[1] + R[i][2] * d[2] + n[SHIFT + i];
+    double across = hypot(ray[0], ray[1]), theta = atan2(across, ray[2]), half = acos(-1) / 2;
+    if (theta > n[MOST] * half / 90) { pixel[0] = pixel[1] = NAN; return; }
+    double r = ideal(theta, 0) + polynomial(n + RADIAL, theta / half), q = across > 0 ? r / across : 0;
+    double x = q * ray[0], y = q * ray[1];
+    decenter(n + P, 2, r, x, y, e);
+    pixel[1] = n[F + 1] * (y + e[1]) + n[CENTER + 1];
+    pixel[0] = n[F] * (x + e[0]) + n[SKEW] * (y + e[1]) + n[CENTER];
+    if (n[1]) pixel[0] = n[0] - 1 - pixel[0];
+}
+
+static void back_project(const double *pixel, double *d) { /* closed form */
+    double R[3][3], e[2], px = n[1] ? n[0] - 1 - pixel[0] : pixel[0];
+    double y = (pixel[1] - n[CENTER + 1]) / n[F + 1], x = (px - n[CENTER] - n[SKEW] * y) / n[F], r = hypot(x, y);
+    decenter(n + Q, 3, r, x, y, e);
+    x -= e[0], y -= e[1];
+    double adjusted = hypot(x, y), theta = ideal(adjusted - polynomial(n + BACK, r), 1);
+    double s = adjusted > 0 ? sin(theta) / adjusted : 0, ray[3] = {s * x, s * y, cos(theta)};
+    rotation(R);
+    for (int i = 0; i < 3; i++) d[i] = R[0][i] * ray[0] + R[1][i] * ray[1] + R[2][i] * ray[2];
+}
+
+int main(int count, char **names) {
+    FILE *file = count == 2 ? fopen(names[1], "r") : NULL;
+    double in[3], out[3];
+    char kind;
+    for (int i = 0; i < 40; i++)
+        if (!file || fscanf(file, "%lf", n + i) != 1) return fprintf(stderr, "give a file of 40 numbers\n"), 2;
+    while (scanf(" %c %lf %lf", &kind, in, in + 1) == 3) {
+        if (kind == 'p') back_project(in, out), printf("%.17g %.17g %.17g\n", out[0], out[1], out[2]);
+        else if (scanf("%lf", in + 2) == 1) project(in, out), printf("%.17g %.17g\n", out[0], out[1]);
+    }
+    return 0;
+}

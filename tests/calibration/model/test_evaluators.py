@@ -1,0 +1,290 @@
+"""What a reader of the calibration document needs: evaluators of four languages, and the JSON Schema."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jsonschema_rs
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.fixtures.calibration import random_covariance, stated_calibration
+
+from sunarc.calibration import (
+    Calibration,
+    back_project,
+    fit_backward,
+    from_document,
+    hemisphere,
+    project_with_covariance,
+    to_document,
+)
+from sunarc.errors import InputError
+from sunarc.optics import PARAMETER_NAMES, Camera, project
+
+FloatArray = NDArray[np.float64]
+DOCS = Path(__file__).parents[3] / "docs"
+EVALUATORS = DOCS / "examples" / "evaluators"
+NAMES = tuple(name for name in PARAMETER_NAMES if not name.startswith("translation"))
+PROJECTIONS = ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
+SKY = hemisphere(40)
+
+
+def calibration(projection: str = "equisolid", *, mirrored: bool = False) -> Calibration:
+    """Return a calibration whose parameters all matter; p3 and p4 are at one of their standard deviations."""
+    camera = Camera(
+        width=1280,
+        height=960,
+        projection=projection,  # type: ignore[arg-type]
+        focal_length_px=(330.0, 331.0),
+        principal_point_px=(650.0, 470.0),
+        rotation_cam_enu=(0.11, -0.07, 1.3),
+        skew_px=0.4,
+        radial=(0.01, -0.02, 0.015, 0.003, -0.002, 0.001, 0.0005, -0.0002),
+        decentering=(1.2e-3, -0.8e-3, 0.3, -0.3),
+        mirrored=mirrored,
+        max_angle=math.radians(80.0),
+    )
+    stated = stated_calibration(camera, names=NAMES, amplitude_px=0.3, length_px=300.0)
+    cross = 0.01 * np.random.default_rng(1).standard_normal(stated.field.cross.shape)
+    scale = np.sqrt(np.diag(stated.covariance))
+    covariance = stated.covariance + np.outer(scale, scale) * random_covariance(len(NAMES), seed=2) / 50.0
+    return replace(
+        stated,
+        covariance=covariance,
+        field=replace(stated.field, cross=cross * scale[:, None]),
+        backward=fit_backward(camera),
+    )
+
+
+def document(made: Calibration) -> dict[str, Any]:
+    time = datetime(2013, 5, 14, tzinfo=UTC)
+    written: dict[str, Any] = to_document(
+        made,
+        id="20130514T150508Z-52ee44",
+        camera="SGP",
+        state="current",
+        created_at=time,
+        valid_from=time,
+        valid_until=None,
+        pose_epoch="SGP-1",
+        software_version="0.3.0",
+    )
+    return dict(json.loads(json.dumps(written)))
+
+
+def questions(made: Calibration) -> tuple[FloatArray, FloatArray]:
+    """Return directions, one of them beyond the model's angle, and pixels within the image."""
+    pixels = project(made.camera, SKY)
+    inside = np.all((pixels > 0.0) & (pixels < [1279.0, 959.0]), axis=-1)
+    return np.concatenate([SKY[inside], [[0.0, 0.1, -1.0]]]), pixels[inside]
+
+
+def compared(made: Calibration, found_pixels: FloatArray, found_directions: FloatArray) -> None:
+    directions, pixels = questions(made)
+    np.testing.assert_allclose(found_pixels, project(made.camera, directions), atol=1e-8)
+    assert np.isnan(found_pixels[-1]).all()
+    np.testing.assert_allclose(found_directions, back_project(made.camera, made.backward, pixels), atol=1e-11)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
+    made = calibration(projection, mirrored=mirrored)
+    evaluator: dict[str, Any] = {"__name__": "evaluate_calibration"}
+    exec((EVALUATORS / "evaluate_calibration.py").read_text(encoding="utf-8"), evaluator)  # noqa: S102 - ours
+    directions, pixels = questions(made)
+    read = document(made)
+    compared(
+        made,
+        np.array([evaluator["project"](read, one) for one in directions]),
+        np.array([evaluator["back_project"](read, one) for one in pixels]),
+    )
+    expected = project_with_covariance(made, directions[:3])[1].reshape(3, 4)
+    found = np.array([evaluator["covariance"](read, one) for one in directions[:3]])
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
+    made = calibration()
+    file = tmp_path / "calibration.json"
+    file.write_text(json.dumps(document(made)), encoding="utf-8")
+    command = [
+        sys.executable,
+        str(EVALUATORS / "evaluate_calibration.py"),
+        str(file),
+        "project",
+        "0.1",
+        "0.2",
+        "0.9747",
+    ]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    np.testing.assert_allclose([float(n) for n in answer], project(made.camera, [0.1, 0.2, 0.9747]), atol=1e-8)
+
+
+def numbers(read: dict[str, Any]) -> list[float]:
+    """Return what the jq line in the C evaluator's head writes."""
+    model, backward = read["model"], read["backward_model"]
+    return [
+        read["image"]["width"],
+        int(read["image"]["mirrored"]),
+        PROJECTIONS.index(model["projection"]),
+        *model["focal_length_px"],
+        model["skew_px"],
+        *model["principal_point_px"],
+        *model["rotation_cam_enu"],
+        *model["translation"],
+        *model["radial"],
+        *model["decentering"],
+        model["max_angle_deg"],
+        *backward["radial"],
+        *backward["decentering"],
+    ]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_c_evaluator(tmp_path: Path) -> None:
+    program, values = tmp_path / "evaluate", tmp_path / "calibration.txt"
+    source = str(EVALUATORS / "evaluate_calibration.c")
+    subprocess.run(["cc", "-O2", "-Wall", "-Wextra", "-Werror", source, "-lm", "-o", program], check=True)
+    for projection in PROJECTIONS:
+        for mirrored in (False, True):
+            made = calibration(projection, mirrored=mirrored)
+            values.write_text("\n".join(repr(float(n)) for n in numbers(document(made))), encoding="utf-8")
+            directions, pixels = questions(made)
+            asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
+            text = "\n".join(" ".join(map(str, one)) for one in asked)
+            answer = subprocess.run([program, values], input=text, capture_output=True, text=True, check=True)
+            rows = [[float(n) for n in line.split()] for line in answer.stdout.splitlines()]
+            compared(made, np.array(rows[: len(directions)]), np.array(rows[len(directions) :]))
+
+
+@pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")
+def test_the_line_of_jq_in_the_c_evaluator_writes_its_numbers(tmp_path: Path) -> None:
+    head = (EVALUATORS / "evaluate_calibration.c").read_text(encoding="utf-8").split("\n\n")[1]
+    (tmp_path / "calibration.json").write_text(json.dumps(document(calibration())), encoding="utf-8")
+    subprocess.run(["sh", "-c", head], cwd=tmp_path, check=True)
+    written = [float(n) for n in (tmp_path / "calibration.txt").read_text(encoding="utf-8").split()]
+    np.testing.assert_allclose(written, numbers(document(calibration())), rtol=1e-15)
+    (tmp_path / "calibration.txt").write_text("1 2 3", encoding="utf-8")
+    program = tmp_path / "evaluate"
+    subprocess.run(["cc", str(EVALUATORS / "evaluate_calibration.c"), "-lm", "-o", program], check=True)
+    assert subprocess.run([program, "calibration.txt"], cwd=tmp_path, capture_output=True, check=False).returncode == 2
+
+
+OCTAVE = """
+addpath(FOLDER);
+for k = 1:COUNT
+  document = jsondecode(fileread(sprintf('%d.json', k)));
+  asked = jsondecode(fileread(sprintf('%d.asked.json', k)));
+  pixels = []; directions = [];
+  for i = 1:size(asked.directions, 1)
+    pixels(i, :) = evaluate_calibration(document, 'project', asked.directions(i, :)');
+  end
+  for i = 1:size(asked.pixels, 1)
+    directions(i, :) = evaluate_calibration(document, 'back-project', asked.pixels(i, :)');
+  end
+  dlmwrite(sprintf('%d.pixels', k), pixels, 'precision', 17);
+  dlmwrite(sprintf('%d.directions', k), directions, 'precision', 17);
+end
+"""
+
+R = """
+source(file.path(FOLDER, 'evaluate_calibration.R'))
+for (k in 1:COUNT) {
+  document <- jsonlite::fromJSON(sprintf('%d.json', k))
+  asked <- jsonlite::fromJSON(sprintf('%d.asked.json', k))
+  pixels <- t(apply(asked$directions, 1, function(one) project(document, one)))
+  directions <- t(apply(asked$pixels, 1, function(one) back_project(document, one)))
+  for (what in c('pixels', 'directions'))
+    write.table(format(get(what), digits = 17), sprintf('%d.%s', k, what), sep = ',', quote = FALSE,
+                row.names = FALSE, col.names = FALSE)
+}
+"""
+
+
+def in_another_language(tmp_path: Path, command: list[str], script: str) -> None:
+    """Ask an evaluator about all projections in one run of its interpreter."""
+    cases = [calibration(projection, mirrored=k % 2 == 1) for k, projection in enumerate(PROJECTIONS)]
+    for k, made in enumerate(cases, 1):
+        directions, pixels = questions(made)
+        (tmp_path / f"{k}.json").write_text(json.dumps(document(made)), encoding="utf-8")
+        asked = {"directions": directions.tolist(), "pixels": pixels.tolist()}
+        (tmp_path / f"{k}.asked.json").write_text(json.dumps(asked), encoding="utf-8")
+    filled = script.replace("FOLDER", f"'{EVALUATORS}'").replace("COUNT", str(len(cases)))
+    done = subprocess.run([*command, filled], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
+    assert done.returncode == 0, done.stderr
+    for k, made in enumerate(cases, 1):
+        found = (np.genfromtxt(tmp_path / f"{k}.{name}", delimiter=",") for name in ("pixels", "directions"))
+        compared(made, *found)
+
+
+@pytest.mark.octave
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed: apt-get install octave")
+def test_the_octave_evaluator(tmp_path: Path) -> None:
+    in_another_language(tmp_path, ["octave-cli", "--no-gui", "--quiet", "--eval"], OCTAVE)
+
+
+@pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed: apt-get install r-cran-jsonlite")
+def test_the_r_evaluator(tmp_path: Path) -> None:
+    in_another_language(tmp_path, ["Rscript", "--vanilla", "-e"], R)
+
+
+@pytest.fixture(scope="module")
+def validator() -> Any:  # noqa: ANN401 - the library's
+    schema = json.loads((DOCS / "calibration.schema.json").read_text(encoding="utf-8"))
+    jsonschema_rs.meta.validate(schema)
+    return jsonschema_rs.validator_for(schema)
+
+
+def keys(node: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Return the path of every key, at any depth."""
+    if not isinstance(node, dict):
+        return []
+    return [one for key, value in node.items() for one in [(*path, key), *keys(value, (*path, key))]]
+
+
+def changed(read: dict[str, Any], path: tuple[str, ...], value: object) -> dict[str, Any]:
+    """Return a copy with another value at a path; without the key where the value is Ellipsis."""
+    result = copy.deepcopy(read)
+    at = result
+    for key in path[:-1]:
+        at = at[key]
+    if value is Ellipsis:
+        del at[path[-1]]
+    else:
+        at[path[-1]] = value
+    return result
+
+
+def test_documents_keep_to_the_schema(validator: Any) -> None:  # noqa: ANN401 - the library's
+    for projection in PROJECTIONS:
+        validator.validate(document(calibration(projection)))
+
+
+def test_whatever_the_schema_lets_pass_can_be_read_and_what_it_refuses_of_the_model_cannot(
+    validator: Any,  # noqa: ANN401 - the library's
+) -> None:
+    read = document(calibration())
+    refused = 0
+    for path in keys(read):
+        for value in (..., "text", [1.0], None):
+            other = changed(read, path, value)
+            valid = validator.is_valid(other)
+            try:
+                from_document(other)
+            except InputError:
+                assert not valid, (path, value)
+                refused += 1
+    assert refused > 60
+    for path in (("model",), ("model", "radial"), ("image", "width"), ("uncertainty", "covariance"), ("schema",)):
+        assert not validator.is_valid(changed(read, path, ...)), path
