@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import zipfile
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ FORMATS = {
     "json": "application/json",
     "opencv": "application/yaml",
     "ocamcalib": "text/plain",
-    "asi-core": "application/yaml",
+    "asi-core": "application/zip",
     "mrcal": "text/plain",
     "netcdf": "application/x-netcdf",
     "npz": "application/x-npz",
@@ -35,6 +36,15 @@ def ask(made: Made, path: str, **how: Any) -> httpx.Response:  # noqa: ANN401 - 
 
 def opened(answer: httpx.Response) -> Any:  # noqa: ANN401 - of xarray
     return xr.load_dataset(io.BytesIO(answer.content), engine="h5netcdf")
+
+
+def camera_file(made: Made, at: dict[str, str]) -> str:
+    """Return the YAML of the zip that asi_core's set is sent as; its mask is in it."""
+    answer = ask(made, "/v1/calibration", params={"format": "asi-core"} | at)
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as found:
+        names = sorted(name.rpartition("_")[2].rpartition(".")[2] for name in found.namelist())
+        assert names == ["mat", "png", "yaml"]
+        return found.read(next(name for name in found.namelist() if name.endswith(".yaml"))).decode()
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
@@ -58,10 +68,7 @@ def test_an_unknown_format_is_refused_by_name(made: Made) -> None:
 
 
 def test_an_export_follows_the_calibration_of_its_time(made: Made) -> None:
-    now, before = (
-        ask(made, "/v1/calibration", params={"format": "asi-core"} | at).text
-        for at in ({}, {"at": "2013-05-10T00:00:00Z"})
-    )
+    now, before = (camera_file(made, at) for at in ({}, {"at": "2013-05-10T00:00:00Z"}))
     assert ("calibration second" in now, "calibration first" in before) == (True, True)
     assert "demounted: !!timestamp '2013-05-12T18:30:00Z'" in before
 

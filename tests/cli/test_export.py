@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,33 @@ def test_what_cannot_be_exported_is_said_in_one_line(
     assert answer.code in {2, 3}
     assert names in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_asi_cores_set_is_written_into_a_folder_and_a_camera_file_beside_its_mask(
+    sunarc: Sunarc, tmp_path: Path
+) -> None:
+    small = replace(LENS, width=220, height=200, focal_length_px=(75.0, 75.0), principal_point_px=(110.0, 100.0))
+    first, second = (
+        document_of(small) | {"id": name, "pose_epoch": name, "valid_from": f"2013-0{name}-01T00:00:00Z"}
+        for name in "12"
+    )
+    documents = tmp_path / "calibrations"
+    documents.mkdir()
+    (documents / "1.json").write_text(json.dumps(first))
+    (documents / "2.json").write_text(json.dumps(second))
+    target = tmp_path / "a" / "cameras"
+    answer = sunarc("export", "--calibration", str(documents), "--format", "asi-core", "-o", str(target))
+    assert (answer.code, answer.err.count("\n")) == (0, 2)
+    assert len(list(target.iterdir())) == 12
+    assert len(list(target.glob("*.yaml"))) == 2
+    one = tmp_path / "camera.yaml"
+    assert (
+        sunarc("export", "--calibration", str(documents / "1.json"), "--format", "asi-core", "-o", str(one)).code == 0
+    )
+    assert sorted(path.suffix for path in tmp_path.iterdir() if path.is_file()) == [".mat", ".png", ".yaml"]
+    blocked = one / "folder"
+    answer = sunarc("export", "--calibration", str(documents), "--format", "asi-core", "-o", str(blocked))
+    assert (answer.code, "cannot make the folder" in answer.err) == (3, True)
 
 
 def test_a_file_that_is_no_calibration_is_named(sunarc: Sunarc, tmp_path: Path) -> None:

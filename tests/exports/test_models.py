@@ -33,7 +33,7 @@ from sunarc.exports import (
     netcdf_bytes,
     npz_bytes,
 )
-from sunarc.exports.asi_core import asi_core_yaml, mask_mat, mask_name
+from sunarc.exports.asi_core import asi_core_yaml, mask_files
 from sunarc.exports.comparison import compare
 from sunarc.exports.fisheye import fisheye_model, fisheye_view, pixels_of_rays
 from sunarc.exports.mrcal import _bending, _design, cameramodel, splined_model, splined_view
@@ -138,7 +138,8 @@ def test_a_cubic_model_is_mirrored_or_not_and_nothing_else(camera: Camera) -> No
 def test_asi_cores_angles_are_those_of_its_rotation() -> None:
     model = ocam_model(LENS, cubic=True)
     site: dict[str, str | float] = {
-        "camera_name": "it's", "camera_mask_file": "m.mat", "mounted": "2013-05-13", "demounted": "2014-01-01",
+        "camera_name": "it's", "camera_mask_file": "m.mat", "celestial_coordinate_masks": "",
+        "mounted": "2013-05-13", "demounted": "2014-01-01",
         "latitude": 36.6, "longitude": -97.5, "altitude": 318.0,
     }  # fmt: skip
     text = asi_core_yaml(model, width=1748, height=1600, camera=site, notes=["one", "two"]).decode()
@@ -152,22 +153,19 @@ def test_asi_cores_angles_are_those_of_its_rotation() -> None:
     assert rotation.as_matrix() == pytest.approx(model.rotation.T, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("camera", "name"), [("roof", "roof_mask.mat"), ("the roof's/1", "the_roof_s_1_mask.mat"), ("ö", "__mask.mat")]
-)
-def test_the_name_of_a_mask_is_a_plain_file_name(camera: str, name: str) -> None:
-    assert mask_name(camera) == name
-
-
 def test_the_mask_is_one_down_to_the_horizon_and_zero_below_and_outside(tmp_path: Path) -> None:
     zenith = np.array([[0.0, 89.9, 90.0], [90.1, np.nan, 45.0]], dtype=np.float32)
     none, directions = np.zeros_like(zenith), np.zeros((2, 3, 3), dtype=np.float32)
     found = BackProjectionMap(
         zenith_deg=zenith, azimuth_deg=none, directions=directions, sigma_deg=none, inside=np.isfinite(zenith)
     )
+    files = mask_files(found, stem="roof")
     path = tmp_path / "mask.mat"
-    path.write_bytes(mask_mat(found))
+    path.write_bytes(files["roof_mask.mat"])
     assert scipy.io.loadmat(str(path))["Mask"][0][0][0].tolist() == [[1, 1, 1], [0, 0, 1]]
+    png = cv2.imdecode(np.frombuffer(files["roof_mask.png"], dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    assert png is not None
+    assert png.tolist() == [[255, 255, 255], [0, 0, 255]]
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_a_mask_beside_a_file_is_found(files: tuple[Path, Path], tmp_path: Path)
     alone = tmp_path / "b.yaml"
     alone.write_bytes(files[1].read_bytes())
     assert read_view_file(alone).width == LENS.width
-    (tmp_path / "the_roof_s_mask.mat").write_bytes(b"no mask")
+    (tmp_path / "the_roof_s_20130513000000_mask.mat").write_bytes(b"no mask")
     with pytest.raises(InputError, match="Mask"):
         read_view_file(alone)
 

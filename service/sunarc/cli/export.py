@@ -9,26 +9,32 @@ from typing import Annotated
 
 import typer
 
-from sunarc.cli.options import CalibrationFile
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import FORMATS, MAP_FORMATS, Exported, export, export_map
+from sunarc.exports import FORMATS, MAP_FORMATS, Exported, asi_core_set, export, export_map
 from sunarc.offline.files import read_file
 
+_YAML = (".yaml", ".yml")
 _MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
 
 
 def export_calibration(
-    calibration: CalibrationFile,
+    calibration: Annotated[
+        Path, typer.Option("--calibration", help="A calibration document (JSON); for asi-core also a folder of them.")
+    ],
     *,
     format_: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
     target: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; standard output unless given.")
+        Path | None,
+        typer.Option("--output", "-o", help="File to write (asi-core: folder); standard output unless given."),
     ] = None,
 ) -> None:
     """Write a calibration in another format, and say on standard error how far that is from it.
 
     Example: sunarc export --calibration calibration.json --format opencv -o fisheye.yml
     """
+    if format_ == "asi-core" and target is not None and target.suffix not in _YAML:
+        _write_set(asi_core_set(_documents(calibration)), target)
+        return
     made = _made(_document(calibration), format_)
     if target is None:
         sys.stdout.buffer.write(made.content)
@@ -38,6 +44,23 @@ def export_calibration(
             _write(target.parent / name, content)
             print(f"{format_}: wrote {name} beside it", file=sys.stderr)
     print(f"{format_}: {made.error}", file=sys.stderr)
+
+
+def _write_set(made: list[Exported], folder: Path) -> None:
+    """Write a set of files into a folder; what is there of the same name is replaced."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutsideError(f"cannot make the folder {folder}: {error.strerror}") from error
+    for one in made:
+        for name, content in one.files.items():
+            _write(folder / name, content)
+        print(f"{one.name}: {one.error}", file=sys.stderr)
+
+
+def _documents(path: Path) -> list[dict[str, object]]:
+    """Return the document of a file, or those of all JSON files of a folder."""
+    return [_document(one) for one in sorted(path.glob("*.json"))] if path.is_dir() else [_document(path)]
 
 
 def _made(document: dict[str, object], format_: str) -> Exported:

@@ -198,7 +198,7 @@ class Imager:
         return self._json("/calibration", at)
 
     def export(self, form: str, *, at: datetime | None = None) -> bytes:
-        """Return the calibration as a file: opencv, ocamcalib, asi-core, mrcal, netcdf or npz."""
+        """Return the calibration as a file: opencv, ocamcalib, asi-core (a zip), mrcal, netcdf or npz."""
         return self._transport.ask(f"{self._prefix}/calibration", {"format": form, "at": _time(at)})[0]
 
     def map(self, *, at: datetime | None = None, sun_radius_deg: float | None = None) -> dict[str, NDArray[Any]]:

@@ -5,13 +5,14 @@ fitted to ours · `tables` NetCDF and npz · `view` what a file says of a camera
 `start` the camera of ours that is closest to one · `sky` to which models are fitted.
 """
 
+from sunarc.exports.asi_core_set import asi_core_set
 from sunarc.exports.comparison import ZENITH_RANGES_DEG, Comparison, compare
+from sunarc.exports.exported import Exported
 from sunarc.exports.formats import (
     FILE_NAMES,
     FORMATS,
     MAP_FORMATS,
     MEDIA_TYPES,
-    Exported,
     Format,
     MapFormat,
     export,
@@ -36,6 +37,7 @@ __all__ = [
     "Table",
     "Variable",
     "View",
+    "asi_core_set",
     "camera_view",
     "closest_camera",
     "compare",

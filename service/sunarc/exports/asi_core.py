@@ -9,9 +9,13 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
+from typing import Any
 
+import cv2
 import numpy as np
 import scipy.io
+from numpy.typing import NDArray
 from scipy.io.matlab import MatReadError
 from scipy.spatial.transform import Rotation
 
@@ -36,7 +40,8 @@ def asi_core_yaml(
     ----------
     model : a cubic one.
     width, height : px.
-    camera : camera_name, mounted, demounted, latitude, longitude, altitude, camera_mask_file.
+    camera : camera_name, mounted, demounted, latitude, longitude, altitude, camera_mask_file,
+        celestial_coordinate_masks (empty where there are none).
     notes : what is said at its top.
     """
     alpha, beta, gamma = Rotation.from_matrix(model.rotation.T).as_euler("XYZ")  # their R is Rx(α) Ry(β) Rz(γ)
@@ -65,6 +70,8 @@ def asi_core_yaml(
         f"external_orientation: [{alpha:.12f}, {beta:.12f}, {gamma:.12f}]",
         f"camera_mask_file: {_quoted(camera['camera_mask_file'])}  # beside this file; 1 where a pixel shows the sky",
     ]
+    if angles := camera["celestial_coordinate_masks"]:
+        lines.append(f"celestial_coordinate_masks: {_quoted(angles)}  # AngleMatrix with ELE and AZ, radians")
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -125,18 +132,43 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
         raise InputError(field=name, problem=problem, remedy="give the mask of these images")
 
 
-def mask_name(camera: str) -> str:
-    """Return the name of a camera's mask file."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", camera) + "_mask.mat"
-
-
-def mask_mat(found: BackProjectionMap) -> bytes:
-    """Return the mask as asi_core reads it: `Mask[0][0][0]` of a MATLAB file, (height, width), 1 above the horizon."""
-    with np.errstate(invalid="ignore"):
-        shown = np.asarray(found.zenith_deg <= _HORIZON_DEG).astype(np.uint8)
+def matlab_bytes(content: Mapping[str, Any]) -> bytes:
+    """Return a MATLAB file (version 5) of variables by name; a mapping is written as a struct."""
     target = io.BytesIO()
-    scipy.io.savemat(target, {"Mask": shown[None, None, None]}, do_compression=True)  # type: ignore[arg-type]
+    scipy.io.savemat(target, dict(content), do_compression=True)  # type: ignore[arg-type]
     return target.getvalue()
+
+
+def mask_of(found: BackProjectionMap) -> NDArray[np.uint8]:
+    """Return the mask (height, width): 1 where a pixel looks above the horizon."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(found.zenith_deg <= _HORIZON_DEG).astype(np.uint8)
+
+
+def mask_files(found: BackProjectionMap, *, stem: str) -> dict[str, bytes]:
+    """Return the mask's files: `Mask[0][0][0]` of a MATLAB file, as asi_core reads it, and a PNG of 0 and 255."""
+    mask = mask_of(found)
+    png = cv2.imencode(".png", 255 * mask)[1].tobytes()
+    return {f"{stem}_mask.mat": matlab_bytes({"Mask": mask[None, None, None]}), f"{stem}_mask.png": png}
+
+
+def matrix_files(found: BackProjectionMap, *, camera: str, time: str) -> dict[str, bytes]:
+    """Return the azimuth and elevation of every pixel as asi_core's own calibration writes them, and as it reads them.
+
+    Single precision, radians; azimuth counter-clockwise from east (pi/2 - azimuth, within ±pi); NaN at and below the
+    horizon. `AngleMatrix` of the MATLAB file has the fields ELE and AZ.
+    """
+    east, north, up = np.moveaxis(found.directions, -1, 0)
+    with np.errstate(invalid="ignore"):
+        elevation = np.where(up > 0.0, np.arctan2(up, np.hypot(east, north)), np.nan).astype(np.float32)
+        azimuth = np.where(up > 0.0, np.arctan2(north, east), np.nan).astype(np.float32)
+    angles = {"ELE": elevation, "AZ": azimuth}
+    files = {f"angle_matrix_{camera}_{time}.mat": matlab_bytes({"AngleMatrix": angles})}
+    for name, matrix in (("azimuth", azimuth), ("elevation", elevation)):
+        target = io.BytesIO()
+        np.save(target, matrix, allow_pickle=False)
+        files[f"{name}_matrix_{camera}_{time}.npy"] = target.getvalue()
+    return files
 
 
 def _quoted(text: str | float) -> str:

@@ -166,7 +166,7 @@ def _export(
         "content-disposition": f'attachment; filename="{FILE_NAMES[format_]}"',
         "sunarc-fit-error": exported.error,
     }
-    return Response(exported.content, media_type=MEDIA_TYPES[format_], headers=headers)
+    return Response(exported.sent, media_type=MEDIA_TYPES[format_], headers=headers)
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
