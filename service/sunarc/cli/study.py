@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -18,12 +19,14 @@ from sunarc.cli.options import AsJson
 from sunarc.cli.output import print_json
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
+from sunarc.offline.project_files import read_calibration
 from sunarc.studies.published import CASES
-from sunarc.studies.reports import make_folder, write_tables, write_uncertainty
+from sunarc.studies.reports import make_folder, write_shadow, write_tables, write_uncertainty
+from sunarc.studies.shadow import SIGMAS_DEG, WIND_M_S, study_shadow, study_shadow_of
 from sunarc.studies.tables import study_tables
 from sunarc.studies.uncertainty import distribution_rows, study_uncertainty
 
-study_cli = typer.Typer(no_args_is_help=True, help="The paper's tables and figures, made again in simulation.")
+study_cli = typer.Typer(no_args_is_help=True, help="The paper's tables and figures, and errors of shadows.")
 
 AnyRow = Mapping[str, str | int | float]
 
@@ -46,6 +49,10 @@ _CAMERAS: Sheet = {
 _UNCERTAINTY: Sheet = {
     "method": "method", "σ": "sigma_px", "quantity": "quantity", "mean": "mean", "5 %": "p05", "median": "median",
     "95 %": "p95", "bound": "bound",
+}  # fmt: skip
+_SHADOW: Sheet = {
+    "σ, °": "sigma_deg", "base, m": "height_m", "σ height, m": "height_sigma_m", "σ shadow, m": "shadow_pair_sigma_m",
+    "height known, m": "shadow_sigma_m", "ramp, W/m²": "ramp_error_w_m2",
 }  # fmt: skip
 _SHOWN_LEVELS = 5
 
@@ -95,6 +102,34 @@ def tables(*, out: Out, seed: Seed = 1, method: Methods = "both", as_json: AsJso
         "Table 2, px and degrees": (_CAMERAS, rows),
     }
     _print_tables(rows, sheets, files=write_tables(rows, folder=out), as_json=as_json)
+
+
+@study_cli.command()
+def shadow(
+    *,
+    out: Out,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="Document whose stated errors are taken, in place of turns.")
+    ] = None,
+    draws: Annotated[int, typer.Option(help="Pairs of cameras that are drawn.", min=10, max=20_000)] = 1000,
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
+    """From an error of the direction to the cloud base height, its shadow and a ramp of the irradiance.
+
+    Example: sunarc study shadow --out study
+    """
+    extra_module("matplotlib", extra="studies")
+    make_folder(out)
+    if calibration is None:
+        with _progress("sizes", len(SIGMAS_DEG)) as advance:
+            rows = study_shadow(draws=draws, seed=seed, after_each=advance)
+    else:
+        rows = study_shadow_of(read_calibration(calibration), draws=draws, seed=seed)
+    table = [asdict(row) for row in rows]
+    shown = [row for row in table if row["baseline_m"] == 1000.0 and row["height_m"] in {1000.0, 2000.0}]
+    sheets = {f"cloud at {WIND_M_S:g} m/s, cameras 1000 m apart; all rows in shadow.csv": (_SHADOW, shown)}
+    _print_tables(table, sheets, files=write_shadow(rows, folder=out), as_json=as_json)
 
 
 def _methods(text: str) -> tuple[Method, ...]:

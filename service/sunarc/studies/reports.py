@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 from sunarc.errors import InputError
 from sunarc.extras import extra_module
+from sunarc.studies.shadow import ShadowRow
 from sunarc.studies.tables import COLUMNS, TableRow
 from sunarc.studies.uncertainty import Uncertainty, distribution_rows, trial_rows
 
@@ -53,6 +55,20 @@ def write_uncertainty(study: Uncertainty, *, folder: Path) -> tuple[Path, ...]:
             save_png(rmse_figure(study), folder / "uncertainty_rmse.png"),
             save_png(parameter_figure(study), folder / "uncertainty_parameters.png"),
         )
+
+
+def write_shadow(rows: Sequence[ShadowRow], *, folder: Path) -> tuple[Path, ...]:
+    """Write `shadow.csv`, and `shadow.png` where there is more than one size of the error to draw."""
+    extra_module("matplotlib", extra="studies")
+    from sunarc.studies.drawing import save_png  # noqa: PLC0415 - loaded when something is drawn
+    from sunarc.studies.shadow_plot import shadow_figure  # noqa: PLC0415 - same
+
+    with writing_into(folder):
+        table = [asdict(row) for row in rows]
+        files = [_write_csv(folder / "shadow.csv", tuple(table[0]), table)]
+        if len({row.sigma_deg for row in rows}) > 1:
+            files.append(save_png(shadow_figure(rows), folder / "shadow.png"))
+        return tuple(files)
 
 
 def write_tables(rows: Sequence[TableRow], *, folder: Path) -> tuple[Path, ...]:
