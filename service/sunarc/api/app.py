@@ -6,7 +6,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path as FilePath
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.responses import FileResponse
 from prometheus_client import CollectorRegistry
 from starlette.middleware.cors import CORSMiddleware
@@ -20,6 +20,7 @@ from sunarc.api.context import CAMERA_PREFIX, ApiContext, DaySites, SingleFlight
 from sunarc.api.fault_log import FaultLog
 from sunarc.api.middleware.allowed_hosts import AllowedHosts, host_names
 from sunarc.api.middleware.authentication import ReadTokenMiddleware, read_token
+from sunarc.api.middleware.head_requests import HeadRequests
 from sunarc.api.middleware.holdings import Holdings
 from sunarc.api.middleware.rate_limit import ConcurrencyLimit, RateLimit
 from sunarc.api.middleware.request_bodies import BodyReader
@@ -27,6 +28,7 @@ from sunarc.api.middleware.request_limits import Boundary
 from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
 from sunarc.api.problems import FaultGuard, add_problem_handlers
+from sunarc.api.query_names import require_known_names
 from sunarc.api.routes.calibration_actions import decision_routes
 from sunarc.api.routes.calibrations import calibration_routes
 from sunarc.api.routes.cameras import camera_routes
@@ -108,7 +110,13 @@ def create_app(
     )
     numbers = registry or CollectorRegistry()
     numbers.register(StatusCollector(context))
-    app = FastAPI(title="sunarc", version=sunarc.__version__, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="sunarc",
+        version=sunarc.__version__,
+        docs_url=None,
+        redoc_url=None,
+        dependencies=[Depends(require_known_names)],
+    )
     _add_camera_routes(app, context)
     app.include_router(camera_routes(context))
     app.include_router(health_routes(context, numbers))
@@ -152,6 +160,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
         )
     app.add_middleware(AllowedHosts, names=host_names(options))
     app.add_middleware(FaultGuard, faults=faults)
+    app.add_middleware(HeadRequests)
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 
 

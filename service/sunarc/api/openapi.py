@@ -63,5 +63,5 @@ def _only_problems(responses: dict[str, Any]) -> None:
     """Replace FastAPI's own answer to what is invalid, and add the ones that any route may give."""
     if "HTTPValidationError" in str(responses.get("422", "")):
         responses["422"] = answers(422)[422]
-    for status, answer in answers(400, 401, 421, 429, 500, 503).items():
+    for status, answer in answers(400, 401, 421, 422, 429, 500, 503).items():
         responses.setdefault(str(status), answer)

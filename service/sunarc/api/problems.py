@@ -244,7 +244,8 @@ def _methods(request: Request) -> set[str]:
     requested_path = re.sub("^/v1/cameras/[^/]+/", "/v1/", request.url.path)
     described = request.app.openapi()["paths"].items()
     found = [operations for path, operations in described if compile_path(path)[0].match(requested_path)]
-    return {method.upper() for operations in found for method in operations}
+    methods = {method.upper() for operations in found for method in operations}
+    return methods | {"HEAD"} if "GET" in methods else methods
 
 
 def _is_fault(error: Exception) -> bool:
