@@ -167,3 +167,15 @@ def test_places_near_an_end_of_the_record_begin_or_end_with_it(row: int, expecte
     turns = np.random.default_rng(2).normal(0.0, 0.003, (30, 3))
     turns[row:, 2] += 0.4
     assert search._spans(search._Daily(np.arange(100, 130), turns))[0] == expected
+
+
+@pytest.mark.parametrize("late_s", [0.0, 200.0, 400.0])
+def test_the_same_hours_are_those_of_the_nearest_sighting_of_the_day_before(late_s: float) -> None:
+    times, day = _days(2)
+    times[day == 1] += late_s
+    rows = [np.flatnonzero(day == d) for d in (0, 1)]
+    own = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
+    residual = np.concatenate([own, np.zeros((60, 2))])
+    nearest = np.argmin(np.abs((times[rows[1]] - 86_400.0)[:, None] - times[rows[0]]), axis=1)
+    residual[rows[1]] = own[nearest] + [0.3, 0.4]
+    assert module._same_hours(residual, _usable(times, day=day), *rows) == pytest.approx(0.5, rel=1e-6)

@@ -166,3 +166,12 @@ def test_the_ends_of_an_episode_draw_in_to_what_cloud_drew_aside(rows: module._R
         covered = np.flatnonzero((rows.unix_s >= found.begin_s) & (rows.unix_s <= found.end_s))
         assert covered.tolist() == list(range(first, first + count))
         assert model.log_likelihood(Amplitudes(), (found,)) > model.log_likelihood(Amplitudes(), begun) + 5.0
+
+
+def test_a_window_of_each_length_ends_just_before_the_step(rows: module._Rows) -> None:
+    at = float(rows.unix_s[ROW])
+    ends = {
+        long: [end for begin, end in module._windows(rows) if end - begin == long] for long in (900.0, 2400.0, 4500.0)
+    }
+    for found in ends.values():
+        assert any(at - 2.0 < end < at for end in found)

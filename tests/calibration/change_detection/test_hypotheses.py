@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from sunarc.calibration.change_detection import Change, ChangeKind, SightingWindow, WatchOptions
 from sunarc.calibration.change_detection import hypotheses as module
 from sunarc.calibration.change_detection.hypotheses import best_hypothesis, pole_of
+from sunarc.calibration.change_detection.report import describe_change
 from sunarc.calibration.change_detection.residual_model import ResidualModel, errors_at, window_of
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.pose.error_model import at_every_angle, joined, predicted, rotated
@@ -251,3 +253,45 @@ def test_a_rarer_change_must_be_clearly_more_probable(
     model = changed(calibration, directions, calibration.camera)
     best, other = _scored("bump", 100.0, model), _scored(rival, 100.0 + lead, model)
     assert module._most_probable(best, [other], clock_stepped=clock_stepped).of.kind == expected
+
+
+@pytest.mark.parametrize(("small", "expected"), [(True, [0, 3, 6, 9, *range(12, 21)]), (False, [*range(14, 21)])])
+def test_a_change_may_begin_lately_or_at_every_third_or_at_what_is_not_trusted(
+    calibration: Calibration,
+    directions: FloatArray,
+    monkeypatch: pytest.MonkeyPatch,
+    expected: list[int],
+    *,
+    small: bool,
+) -> None:
+    """Each of the last twelve is tried, four sightings being left to agree; of those before, every third."""
+    tried: list[int] = []
+
+    def none(_: ResidualModel, first: int, *, least: int) -> None:
+        assert least == 4
+        tried.append(first)
+
+    monkeypatch.setattr(module, "_rotation_from", none)
+    model = window(calibration, directions, project(calibration.camera, directions))
+    assert module._best_rotation(model, small=small, least=4) == []
+    assert tried == expected
+
+
+def test_a_change_is_dated_by_the_first_sightings_that_explain_as_likely(
+    calibration: Calibration, directions: FloatArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted: list[list[int]] = []
+
+    def spy(*arguments: Any, alike: list[int], **named: Any) -> Change:  # noqa: ANN401 - passed on
+        noted.append(alike)
+        return describe_change(*arguments, alike=alike, **named)
+
+    monkeypatch.setattr(module, "describe_change", spy)
+    model = changed(calibration, directions, rotated(calibration.camera, np.radians([1.0, 0.0, 0.0])))
+    change = found(model, small=True)
+    assert change is not None
+    rotations = module._best_rotation(model, small=True, least=4)
+    best = max(one.evidence for one in rotations)
+    assert noted == [[one.of.first for one in rotations if best - one.evidence < 5.0]]
+    assert FIRST in noted[0]
+    assert len(noted[0]) < len(rotations)

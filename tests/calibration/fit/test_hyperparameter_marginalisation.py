@@ -17,6 +17,8 @@ from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, 
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.least_squares.problem import Problem
 from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.model.covariance import hemisphere
+from sunarc.optics import Camera, project
 
 FloatArray = NDArray[np.float64]
 
@@ -174,3 +176,31 @@ def test_probes_are_the_sky_that_the_image_shows(problem: Problem, at: FloatArra
     assert waves.shape == (rows.shape[0], len(grid.basis.orders))
     narrow = replace(problem, template=replace(problem.template, width=100, height=100))
     assert module._probes(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("off_px", [-0.3, 0.3])
+def test_probes_are_the_directions_within_the_image_to_its_edges(
+    grid: HyperparameterGrid, axis: int, *, last: bool, off_px: float
+) -> None:
+    """The centre is moved until one direction lands just within or without the edge of the outermost pixels."""
+    camera, sky = small_camera(), hemisphere(module._PROBES)
+    pixels = project(camera, sky)
+    edge = [camera.width, camera.height][axis] - 0.5 if last else -0.5
+    nearest = int(np.nanargmin(np.abs(pixels[:, axis] - edge) + 1e3 * ~_within(camera, pixels, axis=1 - axis)))
+    center = list(camera.principal_point_px)
+    center[axis] += edge + off_px - float(pixels[nearest, axis])
+    camera = replace(camera, principal_point_px=(center[0], center[1]))
+    pixels = project(camera, sky)
+    inside = _within(camera, pixels, axis=0) & _within(camera, pixels, axis=1)
+    assert inside[nearest] == ((off_px < 0.0) == last)
+    problem = small_problem(camera)
+    rows, basis_values = module._probes(problem, problem.unknowns([camera]), grid.basis)
+    assert rows.shape == (np.count_nonzero(inside), 2, problem.size)
+    np.testing.assert_allclose(basis_values, grid.basis.values(pixels[inside]), atol=1e-9)
+
+
+def _within(camera: Camera, pixels: FloatArray, *, axis: int) -> NDArray[np.bool_]:
+    size = [camera.width, camera.height][axis]
+    return np.asarray((pixels[:, axis] > -0.5) & (pixels[:, axis] < size - 0.5))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sunarc.calibration.initial_guess.image_circle import _circle_through, _grey, find_image_circle
+from sunarc.calibration.initial_guess.image_circle import _circle_through, _grey, _refined, find_image_circle
 from sunarc.errors import InputError
 
 
@@ -74,3 +74,13 @@ def test_grey_is_the_root_of_the_share_of_the_brightest_percentile() -> None:
 def test_what_is_no_frame_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError):
         find_image_circle(np.zeros(shape, dtype=np.uint8))
+
+
+def test_rays_whose_steepest_drop_is_weak_do_not_bend_the_circle() -> None:
+    """Trees hide 60 % of the edge; the light drops a little where they begin, 4 px inside it."""
+    rows, columns = np.mgrid[:240, :320]
+    distance, angle = np.hypot(columns - 160.0, rows - 120.0), np.arctan2(rows - 120.0, columns - 160.0)
+    edge = 20.0 + 180.0 * np.clip(100.5 - distance, 0.0, 1.0)
+    trees = 20.0 + 18.0 * np.clip(96.5 - distance, 0.0, 1.0)
+    found = _refined(np.where(np.abs(angle) < 0.6 * math.pi, trees, edge), 160.0, 120.0, 100.0)
+    np.testing.assert_allclose(found, [160.0, 120.0, 100.0], atol=0.3)

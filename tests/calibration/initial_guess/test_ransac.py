@@ -121,3 +121,12 @@ def test_disagreement_is_the_sum_of_logarithms(problem: Problem, truth: FloatArr
     distance = np.linalg.norm(problem.residuals(truth, seen), axis=-1)
     expected = float(np.sum(np.log(1.0 + (distance / 0.1) ** 2)))
     assert module._disagreement(problem, seen, truth, 0.1) == pytest.approx(expected)
+
+
+def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(problem: Problem, truth: FloatArray) -> None:
+    seen = observed(problem.camera(truth), sun_arc(3))
+    off = np.array([[3.0, 4.0], [0.0, 0.0], [0.6, 0.8]])
+    seen = replace(seen, pixels=seen.pixels + off, information=np.array([1.0 / 25.0, 1.0, 4.0]))
+    # 5 px of a sigma of 5 px, and 1 px of a sigma of 0.5 px
+    expected = np.log1p((1.0 / 0.5) ** 2) + np.log1p((2.0 / 0.5) ** 2)
+    assert module._disagreement(problem, seen, truth, 0.5) == pytest.approx(expected, rel=1e-6)

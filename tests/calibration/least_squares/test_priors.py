@@ -16,13 +16,14 @@ from sunarc.calibration.least_squares.priors import (
     LENS,
     N_LENS,
     RADIAL,
+    Whitened,
     lens_prior,
     precisions,
     prior_knowledge,
     radial_basis,
 )
 from sunarc.calibration.model.options import ImageCircle, LensTolerances
-from sunarc.optics import PARAMETER_NAMES, Camera, Projection, ideal_radius, project
+from sunarc.optics import PARAMETER_NAMES, Camera, Param, Projection, ideal_radius, project
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import distorted_radius
 
@@ -166,3 +167,26 @@ def test_the_radius_of_a_drawn_lens_rises() -> None:
         vector = camera.to_vector()
         vector[LENS] = prior.lens(rng.standard_normal(17) / np.sqrt(precisions(2.0, 0.7)))
         assert np.all(np.diff(distorted_radius(camera.with_parameters(vector), theta)) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "moved"),
+    [
+        (Whitened.FOCAL_LENGTH, (Param.FOCAL_LENGTH_X_PX, Param.FOCAL_LENGTH_Y_PX)),
+        (Whitened.ASPECT, (Param.FOCAL_LENGTH_X_PX, Param.FOCAL_LENGTH_Y_PX)),
+        (Whitened.SKEW, (Param.SKEW_PX,)),
+        (Whitened.CENTER_X, (Param.PRINCIPAL_POINT_X_PX,)),
+        (Whitened.CENTER_Y, (Param.PRINCIPAL_POINT_Y_PX,)),
+        (Whitened.P1, (Param.P1,)),
+        (Whitened.P2, (Param.P2,)),
+        (Whitened.P3, (Param.P3,)),
+        (Whitened.P4, (Param.P4,)),
+    ],
+)
+def test_a_whitened_coordinate_moves_the_parameters_of_its_name_alone(
+    coordinate: Whitened, moved: tuple[Param, ...]
+) -> None:
+    prior = lens_prior(small_camera(), tolerances=TOLERANCES, circle=CIRCLE, field_angle=math.pi / 2)
+    z = np.zeros(N_LENS)
+    z[coordinate] = 1.0
+    assert tuple(LENS[np.flatnonzero(prior.lens(z) - prior.mean)]) == moved

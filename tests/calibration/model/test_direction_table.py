@@ -85,3 +85,9 @@ def test_a_mirrored_image_has_the_same_uncertainty_on_the_other_side(calibrated:
     np.testing.assert_allclose(
         mirrored.back_project(other_side)[:, 2:5], lookup(calibrated).back_project(pixels)[:, 2:5], atol=1e-12
     )
+
+
+def test_few_rows_of_single_precision_are_answered_in_single_precision(ready: Lookup) -> None:
+    pixels = np.array([[400.0, 500.0], [900.0, 1200.0]], dtype=np.float32)
+    assert ready.back_project(pixels).dtype == np.float32
+    assert ready.project(ready.back_project(pixels)[:, 2:5]).dtype == np.float32

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.fixtures.calibration import ideal_camera, small_camera, spread_directions
 
+from sunarc.calibration.pose import rotation_consensus as module
 from sunarc.calibration.pose.error_model import at_every_angle, rotated
 from sunarc.calibration.pose.rotation_consensus import ransac_rotation
 from sunarc.optics import project
@@ -93,3 +94,16 @@ def test_the_answer_does_not_change_from_call_to_call() -> None:
     turn = np.radians([10.0, -20.0, 5.0])
     directions = spread_directions(64)
     np.testing.assert_array_equal(_found(turn, directions, noise_px=0.5), _found(turn, directions, noise_px=0.5))
+
+
+def test_axes_of_a_pair_are_orthonormal_and_right_handed_with_its_middle_first() -> None:
+    vectors = spread_directions(6)
+    pairs = np.array([[0, 1], [2, 3], [5, 4]])
+    triads = module._triads(vectors, pairs)
+    np.testing.assert_allclose(np.swapaxes(triads, -1, -2) @ triads, np.tile(np.eye(3), (3, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(triads), 1.0)
+    first, second = vectors[pairs[:, 0]], vectors[pairs[:, 1]]
+    middle = np.cos(0.5 * np.arccos(np.sum(first * second, axis=-1)))
+    np.testing.assert_allclose(np.sum(triads[..., 0] * first, axis=-1), middle)
+    np.testing.assert_allclose(np.sum(triads[..., 0] * second, axis=-1), middle)
+    np.testing.assert_allclose(np.sum(triads[..., 1] * first, axis=-1), 0.0, atol=1e-12)

@@ -130,3 +130,23 @@ def test_sightings_are_met_in_their_measured_air(calibrated: Calibration, clear_
     )
     assert measured < 1e-9
     assert assumed > 1.0
+
+
+@pytest.mark.parametrize(("sigmas", "same"), [(5e-4, True), (0.01, False)])
+def test_a_fit_of_the_same_days_that_moved_by_a_thousandth_of_a_sigma_says_the_same(
+    calibrated: Calibration, sigmas: float, *, same: bool
+) -> None:
+    again = swayed(calibrated, sigmas)
+    assert ("no_change" in codes(accept(again, calibrated).findings)) == same
+    assert acceptance._says_the_same(again, calibrated) == same
+
+
+@pytest.mark.parametrize("sigma_px", [0.0, np.nan])
+def test_a_fit_without_a_noise_has_no_proof(calibrated: Calibration, clear_day: Simulated, sigma_px: float) -> None:
+    knows_more = swayed(knowing(calibrated, "2013-05-20"), 3.5)
+    changed = replace(knows_more, evidence=replace(knows_more.evidence, sigma_px=sigma_px))
+    times = clear_day.points.unix_s + 120 * 86_400.0
+    seen = project(changed.camera, sun_directions(times, clear_day.site))
+    verdict = accept(changed, calibrated, unseen=SunPoints(unix_s=times, pixels=seen))
+    assert (verdict.accepted, verdict.marginal) == (False, True)
+    assert "change_not_confirmed" in codes(verdict.findings)

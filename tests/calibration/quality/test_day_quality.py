@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.calibration import SunPoints, days_left_out, decide_day, find_image_circle, measure_day
+from sunarc.calibration.quality.day_quality import smooth_arc
 from sunarc.errors import InputError
 from sunarc.sky import Site
 
@@ -122,3 +123,23 @@ def test_a_frame_without_a_circle_has_none() -> None:
 def test_what_is_no_frame_is_refused() -> None:
     with pytest.raises(InputError):
         find_image_circle(np.zeros(10))
+
+
+@pytest.mark.parametrize(("first", "last"), [(-1.5, 1.5), (0.9, 1.4), (-1.4, -0.9), (2.9, 3.4)])
+def test_an_arc_of_ninth_order_is_met_exactly_at_any_time_of_the_day(first: float, last: float) -> None:
+    angle = np.linspace(first, last, 80)
+    share = np.linspace(-1.0, 1.0, 80)
+    pixels = np.stack([300.0 + 200.0 * share**9 - 90.0 * share**4, 150.0 * share - 80.0 * share**8], axis=-1)
+    wrapped = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    arc, residual, weight = smooth_arc(pixels, wrapped)
+    np.testing.assert_allclose(arc, pixels, atol=1e-8)
+    np.testing.assert_allclose(residual, 0.0, atol=1e-8)
+    assert np.all(weight > 0.99)
+
+
+@pytest.mark.parametrize(("clock_error_s", "doubtful"), [(1.9, 0.0), (2.1, 1.0)])
+def test_a_clock_is_doubtful_from_two_seconds_on(clear_day: Simulated, clock_error_s: float, doubtful: float) -> None:
+    """The sky turns by 15.04 arc seconds a second: 0.008 degrees in 2 s."""
+    some = clear_day.points.select(slice(0, None, 20))
+    points = SunPoints(unix_s=some.unix_s, pixels=some.pixels, clock_error_s=np.array(clock_error_s))
+    assert measure_day(points, site=clear_day.site).doubtful_clock == doubtful

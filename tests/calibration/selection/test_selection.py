@@ -124,3 +124,21 @@ def test_a_pass_is_graded_by_the_mean_of_its_sigmas_in_powers_of_two() -> None:
     # a lone sighting of four times the usual sigma is two grades down, beside a usual one it is one; finer is usual
     assert _grade(sigma, member, count).tolist() == [0, 2, 1, 0, 0]
     assert _grade(np.full(10, np.nan), member, count).tolist() == [0, 0, 0, 0, 0]
+
+
+def test_patches_of_the_whole_sphere_have_numbers_of_their_own() -> None:
+    upper = hemisphere(100_000)
+    sphere = np.concatenate([upper, -upper])
+    patch = sky_patches(sphere, width_deg=10.0)
+    np.testing.assert_array_equal(np.unique(patch), np.arange(patch.max() + 1))
+    assert solid_angle_sr(sphere, width_deg=10.0) == pytest.approx(4.0 * np.pi, rel=0.03)
+    for number in range(0, int(patch.max()) + 1, 7):
+        inside = sphere[patch == number]
+        assert np.degrees(np.arccos(np.min(inside @ inside[0]).clip(-1.0, 1.0))) < 2.0 * 10.0
+
+
+@pytest.mark.parametrize(("clock_error_s", "retained"), [(1.9, True), (2.1, False)])
+def test_clocks_are_doubtful_from_two_seconds_on(clock_error_s: float, *, retained: bool) -> None:
+    one = record([0])
+    points = SunPoints(unix_s=one.unix_s, pixels=one.pixels, clock_error_s=np.array(clock_error_s))
+    assert (select_sightings(points, site=SITE).index.size > 0) == retained

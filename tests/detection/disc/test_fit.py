@@ -197,3 +197,16 @@ def test_binned_pixels_have_the_same_fit() -> None:
     found = fitted(plain_window(), sensor=sensor)
     assert place_of(found) == pytest.approx(CENTER, abs=2e-3)
     assert found.stretch == pytest.approx(STRETCH, abs=0.02)
+
+
+def test_the_residual_of_a_saturated_disc_is_a_share_of_the_range_above_black() -> None:
+    counts = 8.0 * FLUX * disc_counts() + BACKGROUND + 60.0 * (-1.0) ** np.add(*np.mgrid[: SHAPE[0], : SHAPE[1]])
+    linear = counts < 3000.0
+    window = window_of(np.minimum(counts, 4095.0), usable=linear, linear=linear, saturated_px=int(np.sum(~linear)))
+    plain, raised = (
+        fitted(window, sensor=sensor, prior=PRIOR._replace(free_stretch=False))
+        for sensor in (SENSOR, replace(SENSOR, full_scale=4595, black_level=500.0))
+    )
+    assert plain.level > 4095.0
+    assert plain.residual == pytest.approx(60.0 / 4095.0, rel=0.1)
+    assert raised.residual == pytest.approx(plain.residual, rel=1e-9)

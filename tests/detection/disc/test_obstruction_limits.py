@@ -92,3 +92,13 @@ def test_light_before_the_sun_counts_against_an_obstruction(sky_counts: tuple[in
     sensor = replace(SENSOR, read_noise_e=0.0, black_level=0.0)
     found = obstruction(image, sensor=sensor, expectation=PREDICTED, reach_px=0.0)
     assert (found is not None) == expected
+
+
+@pytest.mark.parametrize("place", [(128, 0), (0, 128), (255, 128), (128, 255)])
+def test_an_obstruction_in_the_outermost_row_or_column_is_one(place: tuple[int, int]) -> None:
+    image = np.full((256, 256), 3, dtype=np.uint16)
+    sensor = replace(SENSOR, read_noise_e=0.0, black_level=0.0)
+    expectation = replace(PREDICTED, x_px=float(place[0]), y_px=float(place[1]))
+    assert obstruction(image, sensor=sensor, expectation=expectation, reach_px=0.0) is None
+    image[place[1], place[0]] = 1
+    assert obstruction(image, sensor=sensor, expectation=expectation, reach_px=0.0) is not None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.detection.rendering import FloatArray, Image
 
-from sunarc.detection.disc.smear import column_smear
+from sunarc.detection.disc.smear import _profile, column_smear
 
 
 def frame(smear: FloatArray, *, rows: int = 800, noise: float = 2.0, seed: int = 0) -> Image:
@@ -62,3 +62,10 @@ def test_eight_rows_beyond_the_window_every_32_are_needed(rows: int, *, found: b
 
 def test_an_empty_window_has_no_smear() -> None:
     assert column_smear(frame(peak(60.0)), x0=5, x1=5, y0=0, y1=9, mosaic=False).shape == (9, 0)
+
+
+@pytest.mark.parametrize("rows", [8, 9, 12, 13])
+def test_the_excess_of_a_column_is_its_median_above_the_lowest(rows: int) -> None:
+    image = frame(peak(300.0), rows=rows, noise=20.0)
+    median = np.median(image, axis=0)
+    np.testing.assert_allclose(_profile(image), median - median.min(), atol=1e-12)
