@@ -79,6 +79,22 @@ class FileSightings(Store):
                 if point.accepted:
                     _set_others_aside(connection, point)
 
+    def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
+        """Set the `ingest_pass` of the sightings of image files."""
+        c = sun_point.c
+        with self._writing() as connection:
+            for time_us, exposure_us, file in keys:
+                same = (c.camera == camera, type_coerce(c.time, Integer) == time_us, c.file == file, c.body == "sun")
+                change = update(sun_point).where(*same, c.exposure_us == exposure_us)
+                connection.execute(change.values(ingest_pass=ingest_pass))
+
+    def methods_of_files(self, camera: str) -> tuple[str, ...]:
+        """Return the methods by which the sun was found in image files."""
+        c = sun_point.c
+        methods = select(c.method).distinct().where(c.camera == camera, c.file != "", c.x_px.is_not(None))
+        with self._reading() as connection:
+            return tuple(connection.scalars(methods.order_by(c.method)))
+
     def scale_sigma(self, camera: str, *, method: str, factor: float) -> int:
         """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
 

@@ -200,13 +200,17 @@ class Sightings(Store):
         pose_epoch: str | None = None,
         method: str | None = None,
         body: str = "sun",
+        of_files: bool = False,
         largest_clock_error_s: float | None = None,
     ) -> SunPointColumns:
-        """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter."""
+        """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter.
+
+        With `of_files` only those in image files.
+        """
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
         filters += _clock_within(largest_clock_error_s)
-        filters += given((c.body.__eq__, body), (c.method.__eq__, method))
+        filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
         with self._reading() as connection:
             return read_columns(connection, camera, filters)
 

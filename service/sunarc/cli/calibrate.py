@@ -12,11 +12,12 @@ from sunarc.calibration import CalibrationOptions
 from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
+from sunarc.offline.calibrate_archive import calibrate_archive
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.reproduce import solve_again
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings import load_settings
+from sunarc.settings import Settings, load_settings
 from sunarc.sky import Site
 
 Value = TypeVar("Value")
@@ -58,10 +59,17 @@ def calibrate(
 ) -> None:
     """Fit the camera to sightings; exit 1 when the fit is refused, or --again leads to another camera.
 
+    Without POINTS the accepted sightings of the archive are taken, and the result is stored there: site, lens and
+    limits come from the settings (--config).
+
     Example: sunarc calibrate points.csv --latitude 36.6 --longitude -97.5 --altitude 318 --image-size 1748,1748
     """
     if again is not None:
         _solve_again(again, config, as_json=as_json)
+        return
+    if points is None and config is not None:
+        _require_settings_only(latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
+        calibrate_stored(load_settings(config), as_json=as_json)
         return
     points, latitude, longitude = (
         _given(points, "POINTS"),
@@ -95,6 +103,30 @@ def calibrate(
         if plots is not None:
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
     if not document["verdict"]["accepted"]:
+        raise typer.Exit(1)
+
+
+def _require_settings_only(*options: object) -> None:
+    """Refuse options that belong to a file of sightings, where the settings say all."""
+    if any(option is not None for option in options):
+        raise InputError(
+            field="POINTS",
+            problem="missing, and options of a file of sightings are given",
+            remedy="name the file; or leave the options out, and the archive's sightings are taken by the settings",
+        )
+
+
+def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
+    """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
+    refit, document = calibrate_archive(settings, clock=SystemClock())
+    if as_json:
+        print_json({"state": refit.state, "message": refit.message, "calibration": document})
+    elif document is None:
+        print(f"no calibration: {refit.message}")
+    else:
+        _print_calibration(document)
+        print(f"{refit.state}: stored as {document['id']}")
+    if refit.state != "accepted":
         raise typer.Exit(1)
 
 

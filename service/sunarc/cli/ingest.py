@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from sunarc.cli.calibrate import calibrate_stored
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of
 from sunarc.cli.output import print_json, table
@@ -20,7 +21,7 @@ from sunarc.errors import InputError
 from sunarc.offline.detect_files import METHODS
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.run import IngestOptions, ReportProgress, ingest_folder, usable_processors
-from sunarc.offline.ingest.summary import Summary
+from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.settings import load_settings
 
 _LISTED = 20
@@ -43,17 +44,22 @@ def ingest(
     contact_sheet: Annotated[
         Path | None, typer.Option(help="PNG with examples of each verdict; in the state folder unless given.")
     ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Then fit the camera, as sunarc calibrate --config FILE does.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.
 
     It can be stopped at any time (Ctrl-C) and goes on where it was when it is called again.
 
-    Example: sunarc ingest images/ --config sunarc.toml
+    Example: sunarc ingest images/ --config sunarc.toml --calibrate
     """
     settings = load_settings(config)
     if workers is not None and workers < 1:
         raise InputError(field="--workers", problem=f"{workers} is below 1", remedy="give 1 or more")
+    if as_json and calibrate:
+        raise InputError(field="--json", problem="given with --calibrate", remedy="run sunarc calibrate --json then")
     options = IngestOptions(
         method=choice_of("--method", method, METHODS),
         naming=Naming(time_pattern, timedelta(hours=utc_offset)),
@@ -66,8 +72,12 @@ def ingest(
     note_running_service(settings.state)
     if as_json:
         print_json(summary.as_json())
+        return
+    _print_summary(summary)
+    if calibrate:
+        calibrate_stored(settings, as_json=False)
     else:
-        _print_summary(summary)
+        print(_next_command(summary, config))
 
 
 @contextmanager
@@ -86,6 +96,14 @@ def _progress() -> Iterator[ReportProgress]:
         yield update
 
 
+def _next_command(summary: Summary, config: Path | None) -> str:
+    """Return what to type next."""
+    if not any(summary.by_verdict.values()):
+        return "next: check the reasons above (the times of the files: --time-pattern, --utc-offset)"
+    named = "" if config is None else f" --config {config}"
+    return f"next: sunarc calibrate{named}"
+
+
 def _print_summary(summary: Summary) -> None:
     record = summary.as_json()
     for row in record["files_skipped"][:_LISTED]:
@@ -99,5 +117,7 @@ def _print_summary(summary: Summary) -> None:
         f"{summary.accepted} accepted, {summary.rejected} rejected, {summary.known} known already, "
         f"{len(summary.skipped)} skipped"
     )
+    for finding in summary.camera_findings:
+        print(f"camera: {sentence_of(finding)}")
     if summary.contact_sheet is not None:
         print(f"examples of each verdict: {summary.contact_sheet}")

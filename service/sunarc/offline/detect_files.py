@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import cv2
 import numpy as np
 
-from sunarc.array_types import Image
+from sunarc.array_types import BoolArray, Image
 from sunarc.detection import (
     Bayer,
     Detection,
@@ -53,6 +53,7 @@ def detect_in_image(
     full_scale: int | None = None,
     bayer: Bayer | None = None,
     expectation: Expectation | None = None,
+    static: BoolArray | None = None,
     exposure_us: float | None = None,
 ) -> Detection:
     """Look for the sun in one image.
@@ -64,12 +65,15 @@ def detect_in_image(
         exposed sky, or in colours, for an ordinary one.
     full_scale, bayer : as in `detect_in_files`.
     expectation : where the sun should be, where that is known.
+    static : what stands still in the series of an ordinary image, (rows, columns) or reduced.
     exposure_us : returned in the result.
     """
-    top = full_scale or _full_scale_of(image)
+    top = full_scale or full_scale_of(image)
     selected = _method_for(image, top) if method == "auto" else method
     if selected == "paper":
-        return detect_sun_in_photo(image, full_scale=top, expectation=expectation, exposure_us=exposure_us)
+        return detect_sun_in_photo(
+            image, full_scale=top, expectation=expectation, static=static, bayer=bayer, exposure_us=exposure_us
+        )
     if image.ndim != 2:
         raise InputError(
             field="method", problem="disc wants a raw frame, and the image has colours", remedy="use --method paper"
@@ -113,7 +117,7 @@ def _method_for(image: Image, full_scale: int) -> Literal["disc", "paper"]:
     return "paper" if image.ndim == 3 or exposed else "disc"
 
 
-def _full_scale_of(image: Image) -> int:
+def full_scale_of(image: Image) -> int:
     """Return the smallest usual full scale that holds the image."""
     if image.dtype == np.uint8:
         return 255

@@ -29,6 +29,11 @@ MESSAGES = Messages(
         "the sun was at {zenith_deg:.1f} degrees from the zenith", _LEFT_OUT, "none; or correct --utc-offset"
     ),
     worker_died=Message("the process that read it died: {error}", _LEFT_OUT, "open it in another program"),
+    mirrored_setting_differs=Message(
+        "the sightings fit a camera with mirrored = {mirrored!r}, and calibration.mirrored is not that",
+        "A refit with these settings is refused.",
+        'set calibration.mirrored = "{mirrored}"',
+    ),
     file_size_differs=Message(
         "image size {width}x{height} px, the camera's is {camera_width}x{camera_height}",
         _LEFT_OUT,

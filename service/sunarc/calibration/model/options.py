@@ -84,7 +84,7 @@ class CalibrationOptions:
     mirrored : whether the image is a mirror image; "auto" tries both and reports which it took.
     level_within_deg : a camera tilted by more is refused (the fit itself searches tilts to 75 degrees).
     max_angle_deg : how far off the axis the model is asked to answer.
-    max_rmse_px : a fit whose used sightings scatter by more is refused.
+    max_rmse_px : a fit whose used sightings scatter by more, and by 1.5 times more than they state, is refused.
     max_rejected : a fit that had to leave out a larger share of the sightings is refused.
     max_sky_deg : a fit whose stated 1-sigma over the sky (root mean square) is larger is refused.
     site_error_m : 1-sigma of the surveyed position, m.

@@ -116,6 +116,7 @@ class FilteredSightings:
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
     dropped : how many were left out, a finding for each cause.
     static : positions that do not move with the sun, left out.
+    stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where nobody states one.
     """
 
     index: IntArray
@@ -128,6 +129,7 @@ class FilteredSightings:
     refraction_sd: FloatArray
     dropped: tuple[Finding, ...]
     static: tuple[StaticPosition, ...] = ()
+    stated_sigma_px: float = math.nan
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -178,6 +180,7 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
         dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
+        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained]),
     )
 
 
@@ -189,6 +192,12 @@ def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, s
     daily = DAILY_AIR_SD * (run[:, None] == np.arange(runs)) * ~measured[:, None]
     share = np.column_stack([MEASURED_AIR_SD * measured, ASSUMED_AIR_SD * ~measured, daily])
     return np.asarray(refraction_rad(directions, site)[:, None] * share)
+
+
+def _stated_sigma_px(sigma_px: FloatArray) -> float:
+    """Return the root mean square of what is stated, a few exaggerations bounded as in the weights."""
+    stated = sigma_px[np.isfinite(sigma_px) & (sigma_px > 0.0)]
+    return float(np.median(stated) * np.sqrt(np.mean(_relative_sigma(stated) ** 2))) if stated.size else math.nan
 
 
 def _relative_sigma(sigma_px: FloatArray) -> FloatArray:

@@ -20,6 +20,8 @@ _SMALLEST_SPREAD_PX = 10.0
 _MOST_STATIC = 0.5
 """Share of the sightings that may stand still: a detector that finds an overlay more often than the sun is at fault."""
 _POSITIONS_NAMED = 3
+_OVER_STATED = 1.5
+"""RMSE over that of the stated sigmas that is no fault of the camera: detectors state theirs to a factor of 1.5."""
 _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
@@ -84,13 +86,20 @@ def _against_scatter(
     calibration: Calibration, usable: FilteredSightings, options: CalibrationOptions
 ) -> Iterator[Finding]:
     rmse, sigma = calibration.metrics.rmse_px, calibration.sky_rms_deg
-    if not rmse <= options.max_rmse_px:
-        yield Finding("rmse_too_large", {"rmse_px": rmse, "limit_px": options.max_rmse_px})
+    limit = _largest_rmse_px(usable, options)
+    if not rmse <= limit:
+        yield Finding("rmse_too_large", {"rmse_px": rmse, "limit_px": limit})
     rejected = 1.0 - calibration.evidence.n_used / max(len(usable), 1)
     if rejected > options.max_rejected:
         yield Finding("too_many_rejected", {"share": rejected, "limit": options.max_rejected})
     if not sigma <= options.max_sky_deg:
         yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
+
+
+def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> float:
+    """Return the largest RMSE that is no fault: that of the options, or what the sightings state of themselves."""
+    stated = _OVER_STATED * math.sqrt(2.0) * usable.stated_sigma_px  # an RMSE is of the 2-D distance
+    return max(options.max_rmse_px, stated) if math.isfinite(stated) else options.max_rmse_px
 
 
 def _against_camera(calibration: Calibration, options: CalibrationOptions) -> Iterator[Finding]:

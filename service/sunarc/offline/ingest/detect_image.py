@@ -10,10 +10,14 @@ from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method, detect_in_image
 from sunarc.offline.ingest.image_checks import read_checked_image
+from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.messages import RefusedImageError
 
 Answer = Detection | Finding
 """A detection, with or without a sun; or why the image is left out."""
+
+
+_OUTSIDE = Detection(method="paper", accepted=False, verdict="hidden", findings=(Finding("sun_outside_image"),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +31,8 @@ class Task:
     method : see `detect_in_image`.
     size : width and height that it must have, px.
     expectation : where the sun should be; None without a prediction.
+    static : what stands still in the series.
+    outside : whether the sun should be outside the image, or the camera's field: then nothing in it is the sun.
     """
 
     path: Path
@@ -34,12 +40,16 @@ class Task:
     method: Method
     size: tuple[int, int]
     expectation: Expectation | None = None
+    static: PackedMask | None = None
+    outside: bool = False
 
 
 def detect_in_file(task: Task) -> Answer:
     """Read one image and look for the sun in it."""
     try:
         image = read_checked_image(task.path, size=task.size)
+        if task.outside:
+            return _OUTSIDE
         return detect_in_image(image, method=task.method, expectation=task.expectation, exposure_us=task.exposure_us)
     except RefusedImageError as error:
         return error.finding

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from sunarc.archive import Archive, FileSighting, ImageKey, SunPoint, open_archive, sun_point_of, upgrade_present
-from sunarc.detection import Detection
+from sunarc.detection import Detection, Expectation
+from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.detect_files import Method
+from sunarc.offline.ingest.consensus import Agreed, agreed_cameras, expectations, is_consistent
 from sunarc.offline.ingest.contact_sheet import write_contact_sheet
 from sunarc.offline.ingest.detect_image import Task
 from sunarc.offline.ingest.detection_pool import detect_in_pool
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.index import ImageFile, Index, Skipped, index_folder, usual_size
+from sunarc.offline.ingest.packed_mask import PackedMask
+from sunarc.offline.ingest.series_mask import series_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
+from sunarc.offline.learned_sigma import learn_sigma
 from sunarc.settings import Settings
 from sunarc.utc import from_microseconds
 
@@ -25,6 +30,8 @@ _BATCH = 32
 """Sightings written at once; a run that is killed loses no more, and finds them again."""
 UNPREDICTED = 1
 """`ingest_pass` of a sighting that was found without a prediction."""
+PREDICTED = 2
+"""`ingest_pass` of a sighting that was found, or confirmed, with a prediction."""
 
 ReportProgress = Callable[[str, int, int], None]
 """Called with the name of a stage, how many images of it are done, and how many there are."""
@@ -60,6 +67,10 @@ def ingest_folder(
 ) -> Summary:
     """Look for the sun in every image below a folder, and store what was found.
 
+    First without a prediction; then the camera that most sightings agree on predicts the sun, and images whose
+    sighting is not there are looked at again: reflections, ghosts and clouds are distinguished from the sun. What
+    stands still in the images takes no part.
+
     An image is known by its time, exposure and file name; one that is known is left as it is unless `reprocess` is set
     or another method is asked for. What was done is in the archive after every few images.
 
@@ -85,9 +96,19 @@ def ingest_folder(
         known_camera(archive, settings)
         known = _known(archive, settings, index, options)
         images = [image for image in index.images if options.reprocess or image.key not in known]
-        skipped = [*index.skipped, *_detect(archive, settings, folder, images, options=options, progress=progress)]
+        run = Run.of(archive, settings, index, options, progress)
+        skipped = run.first_pass(images)
+        camera_findings = run.second_pass()
         found = newest_verdicts(index.images, _stored(archive, settings, index))
-    return _summary(settings, index, found, looked_at=images, skipped=skipped, options=options)
+    return _summary(
+        settings,
+        index,
+        found,
+        looked_at=images,
+        skipped=[*index.skipped, *skipped],
+        camera_findings=camera_findings,
+        options=options,
+    )
 
 
 def _stored(archive: Archive, settings: Settings, index: Index) -> list[FileSighting]:
@@ -112,59 +133,134 @@ def _known(archive: Archive, settings: Settings, index: Index, options: IngestOp
     return {one.key for one in named_now if options.method in {"auto", one.method}}
 
 
-def _detect(
-    archive: Archive,
-    settings: Settings,
-    folder: Path,
-    images: Sequence[ImageFile],
-    *,
-    options: IngestOptions,
-    progress: ReportProgress,
-) -> list[Skipped]:
-    """Look at images and store their sightings; return those that are left out."""
-    camera = archive.camera(settings.name)
-    size = usual_size(folder, images) if camera is None else camera.image_size
-    if size is None:
-        size = (0, 0)  # no header can be read: each image is refused with its own reason
-    elif images:
-        register_camera(archive, settings, size)
-    tasks = (
-        Task(path=folder / image.path, exposure_us=image.exposure_us, method=options.method, size=size)
-        for image in images
-    )
-    answers = detect_in_pool(tasks, n_tasks=len(images), processes=options.processes)
-    skipped, waiting = list[Skipped](), list[tuple[ImageFile, Detection]]()
-    try:
-        for done, (image, found) in enumerate(zip(images, answers, strict=True), start=1):
-            if isinstance(found, Detection):
-                waiting.append((image, found))
-            else:
-                skipped.append(Skipped(image.path, found))
-            if len(waiting) >= _BATCH:
-                _store(archive, settings, waiting)
-                waiting = []
-            progress("detecting", done, len(images))
-    finally:  # also when the run is broken off: what was found need not be looked for again
-        _store(archive, settings, waiting)
-    return skipped
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """The passes over a folder.
+
+    Attributes
+    ----------
+    archive, settings, index, options, progress : see `ingest_folder`.
+    size : width and height of the camera's images, px; (0, 0) where no header can be read.
+    static : what stands still in the images.
+    """
+
+    archive: Archive
+    settings: Settings
+    index: Index
+    options: IngestOptions
+    progress: ReportProgress
+    size: tuple[int, int]
+    static: PackedMask | None
+
+    @staticmethod
+    def of(archive: Archive, settings: Settings, index: Index, options: IngestOptions, progress: ReportProgress) -> Run:
+        """Return the passes over an index, the camera being stored with the size of its images."""
+        camera = archive.camera(settings.name)
+        size = usual_size(index.folder, index.images) if camera is None else camera.image_size
+        if size is not None and index.images:
+            register_camera(archive, settings, size)
+        size = size or (0, 0)
+        static = series_mask(index.folder, index.images, size=size, site=settings.site)
+        return Run(
+            archive=archive,
+            settings=settings,
+            index=index,
+            options=options,
+            progress=progress,
+            size=size,
+            static=static,
+        )
+
+    def first_pass(self, images: Sequence[ImageFile]) -> list[Skipped]:
+        """Look at images without a prediction; return those that are left out."""
+        return self._detect("detecting", images, None)
+
+    def second_pass(self) -> tuple[Finding, ...]:
+        """Look again, with a prediction, at images whose sighting is not where the sun should be.
+
+        Returns
+        -------
+        Why there is no prediction for some of them, or what of the camera has to be set.
+        """
+        stored = newest_verdicts(self.index.images, _stored(self.archive, self.settings, self.index))
+        waiting = {image: one for image, one in stored.items() if one.ingest_pass == UNPREDICTED}
+        if not waiting:
+            return ()
+        agreed = agreed_cameras(self.archive, self.settings, stored.items())
+        again, expected = list[ImageFile](), list[Expectation | None]()
+        for one in agreed:
+            if one.calibration is not None:
+                images = [image for image, _ in one.found if image in waiting]
+                places = expectations(one.calibration, images, site=self.settings.site)
+                as_expected = {i.key for i, e in zip(images, places, strict=True) if is_consistent(waiting[i], e)}
+                self.archive.mark_predicted(self.settings.name, as_expected, ingest_pass=PREDICTED)
+                again += [image for image in images if image.key not in as_expected]
+                expected += [e for i, e in zip(images, places, strict=True) if i.key not in as_expected]
+        self._detect("with prediction", again, expected)
+        cameras = [one.calibration for one in agreed if one.calibration is not None]
+        if cameras:
+            learn_sigma(self.archive, self.settings, cameras[-1])
+        return _camera_findings(agreed, self.settings)
+
+    def _detect(
+        self, stage: str, images: Sequence[ImageFile], expected: Sequence[Expectation | None] | None
+    ) -> list[Skipped]:
+        """Look at images and store their sightings; return those that are left out."""
+        skipped, waiting = list[Skipped](), list[tuple[ImageFile, Detection]]()
+        ingest_pass = UNPREDICTED if expected is None else PREDICTED
+        answers = detect_in_pool(self._tasks(images, expected), n_tasks=len(images), processes=self.options.processes)
+        try:
+            for done, (image, found) in enumerate(zip(images, answers, strict=True), start=1):
+                if isinstance(found, Detection):
+                    waiting.append((image, found))
+                else:
+                    skipped.append(Skipped(image.path, found))
+                if len(waiting) >= _BATCH:
+                    self._store(waiting, ingest_pass)
+                    waiting = []
+                self.progress(stage, done, len(images))
+        finally:  # also when the run is broken off: what was found need not be looked for again
+            self._store(waiting, ingest_pass)
+        return skipped
+
+    def _tasks(self, images: Sequence[ImageFile], expected: Sequence[Expectation | None] | None) -> Iterator[Task]:
+        for number, image in enumerate(images):
+            yield Task(
+                path=self.index.folder / image.path,
+                exposure_us=image.exposure_us,
+                method=self.options.method,
+                size=self.size,
+                static=self.static,
+                expectation=None if expected is None else expected[number],
+                outside=expected is not None and expected[number] is None,
+            )
+
+    def _store(self, answers: Iterable[tuple[ImageFile, Detection]], ingest_pass: int) -> None:
+        self.archive.replace_sun_points([self._point(image, found, ingest_pass) for image, found in answers])
+
+    def _point(self, image: ImageFile, found: Detection, ingest_pass: int) -> SunPoint:
+        time_us, exposure_us, file = image.key
+        time = from_microseconds(time_us)
+        return sun_point_of(
+            found,
+            camera=self.settings.name,
+            pose_epoch=self.archive.epoch_at(self.settings.name, time, reason="first image").id,
+            time=time,
+            exposure_us=exposure_us,
+            file=file,
+            ingest_pass=ingest_pass,
+        )
 
 
-def _store(archive: Archive, settings: Settings, answers: Iterable[tuple[ImageFile, Detection]]) -> None:
-    archive.replace_sun_points([_point(archive, settings, image, found) for image, found in answers])
-
-
-def _point(archive: Archive, settings: Settings, image: ImageFile, found: Detection) -> SunPoint:
-    time_us, exposure_us, file = image.key
-    time = from_microseconds(time_us)
-    return sun_point_of(
-        found,
-        camera=settings.name,
-        pose_epoch=archive.epoch_at(settings.name, time, reason="first image").id,
-        time=time,
-        exposure_us=exposure_us,
-        file=file,
-        ingest_pass=UNPREDICTED,
-    )
+def _camera_findings(agreed: Sequence[Agreed], settings: Settings) -> tuple[Finding, ...]:
+    """Return why some images have no prediction, and that the camera is mirrored where the settings say otherwise."""
+    reasons = {finding.code: finding for one in agreed if one.calibration is None for finding in one.findings}
+    mirrored = {one.calibration.camera.mirrored for one in agreed if one.calibration is not None}
+    if settings.calibration.mirrored == ("no" if True in mirrored else "yes") and mirrored:
+        reasons["mirrored_setting_differs"] = Finding(
+            "mirrored_setting_differs", {"mirrored": "yes" if True in mirrored else "no"}
+        )
+    return tuple(reasons.values())
 
 
 def _summary(
@@ -174,6 +270,7 @@ def _summary(
     *,
     looked_at: Sequence[ImageFile],
     skipped: Sequence[Skipped],
+    camera_findings: tuple[Finding, ...],
     options: IngestOptions,
 ) -> Summary:
     sheet = options.contact_sheet or settings.state / "ingest" / "contact-sheet.png"
@@ -188,4 +285,5 @@ def _summary(
         by_verdict=dict(Counter(one.verdict for one in found.values()).most_common()),
         skipped=tuple(skipped),
         contact_sheet=sheet if found else None,
+        camera_findings=camera_findings,
     )

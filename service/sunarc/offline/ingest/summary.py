@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from sunarc.archive import FileSighting, ImageKey
+from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.findings import Finding
 from sunarc.offline.ingest.index import ImageFile, Skipped
 from sunarc.offline.messages import MESSAGES
+from sunarc.workers.messages import MESSAGES as OF_WORKERS
+
+_TABLES = (MESSAGES, OF_CALIBRATION, OF_WORKERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +29,7 @@ class Summary:
     by_verdict : all images of the folder in the archive, those known before among them, by the verdict on them.
     skipped : images that were left out, with the reason.
     contact_sheet : picture with examples of each verdict; None where there is no image.
+    camera_findings : why no camera could predict the sun in some images, and what of it has to be set.
     """
 
     accepted: int
@@ -32,6 +38,7 @@ class Summary:
     by_verdict: Mapping[str, int]
     skipped: tuple[Skipped, ...]
     contact_sheet: Path | None
+    camera_findings: tuple[Finding, ...] = ()
 
     @property
     def by_reason(self) -> dict[str, int]:
@@ -48,6 +55,7 @@ class Summary:
             "by_verdict": dict(self.by_verdict),
             "by_reason": self.by_reason,
             "contact_sheet": None if self.contact_sheet is None else str(self.contact_sheet),
+            "camera_findings": [finding.as_json() for finding in self.camera_findings],
             "files_skipped": [
                 {"file": one.path, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
                 for one in self.skipped
@@ -63,3 +71,9 @@ def newest_verdicts(images: Iterable[ImageFile], stored: Iterable[FileSighting])
         if former is None or one.accepted or not former.accepted:
             by_key[one.key] = one
     return {image: by_key[image.key] for image in images if image.key in by_key}
+
+
+def sentence_of(finding: Finding) -> str:
+    """Return a finding of `Summary.camera_findings` as a sentence, with what to do about it."""
+    table = next((table for table in _TABLES if finding.code in table), MESSAGES)
+    return f"{table.text_of(finding)}; {table.remedy_of(finding)}"

@@ -1,0 +1,78 @@
+"""The archive's accepted sightings to a calibration, which is stored and served where it is accepted."""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from typing import Any
+
+import sunarc
+from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive, require_file, upgrade
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.offline.cameras import known_camera
+from sunarc.offline.learned_sigma import learn_sigma
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusRegistry
+from sunarc.settings import Settings
+from sunarc.workers import RefitWorker
+
+
+def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[str, Any] | None]:
+    """Fit the camera to the accepted sightings of the archive, as a refit of the service does.
+
+    The result is stored with its sightings, and becomes the current calibration where it is accepted.
+
+    Parameters
+    ----------
+    settings : camera, site, state folder, and how to fit.
+    clock : dates the calibration.
+
+    Returns
+    -------
+    The refit with its state and findings, and the calibration document; None where no fit was made.
+
+    Raises
+    ------
+    InputError : the archive has no images or sightings of this camera.
+    OutsideError : a service uses the state folder.
+    """
+    require_file(settings.database, command="sunarc ingest FOLDER --config FILE")
+    with lock_state(settings.state):
+        upgrade(settings.database)
+        with open_archive(settings.database) as archive:
+            if known_camera(archive, settings) is None:
+                raise InputError(
+                    field="POINTS",
+                    problem=f"missing, and the archive has no camera {settings.name!r}",
+                    remedy="fill it with sunarc ingest or sunarc points import",
+                )
+            refit = _carried_out(archive, settings, clock)
+            if refit.calibration is None:
+                return refit, None
+            if refit.state == "accepted":
+                learn_sigma(archive, settings, archive.model(refit.calibration))
+            return refit, dict(archive.calibration(refit.calibration).document)
+
+
+def _carried_out(archive: Archive, settings: Settings, clock: Clock) -> Refit:
+    """Return a refit that was requested and is finished; one that is interrupted has failed, and is not begun again."""
+    refit = Refit(id=uuid.uuid4().hex, camera=settings.name, requested_at=clock.now(), reason="sunarc calibrate")
+    archive.add_refit(refit)
+    started_at = clock.now()
+    worker = RefitWorker(
+        CameraArchive(archive, name=settings.name, site=settings.site),
+        options=settings.refit,
+        calibration=settings.calibration,
+        cadence_s=settings.capture.cadence_s,
+        clock=clock,
+        now=clock.now,
+        board=StatusRegistry(version=sunarc.__version__, started_at=started_at, monotonic=clock.monotonic),
+    )
+    try:
+        worker.carry_out(refit, threading.Event(), lambda: None)
+    except BaseException as error:
+        failed = Finding("solve_failed", {"error": type(error).__name__})
+        archive.finish_refit(refit.id, state="failed", finished_at=clock.now(), message="", findings=(failed,))
+        raise
+    return archive.refit(refit.id)

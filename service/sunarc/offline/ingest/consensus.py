@@ -1,0 +1,143 @@
+"""The camera that most of a folder's sightings agree on, and where it predicts the sun in each image."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunarc.archive import Archive, FileSighting
+from sunarc.calibration import Calibration, ImageCircle, SunPoints, calibrate, project_with_covariance
+from sunarc.detection import Expectation
+from sunarc.findings import Finding
+from sunarc.offline.ingest.index import ImageFile
+from sunarc.optics import local_stretch
+from sunarc.settings import Settings
+from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.utc import DAY_S
+
+_MOST_SIGHTINGS = 240
+"""The sun's track in so many sightings fixes a camera to a fraction of a pixel; more only take longer."""
+_LEAST_UNCERTAINTY_PX = 3.0
+"""1-sigma of a prediction, at least: the consensus of rough sightings states less than its own errors."""
+_CONSISTENT_SIGMAS, _CONSISTENT_PX = 4.0, 3.0
+_LOOSE: dict[str, Any] = {
+    "method": "robust", "mirrored": "auto", "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 10.0,
+    "max_rejected": 0.75,
+}  # fmt: skip
+"""A prediction need not be a calibration: what the second pass finds decides about that."""
+_STRETCH_S = 10.0 * DAY_S
+_FEW = 5
+_MOST_AGREE = 0.6
+"""Share of a stretch's accepted sightings that agree with a camera where it stands for the stretch: fewer where the
+camera was moved, hardly fewer by false ones."""
+
+
+Found = tuple[ImageFile, FileSighting]
+
+
+class Agreed(NamedTuple):
+    """Images of a stretch of time, and the camera that their sightings agree on; None with the findings why not."""
+
+    found: Sequence[Found]
+    calibration: Calibration | None
+    findings: tuple[Finding, ...] = ()
+
+
+def agreed_cameras(archive: Archive, settings: Settings, found: Iterable[Found]) -> list[Agreed]:
+    """Return the camera of each stretch of ten days: the camera may have been moved in a long series.
+
+    A camera that most accepted sightings of a stretch agree with is taken over from the stretch before, or from the
+    archive; otherwise it is fitted to them. A stretch with too few of them gets that of its neighbour.
+    """
+    stretches = itertools.groupby(sorted(found, key=lambda one: one[0].key), lambda one: one[0].unix_s // _STRETCH_S)
+    agreed, latest = list[Agreed](), archive.current_model(settings.name)
+    for _, members in stretches:
+        agreed.append(_agreed(archive, settings, list(members), latest))
+        latest = agreed[-1].calibration or latest
+    following: Calibration | None = None
+    for number, one in reversed(list(enumerate(agreed))):
+        if one.calibration is None and following is not None:
+            agreed[number] = Agreed(one.found, following)
+        following = agreed[number].calibration or following
+    return agreed
+
+
+def _agreed(archive: Archive, settings: Settings, found: Sequence[Found], known: Calibration | None) -> Agreed:
+    accepted = [one for one in found if one[1].accepted]
+    if known is not None and _share_consistent(known, accepted, settings.site) >= _MOST_AGREE:
+        return Agreed(found, known)
+    fitted = _fitted(archive, settings, accepted)
+    if isinstance(fitted, Calibration):
+        return Agreed(found, fitted)
+    return Agreed(found, known if len(accepted) < _FEW else None, fitted)
+
+
+def _share_consistent(calibration: Calibration, found: Sequence[Found], site: Site) -> float:
+    expected = expectations(calibration, [image for image, _ in found], site=site)
+    agreeing = [is_consistent(sighting, one) for (_, sighting), one in zip(found, expected, strict=True)]
+    return sum(agreeing) / len(agreeing) if len(agreeing) >= _FEW else 0.0
+
+
+def _fitted(archive: Archive, settings: Settings, found: Sequence[Found]) -> Calibration | tuple[Finding, ...]:
+    record = archive.camera(settings.name)
+    if record is None or not found:
+        return (Finding("no_accepted_sightings"),)
+    some = [found[n] for n in np.unique(np.linspace(0, len(found) - 1, _MOST_SIGHTINGS).astype(int))]
+    points = SunPoints(
+        unix_s=np.array([image.unix_s for image, _ in some]),
+        pixels=np.array([[one.x_px, one.y_px] for _, one in some], dtype=np.float64),
+        sigma_px=np.array([np.nan if one.sigma_px is None else one.sigma_px for _, one in some]),
+    )
+    circle = settings.refit.image_circle_px
+    solved = calibrate(
+        points,
+        site=settings.site,
+        image_size=record.image_size,
+        options=replace(settings.calibration, **_LOOSE),
+        circle=None if circle is None else ImageCircle(x=circle[0], y=circle[1], radius=circle[2]),
+    )
+    return solved if solved.verdict.accepted else solved.verdict.findings
+
+
+def expectations(calibration: Calibration, images: Sequence[ImageFile], *, site: Site) -> list[Expectation | None]:
+    """Return where the sun should be in each image; None outside the camera's field or image."""
+    if not images:
+        return []
+    unix_s = np.array([image.unix_s for image in images])
+    directions = sun_directions(unix_s, site)
+    pixels, covariance = project_with_covariance(calibration, directions)
+    stretch = local_stretch(calibration.camera, directions)
+    zenith = np.radians(np.asarray(sun_angles(unix_s, site).apparent_zenith))
+    sigma = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0)
+    camera = calibration.camera
+    inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    return [
+        Expectation(
+            x_px=float(pixels[n, 0]),
+            y_px=float(pixels[n, 1]),
+            uncertainty_px=max(float(sigma[n]), _LEAST_UNCERTAINTY_PX),
+            stretch_px_per_rad=_two_by_two(stretch[n].tolist()),
+            apparent_zenith=float(zenith[n]),
+        )
+        if inside[n] and np.isfinite(sigma[n])
+        else None
+        for n in range(len(images))
+    ]
+
+
+def is_consistent(sighting: FileSighting, expected: Expectation | None) -> bool:
+    """Return whether an accepted sighting lies where the sun should be: it need not be looked for again."""
+    if not sighting.accepted or expected is None or sighting.x_px is None or sighting.y_px is None:
+        return False
+    sigma = math.hypot(expected.uncertainty_px, sighting.sigma_px or 0.0)
+    distance = math.hypot(sighting.x_px - expected.x_px, sighting.y_px - expected.y_px)
+    return distance <= _CONSISTENT_SIGMAS * sigma + _CONSISTENT_PX
+
+
+def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (rows[0][0], rows[0][1]), (rows[1][0], rows[1][1])

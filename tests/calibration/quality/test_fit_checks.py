@@ -1,0 +1,56 @@
+"""A fit is refused for a scatter beyond the limit, and beyond what its sightings state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.finding_codes import codes
+from tests.fixtures.calibration import SGP, filtered_sightings, small_camera, stated_calibration, sun_arc
+
+from sunarc.calibration import CalibrationOptions, SunPoints
+from sunarc.calibration.model.sightings import filter_sightings
+from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+
+HAND = Handedness(mirrored=False, ambiguous=False)
+NOON = 1_368_469_800.0  # 2013-05-13T18:30:00Z
+
+
+@pytest.mark.parametrize(
+    ("rmse_px", "stated_px", "refused"),
+    [
+        (2.9, np.nan, False),
+        (3.1, np.nan, True),
+        (3.1, 0.5, True),  # nothing states a scatter of 3 px
+        (4.2, 3.0, False),  # 3 px an axis are an RMSE of 4.2 px
+        (6.2, 3.0, False),
+        (6.6, 3.0, True),
+    ],
+)
+def test_a_scatter_is_refused_beyond_the_limit_and_what_is_stated(
+    rmse_px: float,
+    stated_px: float,
+    refused: bool,  # noqa: FBT001
+) -> None:
+    arc = sun_arc(40)
+    usable = replace(
+        filtered_sightings(NOON + 60.0 * np.arange(40.0), np.zeros((40, 2)), arc), stated_sigma_px=stated_px
+    )
+    calibration = stated_calibration(small_camera())
+    calibration = replace(
+        calibration,
+        metrics=replace(calibration.metrics, rmse_px=rmse_px),
+        evidence=replace(calibration.evidence, n_used=40),
+    )
+    verdict = fit_verdict(calibration, usable, HAND, CalibrationOptions())
+    assert ("rmse_too_large" in codes(verdict.findings)) is refused
+
+
+def test_the_stated_sigma_is_its_root_mean_square() -> None:
+    times = NOON + 60.0 * np.arange(4.0)
+    pixels = np.arange(8.0).reshape(4, 2) * 30.0
+    stated = np.array([3.0, 4.0, np.nan, 5.0])
+    usable = filter_sightings(SunPoints(unix_s=times, pixels=pixels, sigma_px=stated), site=SGP)
+    assert usable.stated_sigma_px == pytest.approx(np.sqrt((9.0 + 16.0 + 25.0) / 3.0))
+    assert np.isnan(filter_sightings(SunPoints(unix_s=times, pixels=pixels), site=SGP).stated_sigma_px)

@@ -1,0 +1,200 @@
+"""Two passes: the camera that most sightings agree on predicts the sun, and what is not there is looked at again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from tests.fixtures.calibration import SGP, small_camera, stated_calibration
+from tests.fixtures.settings import new_settings
+
+from sunarc.archive import SunPoint, open_archive
+from sunarc.calibration import Calibration, SunPoints, Verdict
+from sunarc.detection import Detection, Expectation
+from sunarc.findings import Finding
+from sunarc.offline.ingest import consensus, detect_image
+from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
+from sunarc.offline.ingest.summary import Summary, sentence_of
+from sunarc.optics import Camera, project
+from sunarc.sky import sun_directions
+
+MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
+CAMERA = small_camera()
+TRUTH = stated_calibration(CAMERA)
+COUNT = 12
+REFUSED = Verdict(accepted=False, findings=(Finding("too_few_sightings", {"n": 1, "least": 20}),))
+STATED_PX = 2.0
+
+
+def sun_px(number: int, camera: Camera = CAMERA) -> tuple[float, float]:
+    x, y = project(camera, sun_directions((MORNING + timedelta(minutes=30 * number)).timestamp(), SGP)).tolist()
+    return x, y
+
+
+def draw(folder: Path, number: int, *bright: tuple[float, float]) -> None:
+    """Write an image with bright points; the brightest is what a detector finds without a prediction."""
+    image = np.zeros((CAMERA.height, CAMERA.width), dtype=np.uint8)
+    for level, (x, y) in zip((255, 200), bright, strict=False):
+        image[round(y), round(x)] = level
+    folder.mkdir(exist_ok=True)
+    time = MORNING + timedelta(minutes=30 * number)
+    cv2.imwrite(str(folder / f"{time:%Y%m%dT%H%M%SZ}.png"), image)
+
+
+def find(image: np.ndarray[Any, Any], *, expectation: Expectation | None, **_: object) -> Detection:
+    """Return the brightest point, or with a prediction the one within 20 px of it."""
+    points = [(float(x), float(y), int(image[y, x])) for y, x in np.argwhere(image > 0)]
+    if expectation is not None:
+        points = [p for p in points if math.hypot(p[0] - expectation.x_px, p[1] - expectation.y_px) < 20.0]
+    if not points:
+        missing = (Finding("no_round_region"),)
+        return Detection(method="paper", accepted=False, verdict="hidden", findings=missing)
+    x, y, _level = max(points, key=lambda point: point[2])
+    found = (Finding("blob_found", {"diameter_px": 9.0, "share": 1.0}),)
+    return Detection(method="paper", accepted=True, verdict="clear", findings=found, x_px=x, y_px=y, sigma_px=STATED_PX)
+
+
+class Fits:
+    """In place of `calibrate`: remembers what it was given, and answers with what is known."""
+
+    def __init__(self, *answers: Calibration) -> None:
+        self.given: list[SunPoints] = []
+        self._answers = list(answers)
+
+    def __call__(self, points: SunPoints, **_: object) -> Calibration:
+        self.given.append(points)
+        return self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+
+
+@pytest.fixture
+def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(detect_image, "detect_in_image", find)
+    return tmp_path / "images"
+
+
+def ingested(images: Path, monkeypatch: pytest.MonkeyPatch, fits: Fits, **more: Any) -> Summary:  # noqa: ANN401
+    monkeypatch.setattr(consensus, "calibrate", fits)
+    return ingest_folder(new_settings(images.parent), images, options=IngestOptions(**more))
+
+
+def stored(images: Path) -> tuple[SunPoint, ...]:
+    with open_archive(images.parent / "state" / "sunarc.sqlite") as archive:
+        return archive.sun_points("roof")
+
+
+def errors_px(points: Sequence[SunPoint]) -> list[float]:
+    """Return how far sightings are from the sun."""
+    numbers = [round((point.time - MORNING).total_seconds() / 1800) for point in points]
+    pairs = zip(points, (sun_px(n) for n in numbers), strict=True)
+    return [math.hypot((p.x_px or 0.0) - x, (p.y_px or 0.0) - y) for p, (x, y) in pairs]
+
+
+def test_a_ghost_is_replaced_by_the_sun_beside_it_and_a_ghost_alone_is_rejected(
+    images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ghost = (40.0, 60.0)
+    for number in range(COUNT):
+        draw(images, number, *{3: (ghost, sun_px(3)), 5: (ghost,)}.get(number, (sun_px(number),)))
+    fits = Fits(TRUTH)
+    summary = ingested(images, monkeypatch, fits)
+    assert (summary.accepted, summary.rejected) == (COUNT - 1, 1)
+    assert summary.by_verdict == {"clear": COUNT - 1, "hidden": 1}
+    assert len(fits.given) == 1
+    assert len(fits.given[0]) == COUNT
+    accepted = [point for point in stored(images) if point.accepted]
+    assert max(errors_px(accepted)) < 1.0
+    assert {point.ingest_pass for point in stored(images)} == {PREDICTED}
+
+
+def test_a_run_after_the_first_looks_at_nothing_and_fits_nothing(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(COUNT):
+        draw(images, number, sun_px(number))
+    ingested(images, monkeypatch, Fits(TRUTH))
+    fits = Fits(TRUTH)
+    again = ingested(images, monkeypatch, fits)
+    assert (again.known, again.accepted, again.rejected, fits.given) == (COUNT, 0, 0, [])
+
+
+def test_a_run_that_was_broken_off_goes_on_where_it_was(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(COUNT):
+        draw(images, number, sun_px(number))
+
+    def broken_off(_stage: str, done: int, _total: int) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(consensus, "calibrate", Fits(TRUTH))
+    with pytest.raises(KeyboardInterrupt):
+        ingest_folder(new_settings(images.parent), images, options=IngestOptions(), progress=broken_off)
+    assert [point.ingest_pass for point in stored(images)] == [UNPREDICTED] * 5
+    summary = ingested(images, monkeypatch, Fits(TRUTH))
+    assert (summary.known, summary.accepted) == (5, COUNT - 5)
+    assert {point.ingest_pass for point in stored(images)} == {PREDICTED}
+
+
+def test_without_a_camera_the_first_answers_stay_and_the_reason_is_given(
+    images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(COUNT):
+        draw(images, number, sun_px(number))
+    summary = ingested(images, monkeypatch, Fits(refusing()))
+    assert [finding.code for finding in summary.camera_findings] == ["too_few_sightings"]
+    assert "20" in sentence_of(summary.camera_findings[0])
+    assert {point.ingest_pass for point in stored(images)} == {UNPREDICTED}
+    assert summary.accepted == COUNT
+
+
+def refusing() -> Calibration:
+    return replace(TRUTH, verdict=REFUSED)
+
+
+def test_a_mirrored_camera_is_named_where_the_settings_say_otherwise(
+    images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mirrored = small_camera(mirrored=True)
+    for number in range(COUNT):
+        draw(images, number, sun_px(number, mirrored))
+    summary = ingested(images, monkeypatch, Fits(stated_calibration(mirrored)))
+    assert [(one.code, one.data) for one in summary.camera_findings] == [
+        ("mirrored_setting_differs", {"mirrored": "yes"})
+    ]
+
+
+def test_images_mirrored_midway_are_not_accepted(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(COUNT):
+        x, y = sun_px(number)
+        draw(images, number, (CAMERA.width - 1 - x, y) if number in {8, 9} else (x, y))
+    ingested(images, monkeypatch, Fits(TRUTH))
+    points = stored(images)
+    assert [number for number, point in enumerate(points) if not point.accepted] == [8, 9]
+
+
+def test_the_learned_sigma_is_stored(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(4)
+    for number in range(3 * COUNT):
+        x, y = np.array(sun_px(number % 20 + 48 * (number // 20))) + 5.0 * rng.standard_normal(2)
+        draw(images, number % 20 + 48 * (number // 20), (float(x), float(y)))
+    ingested(images, monkeypatch, Fits(TRUTH))
+    sigma = {point.sigma_px for point in stored(images)}
+    assert len(sigma) == 1
+    assert 3.5 < float(sigma.pop() or 0.0) < 7.0
+
+
+def test_a_camera_that_was_moved_after_weeks_is_fitted_again(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = small_camera(mirrored=True)
+    after = 48 * 25
+    for number in range(COUNT):
+        draw(images, number, sun_px(number))
+        draw(images, after + number, sun_px(after + number, moved))
+        draw(images, 2 * after + number, sun_px(2 * after + number, moved))
+    fits = Fits(TRUTH, stated_calibration(moved))
+    summary = ingested(images, monkeypatch, fits)
+    assert summary.by_verdict == {"clear": 3 * COUNT}
+    assert len(fits.given) == 2  # the third stretch agrees with the second's camera
