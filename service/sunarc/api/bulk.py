@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
 from sunarc.api.compute_slots import ComputeSlots
-from sunarc.api.context import ApiContext, Sampling
+from sunarc.api.context import CALIBRATION, ApiContext, Sampling
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.archive import CalibrationRecord
@@ -102,7 +102,8 @@ async def compute(
     body = await request.body()
     if len(body) <= _SMALL_BYTES:
         # On the event loop only where nothing has to be read or made: that would hold up every other request.
-        ours_now = question.at is None and not question.draws and not request.path_params["camera"]
+        chosen = question.draws or CALIBRATION in request.query_params
+        ours_now = question.at is None and not chosen and not request.path_params["camera"]
         if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
             return _json(computation, context, request, body, question)
         return await run_in_threadpool(_json, computation, context, request, body, question)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -21,6 +22,8 @@ from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
 
 _CACHE_SIZE = 8
+CALIBRATION, BEST = "calibration", "best"
+"""Name of the query parameter that chooses a calibration, and its value for the least uncertain of the pose epoch."""
 CAMERA_PREFIX = "/v1{camera:of_camera}"
 """Prefix of the routes of one camera: `/v1`, or `/v1/cameras/NAME`."""
 
@@ -114,7 +117,10 @@ class DaySites:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiContext:
-    """The collaborators of one application (see `create_app`)."""
+    """The collaborators of one application (see `create_app`).
+
+    `chosen` is the calibration that a request asks to be answered with: an id, or "best"; None for the one of the time.
+    """
 
     archive: Archive
     camera: str
@@ -128,11 +134,17 @@ class ApiContext:
     sites: DaySites
     ready: SingleFlightCache[CalibrationRecord, Lookup]
     ensembles: SingleFlightCache[Sampling, Ensemble]
+    chosen: str | None = None
 
     def of(self, request: Request) -> ApiContext:
-        """Return what is served of the camera in a request's path; of this service's own where the path names none."""
+        """Return what is served of the camera in a request's path, by the calibration that its query names.
+
+        Where the path names no camera it is this service's own.
+        """
         name = request.path_params["camera"]
-        return self if name in ("", self.camera) else self._of_another(name)
+        selected = self if name in ("", self.camera) else self._of_another(name)
+        chosen = request.query_params.get(CALIBRATION)
+        return selected if chosen is None else replace(selected, chosen=chosen)
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
@@ -161,13 +173,15 @@ class ApiContext:
             )
         return record
 
-    def calibration(self, calibration_id: str) -> CalibrationRecord:
+    def calibration(self, calibration_id: str, *, field_name: str = "id") -> CalibrationRecord:
         """Return this camera's calibration of an id; NotFoundError without one."""
-        record = self.archive.calibration(calibration_id)
+        try:
+            record = self.archive.calibration(calibration_id)
+        except NotFoundError as error:
+            raise NotFoundError(field=field_name, problem=error.problem, remedy=error.remedy) from None
         if record.camera != self.camera:
-            raise NotFoundError(
-                field="id", problem=f"calibration {calibration_id} is another camera's", remedy="see /v1/cameras"
-            )
+            problem = f"calibration {calibration_id} is another camera's"
+            raise NotFoundError(field=field_name, problem=problem, remedy="see /v1/cameras")
         return record
 
     def calibration_or_none(self, at: datetime | None) -> tuple[CalibrationRecord, Calibration] | None:
@@ -177,7 +191,35 @@ class ApiContext:
 
     def record_or_none(self, at: datetime | None) -> CalibrationRecord | None:
         """Return the calibration that answers; None without one."""
-        return self.archive.current_calibration(self.camera, at=at)
+        if self.chosen is None:
+            return self.archive.current_calibration(self.camera, at=at)
+        return self._best(at) if self.chosen == BEST else self._accepted(self.chosen)
+
+    def _accepted(self, calibration_id: str) -> CalibrationRecord:
+        """Return a calibration that may answer: none that its verdict refused."""
+        record = self.calibration(calibration_id, field_name=CALIBRATION)
+        if not record.accepted or record.damaged:
+            why = "is damaged" if record.damaged else "was refused by its verdict"
+            remedy = f"see its reasons in /v1/calibrations/{calibration_id}"
+            raise InputError(field=CALIBRATION, problem=f"{calibration_id} {why}", remedy=remedy)
+        return record
+
+    def _best(self, at: datetime | None) -> CalibrationRecord | None:
+        """Return the accepted calibration of the pose epoch that answers with the least uncertainty over the sky."""
+        answering = self.archive.current_calibration(self.camera, at=at)
+        if answering is None:
+            return None
+        rivals = [
+            record
+            for record in self.archive.calibrations(self.camera)
+            if record.pose_epoch == answering.pose_epoch and record.accepted and not record.damaged
+        ]
+        return min([answering, *rivals], key=_sky_rms_deg)
+
+
+def _sky_rms_deg(record: CalibrationRecord) -> float:
+    value = record.document.get("uncertainty", {}).get("sky_rms_deg")
+    return math.inf if value is None else float(value)
 
 
 def _refuse_refit(_reason: str) -> Refit:

@@ -12,6 +12,7 @@ from fastapi.responses import Response
 
 from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.problems import answers
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, CalibrationId, IfNoneMatch, row_limit
 from sunarc.api.schemas.record import Calibrations, CalibrationSummary
@@ -51,7 +52,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in FORMATS}
     written = _Written()
 
-    @routes.get("/calibration", responses=_EXPORTED | answers(404, 422))
+    @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
     def calibration(
         request: Request,
         at: At = None,

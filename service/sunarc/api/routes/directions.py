@@ -13,6 +13,7 @@ from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, 
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.calibration import BackProjectAnswer, BackProjectRequest, ProjectAnswer, ProjectRequest
 from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
@@ -27,6 +28,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
 
     @routes.post(
         "/back-project",
+        dependencies=BY_CALIBRATION,
         response_model=BackProjectAnswer,
         responses=row_responses(BACK_PROJECTED) | failures,
         openapi_extra=body_of("BackProjectRequest", "(n, 2) x and y in px."),
@@ -37,6 +39,7 @@ def direction_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
 
     @routes.post(
         "/project",
+        dependencies=BY_CALIBRATION,
         response_model=ProjectAnswer,
         responses=row_responses(PROJECTED) | failures,
         openapi_extra=body_of("ProjectRequest", "(n, 3) vectors, east-north-up, of any length but 0."),

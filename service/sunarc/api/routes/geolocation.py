@@ -13,6 +13,7 @@ from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, 
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.directions import finite_rows
 from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
 from sunarc.api.schemas.parameters import At, Draws, Seed
@@ -43,6 +44,7 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
 
     @routes.post(
         "/geolocate",
+        dependencies=BY_CALIBRATION,
         response_model=GeolocateAnswer,
         responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of(

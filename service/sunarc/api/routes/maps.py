@@ -24,6 +24,7 @@ from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.calibration import BackProjectionMap, back_projection_map
@@ -54,7 +55,9 @@ def map_routes(context: ApiContext) -> APIRouter:
     making, sending = ComputeSlots(1), Holdings(_MOST_SENT)
     files = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
 
-    @routes.get("/back-projection-map", response_class=Response, responses=_MAP | answers(404, 422))
+    @routes.get(
+        "/back-projection-map", dependencies=BY_CALIBRATION, response_class=Response, responses=_MAP | answers(404, 422)
+    )
     async def back_projection_map(
         request: Request,
         at: At = None,

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import tagged
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.sun import track_of
 from sunarc.api.schemas.overlay import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.schemas.parameters import At, IfNoneMatch
@@ -41,13 +42,23 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     """Return the routes that help pages draw."""
     routes = APIRouter(tags=["drawing"])
 
-    @routes.get("/overlay", responses=_described(Overlay) | answers(422), response_model=Overlay)
+    @routes.get(
+        "/overlay",
+        dependencies=BY_CALIBRATION,
+        responses=_described(Overlay) | answers(404, 422),
+        response_model=Overlay,
+    )
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
         """Tell lines to draw over an image: zenith, azimuth, and the sun's paths of today and of the solstices."""
         selected = context.of(request)
         return _sent(_overlay(selected, at or selected.frame_clock(), past=at), if_none_match)
 
-    @routes.get("/uncertainty", responses=_described(Uncertainty) | answers(404, 422), response_model=Uncertainty)
+    @routes.get(
+        "/uncertainty",
+        dependencies=BY_CALIBRATION,
+        responses=_described(Uncertainty) | answers(404, 422),
+        response_model=Uncertainty,
+    )
     def uncertainty(
         request: Request,
         at: At = None,

@@ -13,6 +13,7 @@ from fastapi import APIRouter, Query, Request
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
+from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWithResidual, SunTrack
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, Since, Until, row_limit
@@ -30,12 +31,12 @@ def sun_routes(context: ApiContext) -> APIRouter:
     """Return the routes that speak of the sun."""
     routes = APIRouter(tags=["sun"])
 
-    @routes.get("/sun", responses=answers(422))
+    @routes.get("/sun", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def sun(request: Request, at: At = None) -> Sun:
         """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
         return _sun(context.of(request), at or context.frame_clock(), past=at)
 
-    @routes.get("/sun/track", responses=answers(422))
+    @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def track(
         *,
         request: Request,

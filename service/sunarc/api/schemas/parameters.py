@@ -62,6 +62,16 @@ Draws = Annotated[
 Seed = Annotated[
     int, Query(ge=0, lt=2**32, description="With the calibration's id it decides the draws.", examples=[1])
 ]
+Chosen = Annotated[
+    str | None,
+    Query(
+        alias="calibration",
+        max_length=100,
+        description="Id of an accepted calibration to answer with, whatever answers at the time; "
+        '"best": the least uncertain one of the pose epoch that answers.',
+        examples=["best"],
+    ),
+]
 Since = Annotated[Time | None, Query(description="From then on.", examples=[EXAMPLE_TIME])]
 Until = Annotated[Time | None, Query(description="Before then.", examples=[EXAMPLE_TIME])]
 IfNoneMatch = Annotated[
