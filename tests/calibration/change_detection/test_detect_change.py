@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, estimate_pose
 from sunarc.calibration.change_detection import Change, Sighting, SightingWindow, WatchOptions, update_window
+from sunarc.calibration.change_detection.detect_change import distrusted
 from sunarc.optics import Camera, project, rotation_matrix, rotation_vector
 from sunarc.simulation import SGP
 from sunarc.sky import Site, sun_directions
@@ -240,3 +241,17 @@ def test_as_many_sightings_as_an_hour_has_minutes_less_four_are_remembered(
         one = Sighting(unix_s=float(unix_s), pixel=tuple(pixel), direction=tuple(direction), sigma_px=0.02)
         watch, _ = update_window(watch, one, calibration=calibrated, site=SGP, options=WatchOptions())
     assert watch.unix_s.tolist() == times[-56:].tolist()
+
+
+@pytest.mark.parametrize(
+    ("late", "expected"),
+    [
+        ((True, True, True, False, False, False), True),
+        ((False, True, False, True, True, False), True),
+        ((True, True, True, True, False, False), False),
+        ((False, False, False, False, False, True), False),
+    ],
+)
+def test_half_of_the_last_six_must_disagree_the_last_one_too(late: tuple[bool, ...], *, expected: bool) -> None:
+    before = [False] * 5  # earlier ones do not count
+    assert distrusted(SightingWindow(trusted=np.array([*before, *late]))) == expected

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from sunarc.calibration.change_detection import Sighting, SightingWindow, WatchOptions
-from sunarc.calibration.change_detection.detect_change import distrusted
 from sunarc.errors import InputError
 
 
@@ -73,17 +72,3 @@ def test_options_out_of_bounds_are_refused(wrong: dict[str, float]) -> None:
 
 def test_options_at_their_bounds_are_taken() -> None:
     assert WatchOptions(wander_deg=0.0).wander_deg == 0.0
-
-
-@pytest.mark.parametrize(
-    ("late", "expected"),
-    [
-        ((True, True, True, False, False, False), True),
-        ((False, True, False, True, True, False), True),
-        ((True, True, True, True, False, False), False),
-        ((False, False, False, False, False, True), False),
-    ],
-)
-def test_half_of_the_last_six_must_disagree_the_last_one_too(late: tuple[bool, ...], *, expected: bool) -> None:
-    before = [False] * 5  # earlier ones do not count
-    assert distrusted(SightingWindow(trusted=np.array([*before, *late]))) == expected

@@ -170,3 +170,11 @@ def test_places_as_high_to_two_millionths_are_averaged(below: float, *, tied: bo
 
 def test_a_dark_response_has_its_middle_as_the_peak() -> None:
     assert peak_of(np.zeros((5, 9), dtype=np.float32)) == (4.0, 2.0)
+
+
+@pytest.mark.parametrize(("first_column", "peak"), [(41, 43.0), (40, 40.0)])
+def test_forstners_window_ends_at_three_and_three_quarter_sigmas(first_column: int, peak: float) -> None:
+    """Of a disc about column 20 the gradient ends at column 25; 3.75 · 4 = 15 px further nothing is told of it."""
+    within = slice(20, 40), slice(first_column, 46)
+    x, _ = forstner(disc(20.0, 30.0, 4.0), sigma=4.0, within=within)
+    assert x == peak  # the middle of the places where nothing is told, else the nearest of them

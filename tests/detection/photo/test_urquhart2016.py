@@ -12,9 +12,9 @@ from tests.detection.photographs import sky
 from tests.detection.rendering import FloatArray, Image
 
 from sunarc.detection import Estimates, Lens, locate, planes_of, radial_bias_px
-from sunarc.detection.photo import urquhart2016
+from sunarc.detection.photo import centroids, urquhart2016
 from sunarc.detection.photo.blob import Blob
-from sunarc.detection.photo.centroids import gaussian_sigma_px, kernels, smear_column, sun_blob
+from sunarc.detection.photo.centroids import Plane, gaussian_sigma_px, kernels, smear_column, sun_blob
 from sunarc.detection.photo.urquhart2016 import Planes
 from sunarc.errors import InputError
 
@@ -206,3 +206,36 @@ def test_the_fast_path_has_half_a_kernel_around_the_blob(monkeypatch: pytest.Mon
     assert blob is not None
     (first, *_) = kernels(diameter=blob.diameter, sigma=gaussian_sigma_px(math.radians(20.0)))
     assert reaches == [(first.shape[0] - 1) // 2]
+
+
+def test_forstners_strip_is_as_wide_on_either_side_of_the_sun(monkeypatch: pytest.MonkeyPatch) -> None:
+    widths: list[int] = []
+
+    def middle(value: Plane, **_: object) -> tuple[float, float]:
+        widths.append(value.shape[1])
+        return (value.shape[1] - 1) / 2.0, 0.0
+
+    monkeypatch.setattr(centroids, "forstner", middle)
+    planes = planes_of(sky(x=300.0, y=280.0, radius=12.0), full_scale=4095)
+    found = locate(planes, apparent_zenith=math.radians(83.0))
+    assert found is not None
+    sun = float(np.median(found.columns[:3]))
+    assert sun == 300.0
+    assert found.columns[3] == sun
+    assert widths == [2 * round(5.0 * found.sigma + 0.5 * found.diameter) + 1]
+
+
+@pytest.mark.parametrize(
+    ("box", "first", "rows", "columns"),
+    [
+        ((50, 40, 5, 6), (30, 20), (12, 34), (12, 33)),  # 8 px around the blob, counted from the window's first
+        ((2, 3, 5, 6), (0, 0), (0, 17), (0, 15)),
+        ((110, 88, 5, 6), (0, 0), (80, 100), (102, 120)),
+        ((0, 0, 3, 3), (40, 30), (0, 1), (0, 1)),  # at least one place
+    ],
+)
+def test_the_centre_is_sought_in_the_blobs_box_and_8_px_around_as_far_as_the_window_reaches(
+    box: tuple[int, int, int, int], first: tuple[int, int], rows: tuple[int, int], columns: tuple[int, int]
+) -> None:
+    found = urquhart2016._among((100, 120), Blob(0.0, 0.0, 5.0, box), first=first)
+    assert found == (slice(*rows), slice(*columns))
