@@ -100,7 +100,7 @@ def firing(case: Case, series: dict[str, str], folder: Path) -> list[str]:
     """Return the alerts that promtool sees after a case's minutes."""
     test = {
         "rule_files": [str(RULES)],
-        "evaluation_interval": "1m",
+        "evaluation_interval": "1m" if case.minutes <= 60 else "30m",
         "tests": [
             {
                 "interval": "1m",
