@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import FORMATS, MAP_FORMATS, Exported, asi_core_set, export, export_map
+from sunarc.exports import FORMATS, MAP_FORMATS, Exported, asi_core_set, export, export_draws, export_map
 from sunarc.offline.files import read_file
 
 _YAML = (".yaml", ".yml")
@@ -27,6 +27,10 @@ def export_calibration(
         Path | None,
         typer.Option("--output", "-o", help="File to write (asi-core: folder); standard output unless given."),
     ] = None,
+    draws: Annotated[
+        int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="With the calibration's id it decides the draws.", min=0)] = 0,
 ) -> None:
     """Write a calibration in another format, and say on standard error how far that is from it.
 
@@ -35,7 +39,7 @@ def export_calibration(
     if format_ == "asi-core" and target is not None and target.suffix not in _YAML:
         _write_set(asi_core_set(_documents(calibration)), target)
         return
-    made = _made(_document(calibration), format_)
+    made = _made(_document(calibration), format_, draws=draws, seed=seed)
     if target is None:
         sys.stdout.buffer.write(made.content)
     else:
@@ -63,7 +67,9 @@ def _documents(path: Path) -> list[dict[str, object]]:
     return [_document(one) for one in sorted(path.glob("*.json"))] if path.is_dir() else [_document(path)]
 
 
-def _made(document: dict[str, object], format_: str) -> Exported:
+def _made(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
+    if draws:
+        return _drawn(document, format_, draws=draws, seed=seed)
     for name in MAP_FORMATS:
         if format_ == f"map-{name}":
             return Exported(content=export_map(document, name), error="in single precision")
@@ -72,6 +78,15 @@ def _made(document: dict[str, object], format_: str) -> Exported:
             return export(document, known)
     choices = ", ".join((*FORMATS, *_MAPS))
     raise InputError(field="--format", problem=f"{format_!r} is unknown", remedy=f"use one of {choices}")
+
+
+def _drawn(document: dict[str, object], format_: str, *, draws: int, seed: int) -> Exported:
+    for name in MAP_FORMATS:
+        if format_ == name:
+            content = export_draws(document, name, draws=draws, seed=seed)
+            return Exported(content=content, error=f"{draws} draws of its errors, in single precision")
+    choices = " or ".join(MAP_FORMATS)
+    raise InputError(field="--draws", problem=f"{format_!r} has no draws", remedy=f"use --format {choices}")
 
 
 def _document(path: Path) -> dict[str, object]:

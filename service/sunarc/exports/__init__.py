@@ -1,8 +1,8 @@
 """A calibration in other formats, each with its stated error, and files of other formats read as a camera.
 
 `formats` by name · `reading` by content · `opencv`, `ocamcalib`, `asi_core`, `mrcal` files · `fisheye`, `ocam` models
-fitted to ours · `tables` NetCDF and npz · `view` what a file says of a camera · `comparison` of two of them ·
-`start` the camera of ours that is closest to one · `sky` to which models are fitted.
+fitted to ours · `tables` NetCDF and npz, `draws` of the errors in them · `view` what a file says of a camera ·
+`comparison` of two of them · `start` the camera of ours that is closest to one · `sky` to which models are fitted.
 """
 
 from sunarc.exports.asi_core_set import asi_core_set
@@ -16,6 +16,7 @@ from sunarc.exports.formats import (
     Format,
     MapFormat,
     export,
+    export_draws,
     export_map,
 )
 from sunarc.exports.reading import READ_FORMATS, read_view
@@ -42,6 +43,7 @@ __all__ = [
     "closest_camera",
     "compare",
     "export",
+    "export_draws",
     "export_map",
     "map_table",
     "netcdf_bytes",

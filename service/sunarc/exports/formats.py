@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
 from sunarc.exports.asi_core_set import asi_core_file
 from sunarc.exports.comparison import compare
+from sunarc.exports.draws import draws_table
 from sunarc.exports.exported import PIXELS, Exported, notes_of
 from sunarc.exports.fisheye import fisheye_model, fisheye_view
 from sunarc.exports.mrcal import cameramodel, splined_model, splined_view
@@ -72,6 +73,11 @@ def export_map(document: Mapping[str, Any], form: MapFormat) -> bytes:
     """Return the map of what every pixel of a calibration sees."""
     found = back_projection_map(lookup(from_document(document)))
     return _file(form)(map_table(found, document, masks={}))
+
+
+def export_draws(document: Mapping[str, Any], form: MapFormat, *, draws: int, seed: int) -> bytes:
+    """Return a calibration's arrays with draws of its errors, see `draws_table`."""
+    return _file(form)(draws_table(document, draws=draws, seed=seed))
 
 
 def _file(form: MapFormat) -> Callable[[Table], bytes]:
