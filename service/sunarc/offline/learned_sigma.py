@@ -13,19 +13,21 @@ from sunarc.settings import Settings
 from sunarc.sky import sun_directions
 
 _LEAST_SIGHTINGS = 20
-_FACTORS = (0.2, 5.0)
+_LARGEST_FACTOR = 5.0
 """A factor beyond is no detector's error: the calibration or the detector is wrong."""
 _AS_STATED = 1.15
-"""By so much the scatter may differ from what is stated before the stated sigma is changed: about 2 sigma of what 50
+"""By so much the scatter may exceed what is stated before the stated sigma is changed: about 2 sigma of what 50
 sightings tell of it."""
 
 
 def learn_sigma(archive: Archive, settings: Settings, calibration: Calibration) -> dict[str, float]:
-    """Bring the stated sigma of each method's image sightings to their scatter about a calibration.
+    """Enlarge the stated sigma of each method's image sightings to their scatter about a calibration.
+
+    It is never made smaller: the scatter is that of the good ones; those at clouds, contrails and haze scatter more.
 
     Returns
     -------
-    By what factor the sigma of each method was multiplied; methods whose sigma was right are not in it.
+    By what factor the sigma of each method was multiplied; methods whose sigma was enough are not in it.
     """
     factors = {}
     for method in archive.methods_of_files(settings.name):
@@ -40,7 +42,7 @@ def learn_sigma(archive: Archive, settings: Settings, calibration: Calibration) 
 
 
 def sigma_factor(residual: FloatArray, sigma_px: FloatArray) -> float | None:
-    """Return by what a stated sigma has to be multiplied to be the scatter of the inliers; None where it is right.
+    """Return by what a stated sigma has to be multiplied to be the scatter of the inliers; None where it is enough.
 
     Parameters
     ----------
@@ -52,6 +54,4 @@ def sigma_factor(residual: FloatArray, sigma_px: FloatArray) -> float | None:
     if ratio.size < _LEAST_SIGHTINGS:
         return None
     factor = robust_sigma(ratio)
-    if 1.0 / _AS_STATED <= factor <= _AS_STATED or not _FACTORS[0] <= factor <= _FACTORS[1]:
-        return None
-    return factor
+    return factor if _AS_STATED < factor <= _LARGEST_FACTOR else None

@@ -22,9 +22,9 @@ from sunarc.utc import DAY_S
 
 _MOST_SIGHTINGS = 240
 """The sun's track in so many sightings fixes a camera to a fraction of a pixel; more only take longer."""
-_LEAST_UNCERTAINTY_PX = 3.0
-"""1-sigma of a prediction, at least: the consensus of rough sightings states less than its own errors."""
-_CONSISTENT_SIGMAS, _CONSISTENT_PX = 4.0, 3.0
+_LEAST_UNCERTAINTY_PX = 1.0
+"""1-sigma of a prediction, at least; it contains the scatter of the sightings that the camera was fitted to."""
+_CONSISTENT_SIGMAS, _CONSISTENT_PX = 4.0, 1.0
 _LOOSE: dict[str, Any] = {
     "method": "robust", "mirrored": "auto", "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 10.0,
     "max_rejected": 0.75,
@@ -113,7 +113,8 @@ def expectations(calibration: Calibration, images: Sequence[ImageFile], *, site:
     pixels, covariance = project_with_covariance(calibration, directions)
     stretch = local_stretch(calibration.camera, directions)
     zenith = np.radians(np.asarray(sun_angles(unix_s, site).apparent_zenith))
-    sigma = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0)
+    scatter = np.nan_to_num(calibration.evidence.sigma_px)
+    sigma = np.hypot(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0), scatter)
     camera = calibration.camera
     inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
     return [
