@@ -35,7 +35,7 @@ def test_a_calibration_is_written_in_another_format_and_its_error_said(
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
-        (("--format", "matlab"), "--format: 'matlab' is unknown; use one of json, opencv"),
+        (("--format", "matlabs"), "--format: 'matlabs' is unknown; use one of json, opencv"),
         (("--format", "npz", "-o", "/nowhere/x.npz"), "cannot write /nowhere/x.npz"),
     ],
 )
@@ -73,6 +73,22 @@ def test_asi_cores_set_is_written_into_a_folder_and_a_camera_file_beside_its_mas
     blocked = one / "folder"
     answer = sunarc("export", "--calibration", str(documents), "--format", "asi-core", "-o", str(blocked))
     assert (answer.code, "cannot make the folder" in answer.err) == (3, True)
+
+
+def test_two_images_are_written_into_a_folder_and_one_file_as_it_is_called(sunarc: Sunarc, tmp_path: Path) -> None:
+    small = replace(LENS, width=220, height=200, focal_length_px=(75.0, 75.0), principal_point_px=(110.0, 100.0))
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(document_of(small)))
+    answer = sunarc(
+        "export", "--calibration", str(path), "--format", "azimuth-zenith-jp2", "-o", str(tmp_path / "visible")
+    )
+    assert (answer.code, "px RMS" in answer.err) == (0, True)
+    assert sorted(one.name for one in (tmp_path / "visible").iterdir()) == ["azimuth_visible.jp2", "zenith_visible.jp2"]
+    camera = tmp_path / "cameras.txt"
+    assert sunarc("export", "--calibration", str(path), "--format", "colmap", "-o", str(camera)).code == 0
+    assert "1 THIN_PRISM_FISHEYE 220 200" in camera.read_text()
+    compared = sunarc("compare", str(path), str(tmp_path / "visible" / "zenith_visible.jp2"), "--json")
+    assert json.loads(compared.out)["formats"] == ["json", "azimuth-zenith-jp2"]
 
 
 def test_a_file_that_is_no_calibration_is_named(sunarc: Sunarc, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import scipy.io
 from tests.exports.conftest import LENS, Export, document_of, worst_stated_deg, worst_stated_px
 
 from sunarc.errors import InputError
-from sunarc.exports import READ_FORMATS, camera_view, closest_camera, compare, export, read_view
+from sunarc.exports import FORMATS, camera_view, closest_camera, compare, export, read_view
 from sunarc.exports.reading import _BY_CONTENT
 from sunarc.optics import Camera
 
@@ -23,7 +23,7 @@ SMALL = Camera(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("form", READ_FORMATS)
+@pytest.mark.parametrize("form", FORMATS)
 def test_an_export_that_is_read_is_off_by_the_stated_error(form: Any, exported: Export, camera: Camera) -> None:  # noqa: ANN401 - a format
     made = exported(form)
     view = read_view(made.content, name="file", beside=made.beside.get)

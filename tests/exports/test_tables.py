@@ -44,20 +44,48 @@ def test_the_map_opens_in_xarray_and_says_what_single_pixels_say(straight: dict[
 
 @pytest.mark.parametrize("wanted", ["map", "calibration"])
 def test_netcdf_keeps_the_rules_of_the_cf_conventions(straight: dict[str, Any], wanted: str) -> None:
-    """CF 1.11: 2.6.2 (history), 3.4 (ancillary variables), 5.6 and appendix F (grid mappings), 6.1 (labels)."""
-    found = opened(export_map(straight, "netcdf") if wanted == "map" else export(straight, "netcdf").content)
-    assert all(found.attrs[name] for name in ("Conventions", "title", "source", "history"))
+    """CF 1.11: 2.6.2 (history), 3.4 (ancillary variables), 4 (coordinates), 5.6 (grid mappings), 6.1 (labels), 7.1."""
+    content = export_map(straight, "netcdf") if wanted == "map" else export(straight, "netcdf").content
+    found = xr.load_dataset(io.BytesIO(content), engine="h5netcdf", decode_cf=False)
     for name, variable in found.variables.items():
         assert "grid_mapping" not in variable.attrs
         assert "grid_mapping_name" not in variable.attrs  # there is none for a fisheye
-        assert variable.attrs["long_name"] or name == "camera"
-        named = {key: variable.attrs.get(key, variable.encoding.get(key, "")) for key in ("ancillary_variables",)}
-        assert all(other in found.variables for text in named.values() for other in text.split())
+        assert name == "time_bnds" or variable.attrs["long_name"]
+        named = " ".join(variable.attrs.get(key, "") for key in ("ancillary_variables", "coordinates", "bounds"))
+        assert all(other in found.variables for other in named.split())
         if name in found.sizes:  # a coordinate variable: numeric and rising
             assert np.all(np.diff(variable.values) > 0)
-        labels = [str(n) for n, v in found.variables.items() if v.dtype.kind in "OU" and v.dims[0] in variable.dims]
-        if variable.ndim > 1:
-            assert set(variable.encoding.get("coordinates", "").split()) >= set(labels)
+        labels = {str(n) for n, v in found.variables.items() if v.dtype.kind in "OU" and v.dims[0] in variable.dims}
+        if variable.ndim > 1 and name != "time_bnds":
+            coordinates = set(variable.attrs["coordinates"].split())
+            assert coordinates >= labels
+            assert name == "covariance" or coordinates >= {"latitude", "longitude", "altitude"}
+    assert [found[name].attrs["units"] for name in ("latitude", "longitude", "altitude")] == [
+        "degrees_north", "degrees_east", "m",
+    ]  # fmt: skip
+    assert (float(found["latitude"]), found["latitude"].ndim) == (36.604043, 0)
+    assert found["time_bnds"].shape == (2, 2)
+    assert found["zenith"].attrs["standard_name"] == "zenith_angle"
+
+
+def test_the_time_is_the_validity_and_the_whole_says_who_and_what(straight: dict[str, Any]) -> None:
+    """ACDD 1.3, the attributes that it recommends highly, and those that it recommends."""
+    ended = straight | {"valid_until": "2014-01-01T00:00:00Z"}
+    found = opened(export(ended, "netcdf").content)
+    assert found["time"].values.tolist() == found["time_bnds"].values[0].tolist()
+    assert [str(time)[:10] for time in found["time"].values] == ["2013-05-13", "2014-01-01"]
+    assert found.attrs["time_coverage_duration"] == f"PT{233 * 86400}S"
+    for names in ("title keywords summary Conventions id naming_authority history comment date_created license",
+                  "creator_name creator_url creator_email institution project processing_level acknowledgment",
+                  "publisher_name publisher_url publisher_email standard_name_vocabulary product_version",
+                  "geospatial_bounds geospatial_bounds_crs geospatial_bounds_vertical_crs geospatial_vertical_positive",
+                  "time_coverage_start time_coverage_end time_coverage_resolution"):  # fmt: skip
+        assert all(found.attrs[name] for name in names.split())
+    assert found.attrs["id"] == ended["id"]
+    assert json.loads(found.attrs["provenance"]) == {"days": ["2013-05-13"], "n_used": 1440, "n_rejected": 60}
+    assert found.attrs["geospatial_lat_min"] == found.attrs["geospatial_lat_max"] == 36.604043
+    open_ended = opened(export(straight, "netcdf").content)
+    assert open_ended.attrs["time_coverage_end"].startswith("2199")
 
 
 def test_the_npz_of_the_map_holds_the_same(straight: dict[str, Any]) -> None:

@@ -10,11 +10,22 @@ from typing import Annotated
 import typer
 
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports import FORMATS, MAP_FORMATS, Exported, asi_core_set, export, export_draws, export_map
+from sunarc.exports import (
+    FILE_FORMATS,
+    FORMATS,
+    MAP_FORMATS,
+    Exported,
+    asi_core_set,
+    export,
+    export_draws,
+    export_file,
+    export_map,
+)
 from sunarc.offline.files import read_file
 
 _YAML = (".yaml", ".yml")
 _MAPS = tuple(f"map-{name}" for name in MAP_FORMATS)
+_ALL = (*FORMATS, *FILE_FORMATS, *_MAPS)
 
 
 def export_calibration(
@@ -22,10 +33,10 @@ def export_calibration(
         Path, typer.Option("--calibration", help="A calibration document (JSON); for asi-core also a folder of them.")
     ],
     *,
-    format_: Annotated[str, typer.Option("--format", help=f"{', '.join((*FORMATS, *_MAPS))}.")],
+    format_: Annotated[str, typer.Option("--format", help=f"{', '.join(_ALL)}.")],
     target: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write (asi-core: folder); standard output unless given."),
+        typer.Option("--output", "-o", help="File (asi-core, azimuth-zenith: folder) to write; else standard output."),
     ] = None,
     draws: Annotated[
         int, typer.Option(help="Draws of the calibration's errors to add (netcdf and npz): `direction_draw`.", min=0)
@@ -40,7 +51,9 @@ def export_calibration(
         _write_set(asi_core_set(_documents(calibration)), target)
         return
     made = _made(_document(calibration), format_, draws=draws, seed=seed)
-    if target is None:
+    if format_.startswith("azimuth-zenith") and target is not None:
+        _write_set([made], target)
+    elif target is None:
         sys.stdout.buffer.write(made.content)
     else:
         _write(target, made.content)
@@ -76,7 +89,10 @@ def _made(document: dict[str, object], format_: str, *, draws: int, seed: int) -
     for known in FORMATS:
         if format_ == known:
             return export(document, known)
-    choices = ", ".join((*FORMATS, *_MAPS))
+    for other in FILE_FORMATS:
+        if format_ == other:
+            return export_file(document, other)
+    choices = ", ".join(_ALL)
     raise InputError(field="--format", problem=f"{format_!r} is unknown", remedy=f"use one of {choices}")
 
 

@@ -7,8 +7,10 @@ fitted to ours · `tables` NetCDF and npz, `draws` of the errors in them · `vie
 
 from sunarc.exports.asi_core_set import asi_core_set
 from sunarc.exports.comparison import ZENITH_RANGES_DEG, Comparison, compare
+from sunarc.exports.discovery import Table, Variable
 from sunarc.exports.exported import Exported
 from sunarc.exports.formats import (
+    FILE_FORMATS,
     FILE_NAMES,
     FORMATS,
     MAP_FORMATS,
@@ -17,14 +19,16 @@ from sunarc.exports.formats import (
     MapFormat,
     export,
     export_draws,
+    export_file,
     export_map,
 )
 from sunarc.exports.reading import READ_FORMATS, read_view
 from sunarc.exports.start import closest_camera
-from sunarc.exports.tables import Table, Variable, map_table, netcdf_bytes, npz_bytes
+from sunarc.exports.tables import map_table, netcdf_bytes, npz_bytes
 from sunarc.exports.view import View, camera_view, rotated
 
 __all__ = [
+    "FILE_FORMATS",
     "FILE_NAMES",
     "FORMATS",
     "MAP_FORMATS",
@@ -44,6 +48,7 @@ __all__ = [
     "compare",
     "export",
     "export_draws",
+    "export_file",
     "export_map",
     "map_table",
     "netcdf_bytes",

@@ -14,13 +14,13 @@ from sunarc.calibration import Calibration, back_projection_map, from_document, 
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import asi_core_yaml, mask_files, matrix_files
 from sunarc.exports.comparison import compare
+from sunarc.exports.discovery import FAR_FUTURE, FAR_PAST
 from sunarc.exports.exported import Exported, notes_of
 from sunarc.exports.ocam import ocam_model, ocam_view
 from sunarc.exports.view import camera_view
 
 Document = Mapping[str, Any]
 
-_FAR_PAST, _FAR_FUTURE = "1970-01-01T00:00:00Z", "2199-12-31T00:00:00Z"
 _RANK = {"candidate": 1, "retired": 2, "current": 3}
 """Which of an epoch's calibrations is chosen: the highest, then the newest."""
 
@@ -29,7 +29,7 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
     """Return the camera file of a calibration, with its mask and, where they are wanted, its matrices beside it."""
     camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
     error = str(compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height))))
-    mounted = document["valid_from"] or _FAR_PAST
+    mounted = document["valid_from"] or FAR_PAST
     name, time = _plain(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
     found = back_projection_map(lookup(calibration))
     masks = mask_files(found, stem=f"{name}_{time}")
@@ -46,7 +46,7 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
         "camera_mask_file": min(masks),
         "celestial_coordinate_masks": min(matrices, default=""),
         "mounted": mounted,
-        "demounted": document["valid_until"] or _FAR_FUTURE,
+        "demounted": document["valid_until"] or FAR_FUTURE,
         **{name: float(document["site"][name]) for name in ("latitude", "longitude", "altitude")},
     }
     content = asi_core_yaml(model, width=camera.width, height=camera.height, camera=site, notes=notes)

@@ -9,7 +9,8 @@ import numpy as np
 
 from sunarc.calibration import draw_ensemble, from_document
 from sunarc.errors import InputError
-from sunarc.exports.tables import Table, Variable, calibration_table
+from sunarc.exports.discovery import Table, Variable
+from sunarc.exports.tables import calibration_table
 
 MOST_DRAWS_OF_A_FILE = 1000
 """A file of so many draws of a 2000 x 2000 image has 0.75 GB."""

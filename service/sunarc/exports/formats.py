@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal, get_args
 
 from sunarc.calibration import Calibration, back_projection_map, from_document, lookup
 from sunarc.exports.asi_core_set import asi_core_file
 from sunarc.exports.comparison import compare
+from sunarc.exports.discovery import Table
 from sunarc.exports.draws import draws_table
 from sunarc.exports.exported import PIXELS, Exported, notes_of
 from sunarc.exports.fisheye import fisheye_model, fisheye_view
@@ -16,11 +18,19 @@ from sunarc.exports.mrcal import cameramodel, splined_model, splined_view
 from sunarc.exports.ocam import ocam_model, ocam_view
 from sunarc.exports.ocamcalib import calib_results
 from sunarc.exports.opencv import opencv_yaml
-from sunarc.exports.tables import Table, calibration_table, map_table, netcdf_bytes, npz_bytes
+from sunarc.exports.pixel_maps import fits_file, matlab_file, sixteen_bit_files
+from sunarc.exports.reading import read_view
+from sunarc.exports.remap import remap_npz
+from sunarc.exports.tables import calibration_table, map_table, netcdf_bytes, npz_bytes
+from sunarc.exports.text_cameras import colmap_text, require_no_mirror, ros_yaml
 from sunarc.exports.view import camera_view
 
 Format = Literal["json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz"]
 FORMATS: tuple[Format, ...] = get_args(Format)
+"""Formats that are served over HTTP."""
+FileFormat = Literal["opencv-remap", "colmap", "ros", "fits", "matlab", "azimuth-zenith-png", "azimuth-zenith-jp2"]
+FILE_FORMATS: tuple[FileFormat, ...] = get_args(FileFormat)
+"""Formats that `sunarc export` writes besides."""
 MapFormat = Literal["netcdf", "npz"]
 MAP_FORMATS: tuple[MapFormat, ...] = get_args(MapFormat)
 
@@ -67,6 +77,64 @@ def export(document: Mapping[str, Any], form: Format) -> Exported:
         case "netcdf" | "npz":
             table, error = calibration_table(calibration, document)
             return Exported(content=_file(form)(table), error=f"between the pixels of the grid, {error}")
+
+
+def export_file(document: Mapping[str, Any], form: FileFormat) -> Exported:
+    """Return a calibration document in one of the formats that `sunarc export` writes besides `FORMATS`.
+
+    Its error is that of the file itself, read back.
+
+    Raises
+    ------
+    InputError
+        The document is none, or the format cannot describe its camera.
+    """
+    calibration = from_document(document)
+    camera, written = calibration.camera, _FILE_WRITERS[form](calibration, document, notes_of(document))
+    name, content = next(iter(written.items()))
+    error = str(compare(camera_view(camera), read_view(content, name=name, beside=written.get)))
+    if form in _WITH_NOTES:
+        written = _FILE_WRITERS[form](calibration, document, [*notes_of(document), f"this file {error}"])
+    beside = {other: made for other, made in written.items() if other != name}
+    return Exported(content=written[name], error=error, name=name, beside=beside)
+
+
+Written = dict[str, bytes]
+
+
+def _fisheye_file(calibration: Calibration, document: Mapping[str, Any], notes: list[str], *, form: str) -> Written:
+    camera = calibration.camera
+    require_no_mirror(camera, form)
+    size, model = (camera.width, camera.height), fisheye_model(camera, prism=form == "colmap")
+    if form == "colmap":
+        return {"cameras.txt": colmap_text(model, size=size, notes=notes)}
+    return {"camera_info.yaml": ros_yaml(model, size=size, camera=str(document["camera"]), notes=notes)}
+
+
+def _remap_file(calibration: Calibration, document: Mapping[str, Any], notes: list[str]) -> Written:
+    del document
+    camera = calibration.camera
+    return {"remap.npz": remap_npz(camera, size=min(camera.width, camera.height), notes=notes)}
+
+
+def _map_file(
+    calibration: Calibration, document: Mapping[str, Any], notes: list[str], *, write: Callable[..., Written]
+) -> Written:
+    del document
+    return write(back_projection_map(lookup(calibration)), notes)
+
+
+_FILE_WRITERS: Mapping[FileFormat, Callable[[Calibration, Mapping[str, Any], list[str]], Written]] = {
+    "opencv-remap": _remap_file,
+    "colmap": partial(_fisheye_file, form="colmap"),
+    "ros": partial(_fisheye_file, form="ros"),
+    "fits": partial(_map_file, write=lambda found, notes: {"directions.fits": fits_file(found, notes)}),
+    "matlab": partial(_map_file, write=lambda found, notes: {"directions.mat": matlab_file(found, notes)}),
+    "azimuth-zenith-png": partial(_map_file, write=lambda found, _: sixteen_bit_files(found, suffix=".png")),
+    "azimuth-zenith-jp2": partial(_map_file, write=lambda found, _: sixteen_bit_files(found, suffix=".jp2")),
+}
+_WITH_NOTES = ("opencv-remap", "colmap", "ros", "fits", "matlab")
+"""Formats whose file says its error; two images cannot."""
 
 
 def export_map(document: Mapping[str, Any], form: MapFormat) -> bytes:

@@ -11,21 +11,54 @@ from sunarc.exports.asi_core import mask_file, read_asi_core
 from sunarc.exports.mrcal import read_mrcal
 from sunarc.exports.ocamcalib import read_ocamcalib
 from sunarc.exports.opencv import read_opencv
+from sunarc.exports.pixel_maps import read_fits, read_matlab, read_sixteen_bit
+from sunarc.exports.remap import is_remap, read_remap
 from sunarc.exports.tables import read_table
+from sunarc.exports.text_cameras import read_colmap, read_ros
 from sunarc.exports.view import View, camera_view
 
 Beside = Callable[[str], bytes | None]
 """Returns a file that another one names, None where it is not there."""
 
-READ_FORMATS = ("json", "opencv", "ocamcalib", "asi-core", "mrcal", "netcdf", "npz")
+READ_FORMATS = (
+    "json",
+    "opencv",
+    "ocamcalib",
+    "asi-core",
+    "mrcal",
+    "netcdf",
+    "npz",
+    "opencv-remap",
+    "colmap",
+    "ros",
+    "fits",
+    "matlab",
+    "azimuth-zenith-png",
+    "azimuth-zenith-jp2",
+)
 
 _BY_CONTENT: tuple[tuple[bytes, Callable[..., View]], ...] = (
     (b"internal_calibration", read_asi_core),
     (b"LENSMODEL_", read_mrcal),
+    (b"distortion_model:", read_ros),
+    (b"_FISHEYE ", read_colmap),
     (b"polynomial coefficients for the DIRECT mapping", read_ocamcalib),
     (b"%YAML", read_opencv),
     (b"opencv_storage", read_opencv),
     (b"<?xml", read_opencv),
+)
+_IMAGES = (b"\x89PNG", b"\x00\x00\x00\x0cjP  ")
+
+
+def _read_npz(content: bytes, *, name: str) -> View:
+    return (read_remap if is_remap(content) else read_table)(content, name=name)
+
+
+_BY_START: tuple[tuple[bytes, Callable[..., View]], ...] = (
+    (b"PK", _read_npz),
+    (b"\x89HDF", read_table),
+    (b"SIMPLE  =", read_fits),
+    (b"MATLAB 5.0", read_matlab),
 )
 
 
@@ -37,8 +70,11 @@ def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> 
     InputError
         The format is unknown, or the file is not what its format says.
     """
-    if content.startswith((b"PK", b"\x89HDF")):
-        return read_table(content, name=name)
+    for start, read in _BY_START:
+        if content.startswith(start):
+            return read(content, name=name)
+    if content.startswith(_IMAGES):
+        return read_sixteen_bit(content, name=name, beside=beside)
     for mark, read in _BY_CONTENT:
         if mark in content:
             if read is read_asi_core:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 from zipfile import BadZipFile
 
@@ -16,44 +15,11 @@ from sunarc.array_types import IntArray
 from sunarc.calibration import BackProjectionMap, Calibration, lookup
 from sunarc.errors import InputError
 from sunarc.exports.comparison import Comparison, compare
+from sunarc.exports.discovery import PLACE, Table, Variable, discovery_attributes, discovery_variables
 from sunarc.exports.view import View, camera_view, grid_view
 from sunarc.extras import extra_module
 
 _STEP = 8
-_CONVENTIONS = (
-    "pixel (0, 0) is the centre of the top-left one, x right, y down; azimuth clockwise from north; directions are "
-    "apparent (refracted) unit vectors, east-north-up; a sigma is per axis; NaN outside the camera's field"
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Variable:
-    """An array, what its dimensions are called, and what it means.
-
-    Attributes
-    ----------
-    dimensions : names; a dimension with a variable of its name has it as its coordinate.
-    values : the array.
-    attributes : units, long_name and others of the CF conventions.
-    """
-
-    dimensions: tuple[str, ...]
-    values: NDArray[Any]
-    attributes: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Table:
-    """Variables that belong together.
-
-    Attributes
-    ----------
-    variables : by name.
-    attributes : of the whole.
-    """
-
-    variables: Mapping[str, Variable]
-    attributes: Mapping[str, Any]
 
 
 def netcdf_bytes(table: Table) -> bytes:
@@ -126,11 +92,11 @@ def require_directions(directions: NDArray[Any], shape: tuple[int, int], *, name
 def map_table(found: BackProjectionMap, document: Mapping[str, Any], *, masks: Mapping[str, Variable]) -> Table:
     """Return the map of what every pixel sees, with masks of its shape."""
     height, width = found.zenith_deg.shape
-    variables = _axes(np.arange(width), np.arange(height)) | {"camera": _camera(document)}
+    variables = _axes(np.arange(width), np.arange(height)) | discovery_variables(document)
     variables |= _views(found.zenith_deg, found.azimuth_deg, found.directions, found.sigma_deg)
     return Table(
         variables=variables | dict(masks),
-        attributes=_attributes(document, title="What every pixel of an all-sky imager sees"),
+        attributes=discovery_attributes(document, title="What every pixel of an all-sky imager sees"),
     )
 
 
@@ -148,7 +114,7 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
     views = np.asarray(directions[..., 2:5], dtype=np.float64)
     error = compare(camera_view(camera), grid_view("netcdf", size=size, x=x, y=y, directions=views))
     names = np.array(calibration.parameter_names)
-    variables = _axes(x, y) | {"camera": _camera(document)}
+    variables = _axes(x, y) | discovery_variables(document)
     variables |= _views(directions[..., 0], directions[..., 1], directions[..., 2:5], directions[..., 5])
     variables |= {
         "parameter_name": Variable(
@@ -162,11 +128,13 @@ def calibration_table(calibration: Calibration, document: Mapping[str, Any]) -> 
             values=calibration.covariance,
             attributes={
                 "long_name": "covariance of the fitted parameters, in their own units",
+                "units": "1",
+                "coverage_content_type": "qualityInformation",
                 "coordinates": "parameter_name parameter_too_name",
             },
         ),
     }
-    attributes = _attributes(document, title="Calibration of an all-sky imager") | {
+    attributes = discovery_attributes(document, title="Calibration of an all-sky imager") | {
         "calibration_document": json.dumps(document, separators=(",", ":")),
         "fit_error": f"the grid, interpolated bilinearly by its unit vectors, {error}",
     }
@@ -200,52 +168,44 @@ def _views(
     zenith: NDArray[Any], azimuth: NDArray[Any], directions: NDArray[Any], sigma: NDArray[Any]
 ) -> dict[str, Variable]:
     def view(values: NDArray[Any], units: str, meaning: str, *more: str, **attributes: str) -> Variable:
-        described = {"units": units, "long_name": meaning, "camera_model": "camera", **attributes}
+        described = {
+            "units": units,
+            "long_name": meaning,
+            "camera_model": "camera",
+            "coverage_content_type": "referenceInformation",
+            "coordinates": PLACE,
+            **attributes,
+        }
         return Variable(dimensions=("y", "x", *more), values=values, attributes=described)
 
     return {
-        "zenith": view(zenith, "degree", "apparent zenith angle of the view direction", ancillary_variables="sigma"),
+        "zenith": view(
+            zenith,
+            "degree",
+            "apparent zenith angle of the view direction",
+            standard_name="zenith_angle",
+            ancillary_variables="sigma",
+        ),
         "azimuth": view(
-            azimuth, "degree", "azimuth of the view direction, clockwise from north", ancillary_variables="sigma"
+            azimuth,
+            "degree",
+            "azimuth of the view direction, clockwise from north",
+            standard_name="direction_of_radial_vector_away_from_instrument",
+            ancillary_variables="sigma",
         ),
         "direction": view(
             directions,
             "1",
             "unit vector towards what the pixel sees, east-north-up",
             "component",
-            coordinates="component_name",
+            coordinates=f"component_name {PLACE}",
             ancillary_variables="sigma",
         ),
-        "sigma": view(sigma, "degree", "1-sigma of the view direction on the sphere, per axis"),
-    }
-
-
-def _camera(document: Mapping[str, Any]) -> Variable:
-    """Return the variable whose attributes are the camera model; the CF conventions have no grid mapping for it."""
-    model, image, site = document["model"], document["image"], document["site"]
-    return Variable(
-        dimensions=(),
-        values=np.array(0, dtype=np.int32),
-        attributes={
-            "long_name": "camera model (schema sunarc.calibration/1)",
-            "mirrored": int(image["mirrored"]),
-            "latitude": float(site["latitude"]),
-            "longitude": float(site["longitude"]),
-            "altitude": float(site["altitude"]),
-            **{name: np.asarray(value) if isinstance(value, list) else value for name, value in model.items()},
-        },
-    )
-
-
-def _attributes(document: Mapping[str, Any], *, title: str) -> dict[str, Any]:
-    software = document["software"]
-    return {
-        "Conventions": "CF-1.11",
-        "title": title,
-        "source": f"{software['name']} {software['version']}",
-        "history": f"{document['created_at']}: calibrated by {software['name']} {software['version']}",
-        "comment": _CONVENTIONS,
-        "camera_name": document["camera"],
-        "calibration": document["id"],
-        "valid_from": document["valid_from"] or "",
+        "sigma": view(
+            sigma,
+            "degree",
+            "1-sigma of the view direction on the sphere, per axis",
+            standard_name="zenith_angle standard_error",
+            coverage_content_type="qualityInformation",
+        ),
     }

@@ -1,0 +1,134 @@
+"""Tables that remap an image to a grid, as `cv2.remap` takes them: the sky, or the ground under a cloud layer."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.array_types import FloatArray
+from sunarc.errors import InputError
+from sunarc.exports.view import View, lens_view
+from sunarc.optics import Camera, project
+
+_EARTH_RADIUS_M = 6_371_008.8
+"""Mean radius of the earth (IUGG), m."""
+_RIGHT_ANGLE_DEG = 90.0
+
+
+def sky_grid(size: int) -> FloatArray:
+    """Return the directions (size, size, 3) of an equidistant map of the sky; NaN beyond the horizon.
+
+    North is at the top and east at the right, as on a map: what one sees looking down on it. The zenith is at
+    (size - 1) / 2, the horizon size / 2 from it.
+    """
+    across = (np.arange(size) - (size - 1) / 2.0) / (size / 2.0)
+    east, north = np.meshgrid(across, -across)
+    zenith = np.hypot(east, north) * (math.pi / 2.0)
+    scale = np.sinc(zenith / math.pi) * (math.pi / 2.0)  # sin(zenith) / radius
+    directions = np.stack([east * scale, north * scale, np.cos(zenith)], axis=-1)
+    directions[zenith > math.pi / 2.0] = np.nan
+    return np.asarray(directions)
+
+
+def ground_grid(size: int, *, half_width_m: float, height_m: float) -> FloatArray:
+    """Return the directions (size, size, 3) from the camera to points of a cloud layer above a grid on the ground.
+
+    Parameters
+    ----------
+    size : points along a side; north at the top, east at the right, the camera in the middle.
+    half_width_m : from the camera to the outermost points, m along the ground.
+    height_m : of the layer above the camera, m; it follows the earth's curvature (a sphere).
+    """
+    across = np.linspace(-half_width_m, half_width_m, size)
+    east, north = np.meshgrid(across, -across)
+    angle = np.hypot(east, north) / _EARTH_RADIUS_M
+    radius = _EARTH_RADIUS_M + height_m
+    outward = radius * np.sinc(angle / math.pi) / _EARTH_RADIUS_M  # radius * sin(angle) over the distance
+    up = radius * np.cos(angle) - _EARTH_RADIUS_M
+    directions = np.stack([east * outward, north * outward, up], axis=-1)
+    directions[up <= 0.0] = np.nan
+    return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+def remap_tables(camera: Camera, directions: FloatArray) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
+    """Return map_x and map_y of `cv2.remap`, (rows, columns), single precision; -1 where the image has nothing."""
+    pixels = project(camera, directions)
+    limits = np.array([camera.width, camera.height]) - 0.5
+    with np.errstate(invalid="ignore"):
+        inside = np.all((pixels >= -0.5) & (pixels <= limits), axis=-1)
+    filled = np.where(inside[..., None], pixels, -1.0).astype(np.float32)
+    return filled[..., 0], filled[..., 1]
+
+
+def remap_npz(camera: Camera, *, size: int, notes: list[str]) -> bytes:
+    """Return an npz file with map_x and map_y of the equidistant map of the sky, and `attributes`, a JSON text."""
+    map_x, map_y = remap_tables(camera, sky_grid(size))
+    attributes = {"grid": "sky", "image_size": [camera.width, camera.height], "notes": notes}
+    target = io.BytesIO()
+    np.savez(target, allow_pickle=False, map_x=map_x, map_y=map_y, attributes=np.array(json.dumps(attributes)))
+    return target.getvalue()
+
+
+def is_remap(content: bytes) -> bool:
+    """Return whether an npz file holds remap tables."""
+    return b"map_x.npy" in content
+
+
+def read_remap(content: bytes, *, name: str) -> View:
+    """Return the view of remap tables of the sky, interpolated bilinearly."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            tables = np.stack([file["map_x"], file["map_y"]], axis=-1).astype(np.float64)
+            said: Mapping[str, Any] = json.loads(str(file["attributes"]))
+        width, height = (int(value) for value in said["image_size"])
+        size = tables.shape[0]
+        if said["grid"] != "sky" or tables.shape != (size, size, 2):
+            raise ValueError("its grid is not the sky")  # noqa: TRY301 - one message for all that is wrong
+    except (KeyError, ValueError, TypeError, OSError, BadZipFile) as error:
+        raise InputError(
+            field=name,
+            problem=f"no remap tables of the sky ({error})",
+            remedy="give an opencv-remap file of sunarc export",
+        ) from None
+    return _table_view(np.where(tables < -0.5, np.nan, tables), (width, height))
+
+
+def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:
+    from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - the service starts sooner without it
+
+    count = tables.shape[0]
+    middle, across = (count - 1) / 2.0, np.arange(count)
+    between = RegularGridInterpolator((across, across), tables, bounds_error=False, fill_value=np.nan)
+
+    def shown(rays: FloatArray) -> FloatArray:
+        radius = np.hypot(rays[:, 0], rays[:, 1])
+        zenith_deg = np.degrees(np.arctan2(radius, rays[:, 2]))
+        cells = (
+            rays[:, :2] * (zenith_deg / _RIGHT_ANGLE_DEG * count / 2.0 / np.where(radius > 0.0, radius, 1.0))[:, None]
+        )
+        return np.asarray(between(np.stack([middle - cells[:, 1], middle + cells[:, 0]], axis=-1)))
+
+    at_zenith = shown(np.array([[0.0, 0.0, 1.0]]))[0]
+    east, north = shown(np.array([[math.sin(0.1), 0.0, math.cos(0.1)], [0.0, math.sin(0.1), math.cos(0.1)]]))
+    frame = np.column_stack([east - at_zenith, north - at_zenith]) / (
+        2.0 * math.tan(0.05)
+    )  # px per unit, by east and north
+    first, scale, second = np.linalg.svd(frame)
+    focal = float(np.mean(scale))
+    turn = np.eye(3)  # orthogonal, and a mirroring where the image is none of the map's
+    turn[:2, :2] = first @ second
+    return lens_view(
+        "opencv-remap",
+        size=size,
+        rotation=turn,
+        pixels_of_rays=lambda rays: shown(rays @ turn),
+        center=at_zenith,
+        focal=np.array([focal, focal]),
+    )
