@@ -30,6 +30,7 @@ from sunarc.cli.options import (
     choice_of,
 )
 from sunarc.cli.output import print_json, table
+from sunarc.cli.rectify import rectify
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks
@@ -59,6 +60,7 @@ cli.command()(calibrate)
 cli.command()(ingest)
 cli.command("export")(export_calibration)
 cli.command()(compare)
+cli.command()(rectify)
 
 _out = Console(soft_wrap=True)
 
