@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from sunarc.errors import InputError, OutsideError
 from sunarc.offline.detect_files import (
-    _method_for,
     detect_in_files,
     detect_in_image,
     draw_overlay,
     full_scale_of,
+    selected_method,
 )
 
 CENTRE = (61.3, 48.8)
@@ -48,11 +48,11 @@ def test_thefull_scale_of_an_8_bit_image_is_255_whatever_it_holds() -> None:
 
 @pytest.mark.parametrize(("share", "method"), [(0.029, "disc"), (0.031, "paper")])
 def test_an_image_whose_median_is_above_3_percent_of_full_scale_is_an_ordinary_one(share: float, method: str) -> None:
-    assert _method_for(np.full((16, 16), round(share * 65535), dtype=np.uint16), 65535) == method
+    assert selected_method(np.full((16, 16), round(share * 65535), dtype=np.uint16), "auto", full_scale=65535) == method
 
 
 def test_a_dark_image_in_colours_is_an_ordinary_one() -> None:
-    assert _method_for(np.zeros((16, 16, 3), dtype=np.uint8), 255) == "paper"
+    assert selected_method(np.zeros((16, 16, 3), dtype=np.uint8), "auto", full_scale=255) == "paper"
 
 
 def test_the_disc_is_found_where_it_was_drawn() -> None:

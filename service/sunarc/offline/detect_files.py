@@ -69,7 +69,7 @@ def detect_in_image(
     exposure_us : returned in the result.
     """
     top = full_scale or full_scale_of(image)
-    selected = _method_for(image, top) if method == "auto" else method
+    selected = selected_method(image, method, full_scale=top)
     if selected == "paper":
         return detect_sun_in_photo(
             image, full_scale=top, expectation=expectation, static=static, bayer=bayer, exposure_us=exposure_us
@@ -112,7 +112,10 @@ def _row(path: Path, *, method: Method, full_scale: int | None, bayer: Bayer | N
     return {"file": str(path), **{name: getattr(found, name) for name in names}}
 
 
-def _method_for(image: Image, full_scale: int) -> Literal["disc", "paper"]:
+def selected_method(image: Image, method: Method, *, full_scale: int) -> Literal["disc", "paper"]:
+    """Return the method that is asked for; for "auto" the one that suits the image, see `detect_in_image`."""
+    if method != "auto":
+        return method
     exposed = float(np.median(image[::8, ::8])) > _DARK * full_scale
     return "paper" if image.ndim == 3 or exposed else "disc"
 

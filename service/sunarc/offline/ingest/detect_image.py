@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from sunarc.array_types import Image
 from sunarc.detection import Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.offline.detect_files import Method, detect_in_image
+from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method
 from sunarc.offline.ingest.image_checks import read_checked_image
 from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.messages import RefusedImageError
 
 Answer = Detection | Finding
 """A detection, with or without a sun; or why the image is left out."""
-
-
-_OUTSIDE = Detection(method="paper", accepted=False, verdict="hidden", findings=(Finding("sun_outside_image"),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,9 +47,16 @@ def detect_in_file(task: Task) -> Answer:
     try:
         image = read_checked_image(task.path, size=task.size)
         if task.outside:
-            return _OUTSIDE
+            return _no_sun(image, task)
         return detect_in_image(image, method=task.method, expectation=task.expectation, exposure_us=task.exposure_us)
     except RefusedImageError as error:
         return error.finding
     except InputError as error:
         return Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
+
+
+def _no_sun(image: Image, task: Task) -> Detection:
+    """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
+    method = selected_method(image, task.method, full_scale=full_scale_of(image))
+    outside = (Finding("sun_outside_image"),)
+    return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=task.exposure_us)

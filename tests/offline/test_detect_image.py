@@ -1,0 +1,54 @@
+"""What a process answers for one image file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import pytest
+
+from sunarc.detection import Detection
+from sunarc.findings import Finding
+from sunarc.offline.detect_files import Method
+from sunarc.offline.ingest.detect_image import Task, detect_in_file
+from sunarc.offline.ingest.packed_mask import pack_mask
+
+SIZE = (60, 50)
+
+
+def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False, stamp: bool = False) -> Task:
+    image = np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8)
+    cv2.imwrite(str(path), image)
+    mask = pack_mask(np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)) if stamp else None
+    return Task(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside, static=mask)
+
+
+@pytest.mark.parametrize(
+    ("level", "method", "expected"),
+    [(0, "auto", "disc"), (90, "auto", "paper"), (90, "disc", "disc"), (0, "paper", "paper")],
+)
+def test_an_image_without_the_sun_in_its_field_is_answered_by_the_method_that_would_have_looked(
+    tmp_path: Path, level: int, method: Method, expected: Literal["disc", "paper"]
+) -> None:
+    found = detect_in_file(task(tmp_path / "a.png", level=level, method=method, outside=True))
+    assert isinstance(found, Detection)
+    assert (found.method, found.accepted, found.verdict, found.exposure_us) == (expected, False, "hidden", 20.0)
+    assert [one.code for one in found.findings] == ["sun_outside_image"]
+
+
+def test_an_image_that_is_masked_everywhere_holds_no_sun(tmp_path: Path) -> None:
+    found = detect_in_file(task(tmp_path / "a.png", level=90, stamp=True))
+    assert isinstance(found, Detection)
+    assert (found.method, found.accepted) == ("paper", False)
+
+
+def test_a_refused_image_and_one_that_the_method_cannot_take_are_findings(tmp_path: Path) -> None:
+    assert detect_in_file(Task(path=tmp_path / "b.png", exposure_us=None, method="auto", size=SIZE)) == Finding(
+        "file_not_image", {"error": "No such file or directory"}
+    )
+    cv2.imwrite(str(tmp_path / "c.png"), np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8))
+    found = detect_in_file(Task(path=tmp_path / "c.png", exposure_us=None, method="disc", size=SIZE))
+    assert isinstance(found, Finding)
+    assert found.code == "file_not_image"
