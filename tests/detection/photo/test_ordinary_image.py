@@ -1,4 +1,4 @@
-"""Classification of ordinary images: every limit from both sides, and images without a sun."""
+"""The sun in ordinary images: its place, what is reported, and images without a sun."""
 
 from __future__ import annotations
 
@@ -13,66 +13,11 @@ from tests.detection.photo.suns import glare_image, with_text
 from tests.detection.rendering import FloatArray
 
 from sunarc.detection import Detection, Expectation, Lens, detect_sun_in_photo, radial_bias_px
-from sunarc.detection.photo.ordinary_image import Candidate, _sigma_px, _verdict
-from sunarc.detection.photo.rim import Rim
-from sunarc.detection.values import Verdict
 from sunarc.errors import InputError
-
-RIM = Rim(100.0, 90.0, 12.0, 0.6, 0.9, 0.2, 1.0, 0.05, 4095.0, 0.8, 0.6, 3)
-SEEN = Candidate(RIM, 0.6)
 
 
 def found_in(image: NDArray[Any], **arguments: Any) -> Detection:  # noqa: ANN401 - detect_sun_in_photo's own
     return detect_sun_in_photo(image, full_scale=4095, **arguments)
-
-
-def verdict(sigma_px: float = 0.6, **changes: Any) -> Verdict:  # noqa: ANN401 - the rim's own fields
-    return _verdict(Candidate(RIM._replace(**changes), sigma_px), 200, None)[0]
-
-
-def test_a_round_rim_in_its_glare_is_the_suns() -> None:
-    assert verdict() == "clear"
-
-
-@pytest.mark.parametrize(
-    ("near", "expected"), [(0.549, "hidden"), (0.551, "clear"), (0.944, "clear"), (0.946, "hidden")]
-)
-def test_the_light_beside_the_sun_is_neither_dark_nor_as_bright(near: float, expected: Verdict) -> None:
-    assert verdict(near=near) == expected
-
-
-@pytest.mark.parametrize(("share", "expected"), [(0.39, "partly_covered"), (0.41, "clear")])
-def test_too_little_of_the_rim_is_partly_covered(share: float, expected: Verdict) -> None:
-    assert verdict(share=share) == expected
-
-
-@pytest.mark.parametrize(("scatter", "expected"), [(1.45, "veiled"), (1.43, "clear")])
-def test_an_uneven_rim_is_veiled(scatter: float, expected: Verdict) -> None:
-    assert verdict(scatter=scatter) == expected
-
-
-@pytest.mark.parametrize(("sigma_px", "expected"), [(1.21, "veiled"), (1.19, "clear")])
-def test_an_uncertain_centre_is_veiled(sigma_px: float, expected: Verdict) -> None:
-    assert verdict(sigma_px) == expected
-
-
-def test_sigma_is_the_root_of_the_sum_of_its_parts() -> None:
-    least = math.hypot(0.3, 0.015 * 12.0)
-    scatter = 0.6 * math.sqrt(2.0 / (0.9 * 15.0)) / 0.9
-    assert _sigma_px(RIM) == pytest.approx(math.hypot(least, scatter, 0.7 * 0.2, 0.25 * 1.0))
-
-
-@pytest.mark.parametrize(("name", "value"), [("scatter", 1.2), ("spread", 2.0), ("offset", 4.0), ("radius", 60.0)])
-def test_sigma_grows_with_what_makes_a_centre_uncertain(name: str, value: float) -> None:
-    worse = Rim(**{**RIM._asdict(), name: value})
-    assert _sigma_px(worse) > 1.3 * _sigma_px(RIM)
-    assert _sigma_px(RIM._replace(share=0.4)) > 1.3 * _sigma_px(RIM)
-
-
-@pytest.mark.parametrize(("off", "expected"), [(12.0, "clear"), (12.9, "reflection")])
-def test_a_plateau_far_from_the_prediction_is_a_reflection(off: float, expected: Verdict) -> None:
-    expectation = Expectation(x_px=100.0 + 0.6 * off, y_px=90.0 + 0.8 * off, uncertainty_px=2.0)
-    assert _verdict(SEEN, 200, expectation)[0] == expected
 
 
 @pytest.mark.parametrize("place", [(100.0, 90.0), (60.3, 120.7), (140.5, 55.2)])

@@ -118,3 +118,23 @@ def test_near_and_far_are_the_light_at_their_radii() -> None:
     found = rim(image, Plateau(100.0, 90.0, 15.0, 4095.0))
     expected = [0.08 + 0.85 / (1.0 + (ratio * found.radius / 45.0) ** 2) for ratio in (1.7, 2.6)]
     assert (found.near, found.far) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_clipped_plateau_is_flat_and_a_rounded_one_is_not() -> None:
+    rows, columns = np.mgrid[:200, :200]
+    far = np.hypot(columns - 100.0, rows - 90.0)
+    rounded = (4095.0 * np.exp(-0.5 * (far / 40.0) ** 2)).astype(np.uint16)
+    assert rim(glare_image(radius=15.0), Plateau(100.0, 90.0, 15.0, 4095.0)).flat > 0.99
+    assert rim(rounded, Plateau(100.0, 90.0, 10.0, 4095.0)).flat < 0.3
+
+
+@pytest.mark.parametrize(("slope", "low", "high"), [(0.0, 0.0, 0.1), (0.002, 0.6, 1.1)])
+def test_unevenness_is_the_width_of_the_light_beside_over_its_fall(slope: float, low: float, high: float) -> None:
+    rows, columns = np.mgrid[:200, :200]
+    far = np.hypot(columns - 100.0, rows - 90.0)
+    light = np.where(far < 15.0, 2.0, 0.7 + 0.25 / (1.0 + (far / 45.0) ** 2)) + slope * (columns - 100.0)
+    found = rim(np.clip(4095.0 * light, 0, 4095).astype(np.uint16), Plateau(100.0, 90.0, 14.0, 4095.0))
+    assert low <= found.uneven <= high
+    across = slope * 1.7 * found.radius * np.cos(np.linspace(0.0, 2.0 * math.pi, 1000))
+    width = np.quantile(across, 0.85) - np.quantile(across, 0.15)
+    assert found.uneven == pytest.approx(width / (1.0 - found.near), abs=0.08)

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from sunarc.detection import Detection
+from sunarc.detection.photo.candidates import Candidate
 from sunarc.detection.photo.exposure_stack import _agrees, _mean
-from sunarc.detection.photo.ordinary_image import Candidate
 from sunarc.detection.photo.rim import Rim
 
 
@@ -23,11 +23,13 @@ def candidate(x: float, y: float, *, sigma_px: float, radius: float = 5.0) -> Ca
         offset=0.0,
         ellipticity=0.02,
         level=250.0,
+        flat=1.0,
         near=0.8,
         far=0.6,
+        uneven=0.2,
         circles=3,
     )
-    return Candidate(rim, sigma_px)
+    return Candidate(rim, sigma_px, off_glare_px=0.0, off_local_glare_px=0.0, size_px=200.0)
 
 
 def anchor(x: float = 10.0, y: float = 5.0, *, sigma_px: float = 0.1, radius_px: float = 5.0) -> Detection:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, Image
-from sunarc.detection.photo.ordinary_image import Candidate, candidates_in, detect_sun_in_photo
+from sunarc.detection.photo.candidates import Candidate, candidates_in
+from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.values import Bayer, Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding

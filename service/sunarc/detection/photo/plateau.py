@@ -25,10 +25,10 @@ _LEVEL = 0.97
 """Of the plateau: JPEG's ringing and the sensor's unevenness stay above it (real images: 247 of 255 at the lowest)."""
 _LOWEST = 0.5
 """Of the highest plateau: a lower one is no sun beside it."""
-_LEVELS, _IN_A_LEVEL, _TRIED = 4, 6, 48
+_LEVELS, _IN_A_LEVEL, _TRIED = 3, 4, 48
 _LEAST_RADIUS_PX = 1.4  # in the reduced image: the 3 × 3 pixels of the erosion
 _HOLE = 0.3  # of the region's area: a black-sun artefact or a painted mark, not the clear sky within a ring of cloud
-_NEAR, _NEAR_PX = 1.7, 1.5  # radii, and px of the reduced image: where the light beside a circle is told
+_NEAR, _NEAR_PX = 1.7, 1.5  # radii, and px of the reduced image: where the light beside a circle is taken
 _APART_PX = 9  # about a plateau its own glare is no second one
 
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)

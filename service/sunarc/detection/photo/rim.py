@@ -31,7 +31,10 @@ _LEAST_SCALE_PX, _LEAST_SCALE = 0.3, 0.01  # px, and of the radius
 _FIRST_SCALE = 0.06  # of the radius: of the first circle, through three points
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.25
 _FOLLOWED, _FOLLOWED_SCALES = 0.06, 3.0  # of the radius, and scales, within which the rim follows the circle
-_AT = (1.7, 2.6)  # radii at which the light around is told
+_AT = (1.7, 2.6)  # radii at which the light around is taken
+
+_WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
+_LEAST_FALL = 0.01  # of the level: less is JPEG's noise
 
 _ANGLES = np.arange(RAYS) * (2.0 * math.pi / RAYS)
 _COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
@@ -55,8 +58,10 @@ class Rim(NamedTuple):
 
     x, y, radius : medians of the circles, px. scatter : of the rim about them, px. share : of the rays on which it
     follows them. spread : rms distance of the circles' centres from the median, px. offset : from the centre of the
-    inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. near, far : light at 1.7
-    and 2.6 radii over the level, medians over the rays. circles: how many levels have one.
+    inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light
+    within the rim that is level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6
+    radii over the level, medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its
+    fall from the plateau. circles : how many levels have one.
     """
 
     x: float
@@ -68,8 +73,10 @@ class Rim(NamedTuple):
     offset: float
     ellipticity: float
     level: float
+    flat: float
     near: float
     far: float
+    uneven: float
     circles: int
 
 
@@ -108,8 +115,7 @@ def _summary(
 ) -> Rim:
     x, y, radius = center
     squares = [(c.x - x) ** 2 + (c.y - y) ** 2 for c in circles]
-    with np.errstate(all="ignore"):
-        near, far = (_light_at(rays, ratio * radius) for ratio in _AT)
+    near, far = (_light_at(rays, ratio * radius) for ratio in _AT)
     return Rim(
         x,
         y,
@@ -120,8 +126,10 @@ def _summary(
         offset=math.hypot(x - plateau.x, y - plateau.y),
         ellipticity=_ellipticity(crossing, radius),
         level=plateau.level,
+        flat=_flatness(rays, radius, plateau.level),
         near=near,
         far=far,
+        uneven=_unevenness(rays, _AT[0] * radius),
         circles=len(circles),
     )
 
@@ -151,11 +159,31 @@ def _levels_for(rays: _Rays, radius: float) -> tuple[float, ...]:
     return _SHARP_LEVELS if beyond < 0.5 else _LEVELS
 
 
+def _ring(rays: _Rays, radius: float) -> FloatArray:
+    """Return the light at a radius on the rays on which it is known."""
+    column = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
+    return np.asarray(column[np.isfinite(column)])
+
+
 def _light_at(rays: _Rays, radius: float) -> float:
     """Return the median light at a radius, 0 where nothing is known there."""
-    column = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
-    known = column[np.isfinite(column)]
-    return float(np.median(known)) if known.size else 0.0
+    ring = _ring(rays, radius)
+    return float(np.median(ring)) if ring.size else 0.0
+
+
+def _unevenness(rays: _Rays, radius: float) -> float:
+    """Return the width of the middle 70 % of the light at a radius over its fall from the plateau."""
+    ring = _ring(rays, radius)
+    if ring.size < _LEAST_POINTS:
+        return 1.0
+    low, middle, high = np.quantile(ring, (0.15, 0.5, 0.85))
+    return float((high - low) / max(1.0 - middle, _LEAST_FALL))
+
+
+def _flatness(rays: _Rays, radius: float, level: float) -> float:
+    within = rays.light[:, rays.radii <= _WITHIN * radius]
+    known = within[np.isfinite(within)]
+    return float(np.mean(np.abs(known - 1.0) <= max(_FLAT, _FLAT_COUNTS / level))) if known.size else 0.0
 
 
 def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
@@ -168,7 +196,7 @@ def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     ray = np.arange(len(after))
     before, beyond = rays.light[ray, after - 1], rays.light[ray, after]
     share = (before - level) / np.maximum(before - beyond, 1e-6)
-    # A ray that begins below the level, or passes what is not known, tells nothing.
+    # A ray that begins below the level, or passes what is not known, has no crossing.
     known = starts.any(axis=1) & ~starts[:, 0] & (np.cumsum(np.isnan(rays.light), axis=1)[ray, after] == 0)
     return np.where(known, rays.radii[after - 1] + np.clip(share, 0.0, 1.0) * step, np.nan)
 

@@ -1,0 +1,163 @@
+"""Plateaus with a rim: where a sun may be in an ordinary image, and how certain each centre is."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.detection.photo.plateau import faintest_colour, faintest_of_mosaic, plateaus
+from sunarc.detection.photo.rim import Rim, rim_of
+from sunarc.detection.values import Bayer
+
+MIN_LEVEL = 0.35
+"""Of full scale: a darker plateau is no sun in an ordinary exposure (a camera that clips at 160 of 255 has 0.63)."""
+MIN_NEAR = 0.65
+"""Light at 1.7 radii over the plateau's (in counts), below which it is no sun in its glare but something white."""
+OFF_GLARE = 0.009
+"""Of the smaller side: farther from the middle of the glare there is cloud, not the sun. Real suns were within 0.006 of
+it without cloud and 0.014 with; half of the patches of cloud were beyond 0.02."""
+
+_NEAR_MARGIN = 0.15
+"""By so much the light beside the inscribed circle may be darker than beside the rim."""
+_MAX_RADIUS_FRACTION = 0.12
+"""A plateau wider than this share of the image's smaller side is no sun; thin cloud before it gave 0.09 at most."""
+_GLARE_PX, _GLARE_BLUR_PX = 240, 4.0
+"""Smaller side of the image, and the blur, in which the middle of the glare is found: 3 degrees wide."""
+_SURROUNDINGS = 0.08
+"""Of the smaller side, beyond the radius: where a predicted sun is the brightest."""
+_LINEAR_TONES = 1.0 / 2.2
+"""Images of more than 8 bits are taken for linear: their light beside the sun is compared by the tones of 8 bits."""
+_EIGHT_BITS = 255
+_MIN_SIGMA_PX = 0.3
+_MIN_SIGMA_RADIUS = 0.015
+"""1-sigma per axis over the radius, at best: real suns in haze, against a camera fitted to them."""
+_SCATTER, _SPREAD, _OFFSET, _UNEVEN = 0.35, 0.3, 0.25, 0.09
+"""Sigma over the scatter (over the share), the spread, the offset, and the radius times the squared unevenness: by
+maximum likelihood on 117 real suns (docs/studies.md, "Photographs")."""
+
+
+class Candidate(NamedTuple):
+    """A plateau with a rim.
+
+    rim : its rim. sigma_px : 1-sigma per axis of the rim's centre. off_glare_px, off_local_glare_px : how far that is
+    from the middle of the glare, px: the brightest place of the blurred image, and of its surroundings. size_px :
+    smaller side of the image.
+    """
+
+    rim: Rim
+    sigma_px: float
+    off_glare_px: float
+    off_local_glare_px: float
+    size_px: float
+
+    @property
+    def score(self) -> float:
+        """Say how sun-like it is: large, clipped, round, standing out, in the middle of the glare."""
+        rim, radius = self.rim, self.rim.radius
+        uneven = (rim.scatter / (0.1 * radius)) ** 2 + (rim.spread / (0.2 * radius)) ** 2
+        off = self.off_glare_px / (3.0 * OFF_GLARE * self.size_px)
+        return radius * rim.flat * max(1.0 - rim.far, 0.01) * rim.share**2 / (1.0 + uneven) * math.exp(-(off**2))
+
+
+def candidates_in(
+    image: Image,
+    *,
+    full_scale: int,
+    least_level: float = MIN_LEVEL,
+    least_near: float | None = None,
+    static: BoolArray | None = None,
+    bayer: Bayer | None = None,
+) -> list[Candidate]:
+    """Return the plateaus that have a rim.
+
+    Parameters
+    ----------
+    image, full_scale, static, bayer : as in `detect_sun_in_photo`.
+    least_level, least_near : of full scale and of a plateau's level, as in `plateaus`; None is an ordinary exposure's.
+    """
+    plane = plane_of(image, bayer)
+    hidden = _enlarged(static, plane)
+    size, tones = min(plane.shape), 1.0 if full_scale == _EIGHT_BITS else _LINEAR_TONES
+    beside = (MIN_NEAR - _NEAR_MARGIN) ** (1.0 / tones) if least_near is None else least_near
+    found = plateaus(plane, least_level=least_level * full_scale, least_near=beside, static=hidden)
+    rims = [rim_of(plane, each, static=hidden) for each in found if each.radius <= _MAX_RADIUS_FRACTION * size]
+    fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
+    shown = _reduced(plane, hidden)
+    seen = [Candidate(_in_tones(rim, tones), sigma_px(rim), *_off_glare(shown, rim, size), size) for rim in fitting]
+    return seen if plane.shape == image.shape[:2] else [_of_mosaic(each) for each in seen]
+
+
+def _in_tones(rim: Rim, tones: float) -> Rim:
+    return rim._replace(near=max(rim.near, 0.0) ** tones, far=max(rim.far, 0.0) ** tones)
+
+
+def plane_of(image: Image, bayer: Bayer | None) -> Image:
+    """Return the faintest colour of an image, (rows, columns), or of the cells of a raw mosaic, half of both."""
+    return faintest_colour(image) if bayer is None or image.ndim == 3 else faintest_of_mosaic(image)
+
+
+def sigma_px(rim: Rim) -> float:
+    """Return the 1-sigma per axis of a rim's centre."""
+    return math.hypot(
+        _MIN_SIGMA_PX,
+        _MIN_SIGMA_RADIUS * rim.radius,
+        _SCATTER * rim.scatter / rim.share,
+        _SPREAD * rim.spread,
+        _OFFSET * rim.offset,
+        _UNEVEN * rim.radius * rim.uneven**2,
+    )
+
+
+def _reduced(plane: Image, static: BoolArray | None) -> tuple[FloatArray, float]:
+    """Return the plane in about 240 px and the px of the plane to one of its."""
+    shown = plane if static is None else np.where(static, np.zeros_like(plane), plane)
+    step = max(1, round(min(plane.shape) / _GLARE_PX))
+    rows, columns = (max(1, size // step) for size in plane.shape)
+    part: Image = shown[: rows * step, : columns * step]
+    small = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float64), float(step)
+
+
+def _off_glare(shown: tuple[FloatArray, float], rim: Rim, size: int) -> tuple[float, float]:
+    """Return how far a rim's centre is from the brightest place of the blurred plane and of its surroundings, px.
+
+    What is brighter than the plateau (an overlay) counts as much as the plateau.
+    """
+    small, step = shown
+    sigma = max(_GLARE_BLUR_PX * min(small.shape) / _GLARE_PX, 0.5)
+    blurred = cv2.GaussianBlur(np.minimum(small, rim.level).astype(np.float32), (0, 0), sigma)
+    x, y = ((value - (step - 1.0) / 2.0) / step for value in (rim.x, rim.y))
+    reach = (rim.radius + _SURROUNDINGS * size) / step
+    rows, columns = np.ogrid[: small.shape[0], : small.shape[1]]
+    around = np.where(np.hypot(columns - x, rows - y) <= reach, blurred, -1.0)
+    distances = []
+    for plane in (blurred, around):
+        row, column = divmod(int(np.argmax(plane)), small.shape[1])
+        distances.append(step * math.hypot(column - x, row - y))
+    return distances[0], distances[1]
+
+
+def _of_mosaic(seen: Candidate) -> Candidate:
+    """Return a candidate of the half-sized plane in px of the mosaic."""
+    rim = seen.rim
+    larger = rim._replace(
+        x=2.0 * rim.x + 0.5,
+        y=2.0 * rim.y + 0.5,
+        radius=2.0 * rim.radius,
+        scatter=2.0 * rim.scatter,
+        spread=2.0 * rim.spread,
+        offset=2.0 * rim.offset,
+    )
+    return Candidate(larger, *(2.0 * value for value in seen[1:]))
+
+
+def _enlarged(static: BoolArray | None, plane: Image) -> BoolArray | None:
+    """Return the mask of what stands still in the size of the plane."""
+    if static is None or static.shape == plane.shape:
+        return static
+    size = (plane.shape[1], plane.shape[0])
+    return np.asarray(cv2.resize(static.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), dtype=np.bool_)

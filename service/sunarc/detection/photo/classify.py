@@ -1,0 +1,90 @@
+"""Which of the candidates is the sun's, and whether its position is worth using at its sigma."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from sunarc.detection.photo.candidates import MIN_NEAR, OFF_GLARE, Candidate
+from sunarc.detection.photo.rim import Rim
+from sunarc.detection.values import Expectation, Verdict
+from sunarc.findings import Finding
+
+_MIN_SHARE = 0.5
+"""Share of the rays on which the rim must follow the circle."""
+_MAX_SCATTER = 0.16
+"""Scatter of the rim over the radius; the sun's, thin cloud before it, had 0.15 and less on real images."""
+_MAX_NEAR, _MAX_FAR = 0.915, 0.86
+"""Light at 1.7 and 2.6 radii above which it does not stand out. Of 2,447 patches of real cloud half had more than 0.94
+and 0.925; of the suns 19 of 20 had less than 0.91 and 0.86."""
+_MIN_FAR = 0.5
+"""Light at 2.6 radii below which it is a lamp or the moon at night: by day it had 0.6 and more on real images."""
+_STEEPEST = 0.9
+"""Fall of the light to 1.7 radii over that to 2.6, above which it is an edge and no glare: real suns had 0.23 to 0.89,
+a white roof has 1."""
+_MIN_FLAT, _MIN_FLAT_PREDICTED = 0.6, 0.2
+"""Share of the plateau that is level: nine of ten real suns had 0.82 and more, nine of ten patches of cloud 0.54 and
+less. A small sun in haze, which a prediction names, has 0.25."""
+_MAX_SIGMA, _MAX_SIGMA_RADIUS = 0.01, 0.2
+"""Of the image's smaller side and of the radius: a less certain position is of no use (it is 1.9 degrees where the
+smaller side is 180)."""
+_MAX_SIGMA_PX = 0.6  # a sigma up to this is always of use
+_OFF_GLARE_RADIUS = 0.3  # of the radius: within it a plateau is in the middle of the glare
+_REACH_SIGMAS, _REACH_PX = 5.0, 2.0
+"""A plateau within so many sigmas (and px) of the prediction is the sun's."""
+
+
+class Judged(NamedTuple):
+    """A candidate with its verdict and what decided."""
+
+    seen: Candidate
+    verdict: Verdict
+    finding: Finding
+
+
+def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
+    """Return the most sun-like candidate with its verdict.
+
+    Those within a prediction's reach come first, what stands out from the sky before what does not.
+    """
+    judged = [Judged(each, *_verdict(each, expectation)) for each in seen]
+    order = {"reflection": 2, "hidden": 1}
+    return max(judged, key=lambda each: (-order.get(each.verdict, 0), each.seen.score))
+
+
+def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
+    if expectation is None:
+        return _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px) or _clear(seen.rim)
+    distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
+    if distance > _REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + _REACH_PX:
+        return "reflection", Finding("blob_displaced", {"distance_px": distance})
+    return _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px) or _clear(seen.rim)
+
+
+def _clear(rim: Rim) -> tuple[Verdict, Finding]:
+    return "clear", Finding("blob_found", {"diameter_px": 2.0 * rim.radius, "share": rim.share})
+
+
+def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
+    """Return why a round region is of no use, wherever it is."""
+    rim = seen.rim
+    if rim.near < MIN_NEAR or rim.far < _MIN_FAR or 1.0 - rim.near > _STEEPEST * (1.0 - rim.far):
+        return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
+    if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
+        return "hidden", Finding("blob_flat", {"near": rim.near, "far": rim.far})
+    if rim.share < _MIN_SHARE:
+        return "partly_covered", Finding("blob_one_sided", {"share": rim.share})
+    if rim.scatter > _MAX_SCATTER * rim.radius:
+        return "veiled", Finding("blob_uneven", {"scatter": rim.scatter / rim.radius})
+    if seen.sigma_px > max(min(_MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
+        return "veiled", Finding("blob_centre_uncertain", {"sigma_px": seen.sigma_px})
+    return None
+
+
+def _unlike_a_sun(seen: Candidate, min_flat: float, off_px: float) -> tuple[Verdict, Finding] | None:
+    """Return why a round region may be a patch of bright cloud."""
+    if seen.rim.flat < min_flat:
+        return "veiled", Finding("blob_not_clipped", {"flat": seen.rim.flat})
+    if off_px > max(OFF_GLARE * seen.size_px, _OFF_GLARE_RADIUS * seen.rim.radius):
+        return "veiled", Finding("blob_off_glare", {"distance_px": off_px})
+    return None

@@ -1,0 +1,191 @@
+"""Stand-ins for real photographs, rendered from what real ones showed (docs/studies.md, "Photographs").
+
+    python -m tests.detection.photo.facts --images 40 --sunless 2000
+
+renders so many suns of each kind, and so many frames without one, and prints the error against the stated sigma.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tests.detection.rendering import FloatArray
+
+from sunarc.detection import detect_sun_in_photo
+
+Photo = NDArray[np.uint8]
+
+
+class Facts(NamedTuple):
+    """What the images of a series have in common.
+
+    radius : range of the plateau's radius over the image's smaller side. level : at which the sun is clipped, of 255.
+    near, far, wide : light at 1.7, 2.6 and 5 radii over that level. uneven : range of the width of the light at 1.7
+    radii over its fall. slope : of the sky across the image, levels. quality : of the JPEG. mark_px, streaks, text : a
+    black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255.
+    """
+
+    radius: tuple[float, float]
+    level: int = 255
+    near: float = 0.88
+    far: float = 0.79
+    wide: float = 0.58
+    uneven: tuple[float, float] = (0.2, 0.8)
+    slope: float = 0.1
+    quality: int = 92
+    mark_px: int = 0
+    streaks: int = 0
+    text: bool = True
+
+
+KINDS = {
+    "clear, saturated": Facts((0.032, 0.05), uneven=(0.24, 0.9), slope=0.15),
+    "haze": Facts((0.012, 0.033), near=0.84, far=0.76, wide=0.66, uneven=(0.13, 0.2), mark_px=3),
+    "thin cloud": Facts((0.04, 0.07), uneven=(0.6, 1.6)),
+    "HDR, Raspberry Pi": Facts((0.007, 0.018), near=0.86, far=0.73, wide=0.5, uneven=(0.2, 0.6), streaks=1, text=False),
+    "clipped at 160": Facts((0.015, 0.03), level=160, uneven=(0.2, 0.6)),
+    "poor JPEG": Facts((0.02, 0.04), uneven=(0.2, 0.6), quality=70),
+}
+SUNLESS = ("overcast", "bright cloud", "roofs and text", "lamp at night", "moonlit night", "blank", "contrails")
+
+_UNEVEN_OF_UNIT = 1.9
+"""Width of the middle 70 % of a normal distribution's light at 1.7 radii, in its standard deviations."""
+
+
+def sun_photo(facts: Facts, rng: np.random.Generator, *, size: int = 480) -> tuple[Photo, tuple[float, float]]:
+    """Return an image, (size, size, 3), and the place of its sun."""
+    angle, apart = rng.uniform(0.0, 2.0 * math.pi), 0.35 * size * math.sqrt(rng.uniform(0.0, 1.0))
+    x, y = 0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle)
+    radius = max(size * rng.uniform(*facts.radius), 2.5)
+    rows, columns = np.mgrid[:size, :size].astype(np.float64)
+    far = np.hypot(columns - x, rows - y) / radius
+    light = np.interp(
+        far, (0.0, 1.0, 1.7, 2.6, 5.0, 15.0, 60.0), (1.6, 1.0, facts.near, facts.far, facts.wide, 0.36, 0.25)
+    )
+    # The unevenness grows from the disc outwards, as cloud and dust beside the sun do.
+    amount = rng.uniform(*facts.uneven) * (1.0 - facts.near) / _UNEVEN_OF_UNIT
+    light += amount * np.minimum(far / 1.7, 2.0) * _texture(rng, size, 2.5 * radius)
+    light += facts.slope * 0.3 * (rows - y) / size
+    for _ in range(facts.streaks):
+        ray = rng.uniform(0.0, math.pi)
+        across = np.abs((columns - x) * math.sin(ray) - (rows - y) * math.cos(ray))
+        light += 0.15 * np.exp(-0.5 * (across / (0.15 * radius + 1.0)) ** 2)
+    light[np.hypot(columns - 0.5 * size, rows - 0.5 * size) > 0.49 * size] = 0.03
+    image = _colours(light, facts.level, rng)
+    if facts.mark_px:
+        row, column = round(y), round(x - 0.3 * radius)
+        image[row : row + facts.mark_px, column : column + facts.mark_px] = (40, 150, 235)
+    return _compressed(_with_text(image) if facts.text else image, facts.quality), (x, y)
+
+
+def sunless_photo(kind: str, rng: np.random.Generator, *, size: int = 320) -> Photo:
+    """Return an image without a sun, (size, size, 3)."""
+    rows, columns = np.mgrid[:size, :size].astype(np.float64)
+    light = np.full((size, size), rng.uniform(0.3, 0.9))
+    if kind in {"overcast", "bright cloud"}:
+        coarse, fine = (_texture(rng, size, size * rng.uniform(*span)) for span in ((0.08, 0.3), (0.01, 0.06)))
+        light += (0.12 if kind == "overcast" else 0.35) * (coarse + rng.uniform(0.1, 0.5) * fine)
+    elif kind == "roofs and text":
+        for _ in range(rng.integers(1, 6)):
+            top, left, high, wide = (int(v) for v in rng.uniform((0, 0, 5, 5), (size, size, 60, 60)))
+            light[top : top + high, left : left + wide] = rng.uniform(0.9, 1.5)
+    elif kind in {"lamp at night", "moonlit night"}:
+        light[:] = rng.uniform(0.02, 0.1)
+        x, y, radius = rng.uniform(30, size - 30), rng.uniform(30, size - 30), rng.uniform(3.0, 15.0)
+        far = np.hypot(columns - x, rows - y) / radius
+        halo = rng.uniform(0.1, 0.6) if kind == "lamp at night" else rng.uniform(0.2, 0.5)
+        light += np.where(far < 1.0, 1.2, halo / np.maximum(far, 1.0) ** rng.uniform(1.0, 2.5))
+    elif kind == "contrails":
+        for _ in range(rng.integers(1, 7)):
+            ray, at = rng.uniform(0.0, math.pi), rng.uniform(-0.3, 0.3) * size
+            across = (columns - size / 2) * math.sin(ray) - (rows - size / 2) * math.cos(ray) - at
+            light += rng.uniform(0.2, 0.9) * np.exp(-0.5 * (across / rng.uniform(2.0, 12.0)) ** 2)
+    light[np.hypot(columns - 0.5 * size, rows - 0.5 * size) > 0.49 * size] = 0.03
+    return _compressed(_with_text(_colours(light, 255, rng)), int(rng.integers(50, 95)))
+
+
+def _texture(rng: np.random.Generator, size: int, scale_px: float) -> FloatArray:
+    """Return a random field of unit variance and a correlation length, (size, size)."""
+    cells = max(3, math.ceil(size / scale_px) + 3)
+    coarse = rng.standard_normal((cells, cells)).astype(np.float32)
+    wide = cv2.resize(coarse, None, fx=scale_px, fy=scale_px, interpolation=cv2.INTER_CUBIC)
+    part = np.asarray(wide[:size, :size], dtype=np.float64)
+    return np.asarray((part - part.mean()) / max(float(part.std()), 1e-6))
+
+
+def _colours(light: FloatArray, level: int, rng: np.random.Generator) -> Photo:
+    """Return three colours of a light, clipped: the faintest is the light itself."""
+    gains = rng.permutation([1.0, rng.uniform(1.0, 1.15), rng.uniform(1.05, 1.3)])
+    noisy = light[..., None] * gains + rng.normal(0.0, 0.006, (*light.shape, 3))
+    return np.asarray(np.round(level * np.clip(noisy, 0.0, 1.0)), dtype=np.uint8)
+
+
+def _with_text(image: Photo) -> Photo:
+    drawn = image.copy()
+    for place in ((3, 12), (3, image.shape[0] - 4)):
+        cv2.putText(drawn, "2016-05-30 09:44 UTC+1", place, cv2.FONT_HERSHEY_SIMPLEX, 0.35, (255, 255, 255), 1)
+    return drawn
+
+
+def _compressed(image: Photo, quality: int) -> Photo:
+    done, packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert done
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+class Outcome(NamedTuple):
+    """Of the images of a kind: how many there were, and error and sigma of the accepted suns, px."""
+
+    images: int
+    error_px: FloatArray
+    sigma_px: FloatArray
+
+    @property
+    def chi2(self) -> float:
+        """Mean squared error per axis over the variance."""
+        return float(np.mean((self.error_px / self.sigma_px) ** 2)) / 2.0
+
+
+def outcome_of(kind: str, images: int, rng: np.random.Generator, *, size: int = 480) -> Outcome:
+    """Return what became of so many suns of a kind."""
+    error, sigma = list[float](), list[float]()
+    for _ in range(images):
+        image, place = sun_photo(KINDS[kind], rng, size=size)
+        found = detect_sun_in_photo(image, full_scale=255)
+        if found.accepted and found.x_px is not None and found.y_px is not None and found.sigma_px is not None:
+            error.append(math.hypot(found.x_px - place[0], found.y_px - place[1]))
+            sigma.append(found.sigma_px)
+    return Outcome(images, np.array(error), np.array(sigma))
+
+
+def accepted_without_a_sun(kind: str, images: int, rng: np.random.Generator) -> int:
+    """Return how many of so many frames without a sun were accepted."""
+    return sum(detect_sun_in_photo(sunless_photo(kind, rng), full_scale=255).accepted for _ in range(images))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--images", type=int, default=40)
+    parser.add_argument("--sunless", type=int, default=700)
+    parser.add_argument("--size", type=int, default=480)
+    arguments, rng = parser.parse_args(), np.random.default_rng(16)
+    for kind in KINDS:
+        found = outcome_of(kind, arguments.images, rng, size=arguments.size)
+        far = np.count_nonzero(found.error_px > 4.0 * found.sigma_px)
+        sys.stdout.write(
+            f"| {kind} | {len(found.error_px)} of {found.images} | {np.median(found.error_px):.2f} | "
+            f"{np.median(found.sigma_px):.2f} | {found.chi2:.2f} | {far} |\n"
+        )
+    for index, kind in enumerate(SUNLESS):
+        count = len(range(index, arguments.sunless, len(SUNLESS)))
+        sys.stdout.write(f"| {kind} | {accepted_without_a_sun(kind, count, rng)} of {count} accepted |\n")
+
+
+if __name__ == "__main__":
+    main()

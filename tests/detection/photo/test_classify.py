@@ -1,0 +1,130 @@
+"""Classification of candidates: every limit from both sides, and which one is chosen."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from sunarc.detection import Expectation
+from sunarc.detection.photo.candidates import Candidate, sigma_px
+from sunarc.detection.photo.classify import Judged, best_of
+from sunarc.detection.photo.rim import Rim
+
+RIM = Rim(
+    x=100.0,
+    y=90.0,
+    radius=12.0,
+    scatter=0.6,
+    share=0.9,
+    spread=0.2,
+    offset=1.0,
+    ellipticity=0.05,
+    level=4095.0,
+    flat=0.95,
+    near=0.8,
+    far=0.66,
+    uneven=0.3,
+    circles=3,
+)
+SEEN = Candidate(RIM, sigma_px=0.6, off_glare_px=2.0, off_local_glare_px=2.0, size_px=200.0)
+
+
+def judged(seen: Candidate, expectation: Expectation | None = None) -> Judged:
+    return best_of([seen], expectation)
+
+
+def code(sigma: float = 0.6, off_glare_px: float = 2.0, **changes: Any) -> str:  # noqa: ANN401 - the rim's own fields
+    rim = Rim(**{**RIM._asdict(), **changes})
+    return judged(SEEN._replace(rim=rim, sigma_px=sigma, off_glare_px=off_glare_px)).finding.code
+
+
+def test_a_round_clipped_rim_in_its_glare_is_the_suns() -> None:
+    assert judged(SEEN).verdict == "clear"
+    assert code() == "blob_found"
+
+
+@pytest.mark.parametrize(
+    ("field", "bad", "good", "expected"),
+    [
+        ("near", 0.693, 0.695, "blob_edged"),
+        ("far", 0.499, 0.501, "blob_edged"),
+        ("near", 0.916, 0.914, "blob_flat"),
+        ("share", 0.499, 0.501, "blob_one_sided"),
+        ("scatter", 1.93, 1.91, "blob_uneven"),
+        ("flat", 0.599, 0.601, "blob_not_clipped"),
+    ],
+)
+def test_the_limits_of_a_rim(field: str, bad: float, good: float, expected: str) -> None:
+    assert code(**{field: bad}) == expected
+    assert code(**{field: good}) == "blob_found"
+
+
+@pytest.mark.parametrize(("far", "expected"), [(0.861, "blob_flat"), (0.859, "blob_found")])
+def test_light_that_hardly_falls_does_not_stand_out(far: float, expected: str) -> None:
+    assert code(near=0.91, far=far) == expected
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(2.01, "blob_centre_uncertain"), (1.99, "blob_found")])
+def test_a_sigma_is_at_most_a_share_of_the_image(sigma: float, expected: str) -> None:
+    assert code(sigma) == expected
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(0.81, "blob_centre_uncertain"), (0.79, "blob_found")])
+def test_a_sigma_is_at_most_a_share_of_the_radius(sigma: float, expected: str) -> None:
+    assert code(sigma, off_glare_px=1.0, radius=4.0, scatter=0.1) == expected
+
+
+@pytest.mark.parametrize(
+    ("off", "radius", "good"), [(1.7, 4.0, True), (1.9, 4.0, False), (3.7, 12.0, False), (4.4, 15.0, True)]
+)
+def test_a_sun_is_in_the_middle_of_its_glare(off: float, radius: float, *, good: bool) -> None:
+    assert (code(off_glare_px=off, radius=radius) == "blob_found") == good
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(12.2, "clear"), (12.7, "reflection")])
+def test_a_plateau_far_from_the_prediction_is_a_reflection(off: float, verdict: str) -> None:
+    expectation = Expectation(x_px=100.0 + 0.6 * off, y_px=90.0 + 0.8 * off, uncertainty_px=2.0)
+    assert judged(SEEN, expectation).verdict == verdict
+
+
+def test_a_prediction_stands_for_some_of_the_clipping() -> None:
+    expectation = Expectation(x_px=101.0, y_px=91.0, uncertainty_px=2.0)
+    for flat, verdict in ((0.21, "clear"), (0.19, "veiled")):
+        dull = SEEN._replace(rim=RIM._replace(flat=flat))
+        assert judged(dull).verdict == "veiled"
+        assert judged(dull, expectation).verdict == verdict
+    assert judged(SEEN._replace(off_glare_px=50.0), expectation).verdict == "clear"
+    assert judged(SEEN._replace(off_local_glare_px=4.0), expectation).verdict == "veiled"
+
+
+def test_the_most_sun_like_is_chosen() -> None:
+    smaller = SEEN._replace(rim=RIM._replace(x=20.0, radius=4.0, scatter=0.2))
+    box = SEEN._replace(rim=RIM._replace(x=180.0, radius=20.0, near=0.1))
+    assert best_of([smaller, box, SEEN], None).seen is SEEN
+    near_the_smaller = Expectation(x_px=21.0, y_px=90.0, uncertainty_px=1.0)
+    assert best_of([smaller, box, SEEN], near_the_smaller).seen is smaller
+
+
+@pytest.mark.parametrize(
+    "worse", [{"flat": 0.3}, {"far": 0.8}, {"share": 0.5}, {"scatter": 1.5}, {"spread": 3.0}, {"radius": 6.0}]
+)
+def test_the_score_falls_with_what_is_unlike_a_sun(worse: dict[str, Any]) -> None:
+    assert SEEN._replace(rim=RIM._replace(**worse)).score < 0.8 * SEEN.score
+
+
+def test_the_score_falls_off_the_glare() -> None:
+    assert SEEN._replace(off_glare_px=5.4).score == pytest.approx(SEEN.score * math.exp(-1.0 + (2.0 / 5.4) ** 2))
+
+
+def test_sigma_is_the_root_of_the_sum_of_its_parts() -> None:
+    parts = (0.3, 0.015 * 12.0, 0.35 * 0.6 / 0.9, 0.3 * 0.2, 0.25 * 1.0, 0.09 * 12.0 * 0.3**2)
+    assert sigma_px(RIM) == pytest.approx(math.sqrt(sum(part**2 for part in parts)))
+
+
+@pytest.mark.parametrize(
+    "worse", [{"scatter": 2.0}, {"spread": 3.0}, {"offset": 6.0}, {"uneven": 1.0}, {"share": 0.3}, {"radius": 60.0}]
+)
+def test_sigma_grows_with_what_makes_a_centre_uncertain(worse: dict[str, Any]) -> None:
+    assert sigma_px(RIM._replace(**worse)) > 1.3 * sigma_px(RIM)

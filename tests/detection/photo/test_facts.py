@@ -1,0 +1,30 @@
+"""Stand-ins rendered from what real photographs showed: suns are placed, frames without one are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.detection.photo.facts import KINDS, SUNLESS, accepted_without_a_sun, outcome_of, sun_photo
+
+from sunarc.detection import detect_sun_in_photo
+
+
+@pytest.mark.parametrize(("kind", "least"), [(kind, 1 if kind == "haze" else 3) for kind in KINDS])
+def test_suns_of_every_kind_are_placed(kind: str, least: int) -> None:
+    found = outcome_of(kind, 5, np.random.default_rng(7))
+    assert len(found.error_px) >= least
+    assert float(np.median(found.error_px)) < (0.015 if kind == "thin cloud" else 0.008) * 480
+    assert 0.02 < found.chi2 < (25.0 if kind == "thin cloud" else 8.0)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in SUNLESS if kind != "overcast"])
+def test_frames_without_a_sun_are_refused(kind: str) -> None:
+    assert accepted_without_a_sun(kind, 6, np.random.default_rng(2)) == 0
+
+
+def test_an_overlay_brighter_than_a_clipped_sun_is_not_taken_for_it() -> None:
+    image, place = sun_photo(KINDS["clipped at 160"], np.random.default_rng(4))
+    found = detect_sun_in_photo(image, full_scale=255)
+    assert int(image.max()) > 200
+    assert found.peak_fraction == pytest.approx(160.0 / 255.0, abs=0.02)
+    assert (found.x_px, found.y_px) == pytest.approx(place, abs=3.0)
