@@ -19,7 +19,7 @@ from fastapi import FastAPI
 from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import Archive, CameraRecord, Day, Event, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, Day, Event, ImageStore, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
     Calibration,
     to_document,
@@ -171,6 +171,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
     def build(
         *,
         image: Path | None = None,
+        images: ImageStore | None = None,
         token: bool = True,
         history: str = "empty",
         archive: Archive | None = None,
@@ -201,6 +202,7 @@ def make(tmp_path: Path, archives: Path) -> Iterator[Make]:
             frame_clock=lambda: NOON,
             latest_image=lambda: image,
             options=ApiOptions(**options),
+            images=images,
         )
         return Made(kept, board, app, Client(app), asked)
 

@@ -18,7 +18,7 @@ from tests.api.conftest import NOON, fill, new_archive
 from tests.fixtures.calibrations import SITE
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import open_archive
+from sunarc.archive import ImageStore, open_archive
 from sunarc.calibration import from_document, project_with_covariance, unproject_with_sigma
 from sunarc.client import Imager, ImagerError
 from sunarc.runtime.clock import VirtualClock
@@ -40,6 +40,9 @@ def address(tmp_path_factory: pytest.TempPathFactory, board: StatusRegistry) -> 
     new_archive(path).close()
     archive = open_archive(path)
     fill(archive)
+    images = ImageStore(path.parent / "images", free_bytes=lambda _: 10**12)
+    for minutes in range(3):
+        images.write(NOON - timedelta(minutes=minutes), b"\x89PNG of minute %d" % minutes, kind="hdr.png")
     app = create_app(
         archive=archive,
         camera="roof",
@@ -49,6 +52,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, board: StatusRegistry) -> 
         frame_clock=lambda: NOON,
         latest_image=lambda: None,
         options=ApiOptions(),
+        images=images,
     )
     listening = socket.create_server(("127.0.0.1", 0))
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", access_log=False))
@@ -117,6 +121,27 @@ def test_draws_come_with_their_axis_before_the_shape_of_the_question(imager: Ima
     located = imager.geolocate(pixels, height_m=1500.0, height_sigma_m=100.0)[0]
     wide = np.sqrt(0.5 * np.sum(np.var(clouds[..., :2], axis=0), axis=-1))
     assert np.all((wide / located.sigma_m > 0.5) & (wide / located.sigma_m < 1.7))
+
+
+def test_images_are_listed_over_pages_and_come_as_files(imager: Imager, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = list(imager.images())
+    assert [one["bytes"] for one in found] == [len(b"\x89PNG of minute 0")] * 3
+    assert imager.image(found[1]["time"]) == b"\x89PNG of minute 1"
+    assert imager.image(NOON - timedelta(minutes=2)) == b"\x89PNG of minute 2"
+    assert len(list(imager.images(since=NOON - timedelta(minutes=1), until=NOON))) == 1
+    with pytest.raises(ImagerError) as caught:
+        imager.image("2013-01-01T00:00:00Z")
+    assert caught.value.status == 404
+    asked: list[str] = []
+    ask = imager._transport.ask
+
+    def in_pages_of_two(path: str, query: dict[str, str | None]) -> object:
+        asked.append(path)
+        return ask(path, {**query, "limit": "2"})
+
+    monkeypatch.setattr(imager._transport, "ask", in_pages_of_two)
+    assert list(imager.images()) == found
+    assert asked == ["/v1/images"] * 2
 
 
 def test_the_map_and_the_exports_come_as_they_are(imager: Imager) -> None:

@@ -37,12 +37,13 @@ from sunarc.api.routes.days_and_events import record_routes
 from sunarc.api.routes.directions import direction_routes
 from sunarc.api.routes.geolocation import geolocation_routes
 from sunarc.api.routes.health import health_routes
+from sunarc.api.routes.images import image_routes
 from sunarc.api.routes.maps import map_routes
 from sunarc.api.routes.metrics import StatusCollector
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.sun import sun_routes
-from sunarc.archive import Archive, Refit
+from sunarc.archive import Archive, ImageStore, Refit
 from sunarc.calibration import draw_ensemble, lookup
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
@@ -68,6 +69,7 @@ def create_app(
     frame_clock: Callable[[], datetime],
     latest_image: Callable[[], FilePath | None],
     options: ApiOptions,
+    images: ImageStore | None = None,
     registry: CollectorRegistry | None = None,
 ) -> FastAPI:
     """Return an application that serves one camera's archive.
@@ -80,6 +82,7 @@ def create_app(
     frame_clock : the frames' time, aware.
     latest_image : returns the newest preview's file (JPEG or PNG), or None.
     options : limits and the token.
+    images : the composites; None where there are none.
     registry : where Prometheus's numbers are registered; a new one by default.
     """
     context = ApiContext(
@@ -105,6 +108,7 @@ def create_app(
         request_refit=request_refit,
         frame_clock=frame_clock,
         latest_image=latest_image,
+        images=images,
         options=options,
         token=read_token(options.token_file, setting="api.token_file"),
     )
@@ -176,6 +180,7 @@ def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         sun_routes(context),
         overlay_routes(context),
         record_routes(context),
+        image_routes(context),
         day_air_routes(context),
         refit_routes(context),
     ):

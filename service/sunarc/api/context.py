@@ -15,7 +15,7 @@ from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
 from sunarc.api.options import ApiOptions
-from sunarc.archive import Archive, CalibrationRecord, Refit
+from sunarc.archive import Archive, CalibrationRecord, ImageStore, Refit
 from sunarc.calibration import Calibration, Ensemble, Lookup
 from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
@@ -129,6 +129,7 @@ class ApiContext:
     request_refit: Callable[[str], Refit]
     frame_clock: Callable[[], datetime]
     latest_image: Callable[[], Path | None]
+    images: ImageStore | None
     options: ApiOptions
     token: bytes | None = field(repr=False)
     sites: DaySites
@@ -151,7 +152,9 @@ class ApiContext:
         record = self.archive.camera(name)
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
-        return replace(self, camera=name, site=record.site, latest_image=lambda: None, request_refit=_refuse_refit)
+        return replace(
+            self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=_refuse_refit
+        )
 
     def site_at(self, time: datetime) -> Site:
         """Return the site in the measured air of the solar day of a moment, in its own where nothing was measured."""

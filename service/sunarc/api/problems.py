@@ -202,6 +202,7 @@ _KINDS = {
     HTTPStatus.NOT_FOUND: "not-found",
     HTTPStatus.METHOD_NOT_ALLOWED: "method",
     HTTPStatus.NOT_ACCEPTABLE: "not-acceptable",
+    HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE: "range",
     HTTPStatus.REQUEST_TIMEOUT: "too-slow",
     HTTPStatus.CONFLICT: "conflict",
     HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "too-large",

@@ -131,6 +131,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
         frame_clock=service.frame_time.now,
         latest_image=lambda: service.images.newest(kind="hdr.jpg", until=service.frame_time.now()),
         options=options,
+        images=service.images,
     )
     return _Server(
         uvicorn.Config(

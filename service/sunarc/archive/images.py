@@ -131,6 +131,40 @@ class ImageStore:
         path = self.newest(kind=kind, until=until)
         return None if path is None or not _OURS.fullmatch(path.name) else _captured_at(path)
 
+    def between(
+        self, *, kind: str, since: datetime | None = None, until: datetime | None = None, limit: int
+    ) -> list[tuple[datetime, Path]]:
+        """Return times and files of the images of a kind with since <= time < until, the newest first.
+
+        Parameters
+        ----------
+        kind : as `path` takes it.
+        since, until : aware times; None is open. The folders of other days are not read.
+        limit : so many at most.
+        """
+        found: list[tuple[datetime, Path]] = []
+        with self._readable():
+            for folder in self._days(since, until):
+                for path in sorted(folder.glob(f"*_{kind}"), reverse=True):
+                    if not _OURS.fullmatch(path.name):
+                        continue
+                    time = _captured_at(path)
+                    if since is not None and time < since:
+                        return found
+                    if until is None or time < until:
+                        found.append((time, path))
+                    if len(found) == limit:
+                        return found
+        return found
+
+    def _days(self, since: datetime | None, until: datetime | None) -> Iterator[Path]:
+        """Yield the folders of the dates that an interval touches, the newest first."""
+        first, last = ("" if one is None else f"{one.astimezone(UTC):%Y/%m/%d}" for one in (since, until))
+        for folder in sorted(self.folder.glob(_DAYS), reverse=True):
+            date = folder.relative_to(self.folder).as_posix()
+            if date >= first and (not last or date <= last):
+                yield folder
+
     def make_room(self, needed_bytes: int = 0) -> bool:
         """Remove the oldest images until this much can be written; return whether it can."""
         with self._readable():

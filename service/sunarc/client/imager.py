@@ -209,6 +209,23 @@ class Imager:
         with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
 
+    def images(self, *, since: datetime | None = None, until: datetime | None = None) -> Iterator[dict[str, Any]]:
+        """Yield the kept composites with since <= time < until, the newest first: time, calibration and bytes."""
+        query = {"since": _time(since), "until": _time(until), "limit": "1000"}
+        path = f"{self._prefix}/images"
+        while path:
+            content, _ = self._transport.ask(path, query)
+            with _expected_content():
+                page = json.loads(content)
+                yield from page["images"]
+                path, _, text = (page["next"] or "").partition("?")
+            query = dict(urllib.parse.parse_qsl(text))
+
+    def image(self, time: datetime | str, *, form: str = "png") -> bytes:
+        """Return a composite: png (16 bit linear counts with metadata) or jpeg, by a time that `images` has."""
+        text = time if isinstance(time, str) else _time(time) or ""
+        return self._transport.ask(f"{self._prefix}/images/{urllib.parse.quote(text)}", {"format": form})[0]
+
     def sun(self, *, at: datetime | None = None) -> dict[str, Any]:
         """Return where the sun is, and on which pixel."""
         return self._json("/sun", at)

@@ -1,0 +1,182 @@
+"""Routes: the composites that are kept, as 16 bit PNG, JPEG preview or thumbnail."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, timedelta
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+from fastapi import APIRouter, Header, Query, Request
+from fastapi import Path as InPath
+from fastapi.responses import FileResponse, Response
+
+from sunarc.api.context import ApiContext
+from sunarc.api.problems import Fault, RefusedError, answers
+from sunarc.api.routes.calibrations import matches
+from sunarc.api.schemas.images import Composite, Images
+from sunarc.api.schemas.paging import Cursor, page_at
+from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
+from sunarc.errors import InputError, NotFoundError, OutsideError
+from sunarc.imaging import document_of
+from sunarc.json_fields import Time
+from sunarc.utc import rfc3339
+
+Kind = Literal["png", "jpeg"]
+
+_FILES: dict[Kind, str] = {"png": "hdr.png", "jpeg": "hdr.jpg"}
+_MEDIA_TYPES: dict[Kind, str] = {"png": "image/png", "jpeg": "image/jpeg"}
+_IMMUTABLE = "private, max-age=31536000, immutable"
+"""An image never changes under its time; it may hold people, so no shared cache keeps it."""
+_WIDTHS = (16, 4096)
+_QUALITY = 85
+_RESOLUTION = timedelta(milliseconds=1)
+_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
+_HEAD_BYTES = 65_536
+"""Where the metadata stand: before the image data."""
+_IMAGE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The image.",
+        "headers": {
+            "Sunarc-Time": {"description": "Of its first exposure, RFC 3339, UTC.", "schema": {"type": "string"}},
+            "Sunarc-Calibration": {"description": "Id of what answers at that time.", "schema": {"type": "string"}},
+            "Sunarc-Exposures-Us": {"description": "Exposures it was made of, µs.", "schema": {"type": "string"}},
+        },
+        "content": {media_type: {} for media_type in sorted(_MEDIA_TYPES.values())},
+    },
+    206: {"description": "The part that Range asks for."},
+    304: {"description": "The image is the one that If-None-Match names."},
+}
+_CAPTURED = Annotated[Time, InPath(description="Of its first exposure, as /v1/images lists it.")]
+
+
+def image_routes(context: ApiContext) -> APIRouter:
+    """Return the routes of the composites."""
+    routes = APIRouter(tags=["images"])
+
+    @routes.get("/images", responses=answers(422))
+    def images(
+        *,
+        request: Request,
+        since: Since = None,
+        until: Until = None,
+        limit: Annotated[int, row_limit(1000)] = 100,
+        cursor: Cursor = None,
+    ) -> Images:
+        """Tell the composites with since <= time < until, the newest first."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found: list[tuple[datetime, Path]] = []
+        if selected.images is not None:
+            found = selected.images.between(kind=_FILES["png"], since=since, until=page.until(until), limit=page.rows)
+        rows, next_ = page.cut(found, request, time=lambda row: row[0])
+        return Images(images=[_composite(selected, *row) for row in rows], next=next_)
+
+    @routes.get("/images/{time}", response_class=Response, responses=_IMAGE | answers(404, 406, 416, 422))
+    def image(
+        *,
+        request: Request,
+        time: _CAPTURED,
+        format_: Annotated[
+            Kind | None, Query(alias="format", description="16 bit PNG of linear counts, or JPEG preview.")
+        ] = None,
+        width: Annotated[
+            int | None, Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a JPEG thumbnail, px; never enlarged.")
+        ] = None,
+        accept: Annotated[
+            str | None, Header(description="Where `format` is not given: image/png or image/jpeg.")
+        ] = None,
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Return a composite: whole, or the range that is asked for."""
+        kind = _kind(format_, width, accept)
+        path = _found(context.of(request), time, kind)
+        tag = f'"{path.stem}-{kind}-{width or 0}"'
+        headers = _headers(context.of(request), time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
+        if matches(if_none_match, tag):
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+        if width is None:
+            _require_range(request.headers.get("range"), path)
+            return FileResponse(path, media_type=_MEDIA_TYPES[kind], headers=headers)
+        return Response(_thumbnail(path, width), media_type=_MEDIA_TYPES["jpeg"], headers=headers)
+
+    return routes
+
+
+def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
+    answering = context.record_or_none(time)
+    try:
+        size = path.stat().st_size
+    except OSError:  # removed meanwhile, to make room
+        size = 0
+    return Composite(time=time, calibration=None if answering is None else answering.id, bytes=size)
+
+
+def _kind(format_: Kind | None, width: int | None, accept: str | None) -> Kind:
+    """Return what is sent: as `format` says, a JPEG where a width is given, else what the client accepts."""
+    if width is not None:
+        if format_ == "png":
+            raise InputError(field="width", problem="is of JPEG thumbnails", remedy="leave format=png out")
+        return "jpeg"
+    if format_ is not None:
+        return format_
+    accepted = [part.partition(";")[0].strip().lower() for part in (accept or "*/*").split(",")]
+    for kind in ("png", "jpeg"):
+        if any(one in ("*/*", "image/*", _MEDIA_TYPES[kind]) for one in accepted):
+            return kind
+    fault = Fault(
+        field="accept", problem=f"{accept!r} names no image that is kept", remedy="accept image/png or image/jpeg"
+    )
+    raise RefusedError(HTTPStatus.NOT_ACCEPTABLE, fault)
+
+
+def _found(context: ApiContext, time: datetime, kind: Kind) -> Path:
+    """Return the file of a composite, whose name has the time to the millisecond."""
+    if context.images is not None:
+        begin = time.replace(microsecond=time.microsecond // 1000 * 1000)
+        rows = context.images.between(kind=_FILES[kind], since=begin, until=begin + _RESOLUTION, limit=1)
+        if rows:
+            return rows[0][1]
+    raise NotFoundError(field="time", problem=f"no {kind} of {rfc3339(time)}", remedy="see /v1/images for what is kept")
+
+
+def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
+    answering = context.record_or_none(time)
+    headers = {"sunarc-time": rfc3339(time)}
+    if answering is not None:
+        headers["sunarc-calibration"] = answering.id
+    try:
+        with path.open("rb") as file:
+            document = document_of(file.read(_HEAD_BYTES)) or {}
+    except OSError as error:
+        raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
+    exposures = [one["exposure_us"] for one in document.get("exposures", ())]
+    return headers | {"sunarc-exposures-us": ", ".join(f"{one:g}" for one in exposures)} if exposures else headers
+
+
+def _require_range(text: str | None, path: Path) -> None:
+    """Refuse (416) a Range that is none of this file's bytes; one range at a time."""
+    if text is None:
+        return
+    found, size = _RANGE.fullmatch(text.strip()), path.stat().st_size
+    first, last = found.groups() if found else ("", "")
+    from_first = bool(first) and int(first) < size and (not last or int(last) >= int(first))
+    if from_first or (not first and last and int(last) > 0):
+        return
+    fault = Fault(field="range", problem=f"{text!r} is no part of {size} bytes", remedy="ask for bytes=FIRST-LAST")
+    headers = {"content-range": f"bytes */{size}"}
+    raise RefusedError(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, fault, headers=headers)
+
+
+def _thumbnail(path: Path, width: int) -> bytes:
+    """Return a JPEG of at most a width in px."""
+    picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise OutsideError(f"the image {path.name} cannot be decoded")
+    height, whole = picture.shape[:2]
+    if width < whole:
+        size = (width, max(1, round(height * width / whole)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
