@@ -37,6 +37,11 @@ def dying(task: Task) -> Answer:
     return detect_in_file(task)
 
 
+def blocking(_task: Task) -> Answer:
+    """Answer which signals a process does not receive."""
+    return Finding("blocked", {"signals": " ".join(map(str, signal.pthread_sigmask(signal.SIG_BLOCK, [])))})
+
+
 def codes(answers: list[Answer]) -> list[str]:
     return [one.code if isinstance(one, Finding) else one.verdict for one in answers]
 
@@ -55,3 +60,11 @@ def test_answers_keep_the_order_and_an_image_that_kills_its_process_is_left_out(
     monkeypatch.setattr(detection_pool, "_AHEAD", 1)
     answers = list(detect_in_pool(tasks(tmp_path), n_tasks=N_TASKS, processes=2))
     assert codes(answers) == [*EXPECTED[:2], "worker_died", *EXPECTED[3:]]
+
+
+def test_an_interrupt_is_for_the_run_and_not_for_its_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detection_pool, "detect_in_file", blocking)
+    answer = detection_pool._alone(tasks(tmp_path)[0])
+    assert isinstance(answer, Finding)
+    assert str(signal.SIGINT) in str(answer.data["signals"]).split()
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import threading
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait
 
 import cv2
 
@@ -56,19 +59,23 @@ def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[An
 
 def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answer]:
     """Return the future answer of a task; a pool that is broken already answers with its error."""
+    # The process that this may start inherits the mask: Ctrl-C is for the run, which lets each image be finished.
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return pool.submit(detect_in_file, task)
     except BrokenProcessPool as error:
         broken = Future[Answer]()
         broken.set_exception(error)
         return broken
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
 def _alone(task: Task) -> Answer:
     """Return the answer of a task in a process of its own; that it died is an answer, too."""
     with _pool(1) as pool:
         try:
-            return pool.submit(detect_in_file, task).result()
+            return _submitted(pool, task).result()
         except BrokenProcessPool as error:
             return Finding("worker_died", {"error": str(error)})
 
@@ -76,4 +83,17 @@ def _alone(task: Task) -> Answer:
 def _pool(processes: int) -> ProcessPoolExecutor:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the children alone: one process a core is enough
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(processes, mp_context=context, initializer=cv2.setNumThreads, initargs=(1,))
+    return ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
+
+
+def _begin() -> None:
+    """Prepare a process: one thread for images, and an end when the run has died."""
+    cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)  # the queue of tasks stays open in every process, and would be waited for without end
