@@ -42,6 +42,7 @@ from sunarc.api.routes.maps import map_routes
 from sunarc.api.routes.metrics import StatusCollector
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
+from sunarc.api.routes.remap import remap_routes
 from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, ImageStore, Refit
 from sunarc.calibration import draw_ensemble, lookup
@@ -181,6 +182,7 @@ def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         overlay_routes(context),
         record_routes(context),
         image_routes(context),
+        remap_routes(context),
         day_air_routes(context),
         refit_routes(context),
     ):

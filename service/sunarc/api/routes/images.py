@@ -50,7 +50,7 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
     206: {"description": "The part that Range asks for."},
     304: {"description": "The image is the one that If-None-Match names."},
 }
-_CAPTURED = Annotated[Time, InPath(description="Of its first exposure, as /v1/images lists it.")]
+Captured = Annotated[Time, InPath(description="Of its first exposure, as /v1/images lists it.")]
 
 
 def image_routes(context: ApiContext) -> APIRouter:
@@ -78,7 +78,7 @@ def image_routes(context: ApiContext) -> APIRouter:
     def image(
         *,
         request: Request,
-        time: _CAPTURED,
+        time: Captured,
         format_: Annotated[
             Kind | None, Query(alias="format", description="16 bit PNG of linear counts, or JPEG preview.")
         ] = None,
@@ -92,7 +92,7 @@ def image_routes(context: ApiContext) -> APIRouter:
     ) -> Response:
         """Return a composite: whole, or the range that is asked for."""
         kind = _kind(format_, width, accept)
-        path = _found(context.of(request), time, kind)
+        path = composite_file(context.of(request), time, kind)
         tag = f'"{path.stem}-{kind}-{width or 0}"'
         headers = _headers(context.of(request), time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
@@ -132,7 +132,7 @@ def _kind(format_: Kind | None, width: int | None, accept: str | None) -> Kind:
     raise RefusedError(HTTPStatus.NOT_ACCEPTABLE, fault)
 
 
-def _found(context: ApiContext, time: datetime, kind: Kind) -> Path:
+def composite_file(context: ApiContext, time: datetime, kind: Kind) -> Path:
     """Return the file of a composite, whose name has the time to the millisecond."""
     if context.images is not None:
         begin = time.replace(microsecond=time.microsecond // 1000 * 1000)

@@ -1,0 +1,242 @@
+"""Routes: tables for `cv2.remap`, and composites mapped by them to the sky or to the ground under a cloud layer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from http import HTTPStatus
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+
+from sunarc.api.compute_slots import ComputeSlots
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.client_address import client_network
+from sunarc.api.problems import answers
+from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.choice import BY_CALIBRATION
+from sunarc.api.routes.images import Captured, composite_file
+from sunarc.api.schemas.parameters import At, IfNoneMatch
+from sunarc.archive import CalibrationRecord
+from sunarc.array_types import FloatArray
+from sunarc.errors import InputError, OutsideError
+from sunarc.exports import MEDIA_TYPES, MapFormat, Table, Variable, netcdf_bytes, npz_bytes
+from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
+from sunarc.geolocation import clouds
+from sunarc.optics import Camera
+
+Grid = Literal["sky", "ground"]
+
+_LARGEST_ZENITH = math.radians(78.0)
+"""Out to which a ground grid reaches unless given, as `sunarc rectify` does."""
+_CELLS = 24
+"""Along a side, of the grid that the stated error is taken over."""
+_GRID = Annotated[Grid, Query(description="Equidistant map of the sky, or the ground under a cloud layer.")]
+_SIZE = Annotated[int, Query(ge=16, le=4096, description="Cells along a side.")]
+_HEIGHT = Annotated[
+    float | None, Query(gt=0.0, le=30_000.0, description="Of the layer above the camera, m; for the ground grid.")
+]
+_HALF_WIDTH = Annotated[
+    float | None,
+    Query(
+        gt=0.0,
+        le=500_000.0,
+        description="From the camera to the outermost cells, m; to 78 degrees of zenith angle where not given.",
+    ),
+]
+_HEADERS: dict[str, Any] = {
+    "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
+    "Sunarc-Sigma-Deg": {"description": "1-sigma of the directions, RMS over the grid.", "schema": {"type": "string"}},
+    "Sunarc-Sigma-M": {
+        "description": "The same on the ground grid, m, by the calibration.",
+        "schema": {"type": "string"},
+    },
+    "ETag": {"description": "Changes with the calibration and the grid.", "schema": {"type": "string"}},
+}
+_TABLES: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "map_x, map_y (size, size), single precision; -1 where the image has nothing (docs/rest.md).",
+        "headers": _HEADERS,
+        "content": {MEDIA_TYPES[name]: {} for name in ("netcdf", "npz")},
+    },
+    304: {"description": "The tables are the ones that If-None-Match names."},
+}
+_PICTURE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "PNG of 8 bits; 0 where the image has nothing.",
+        "headers": _HEADERS,
+        "content": {"image/png": {}},
+    },
+    304: {"description": "The picture is the one that If-None-Match names."},
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """A grid: what of, how large, how high and how wide."""
+
+    grid: Grid
+    size: int
+    height_m: float | None
+    half_width_m: float | None
+
+    def __post_init__(self) -> None:
+        """Refuse a ground grid without a layer."""
+        if self.grid == "ground" and self.height_m is None:
+            raise InputError(field="height", problem="missing", remedy="give the cloud base above the camera in m")
+
+    def directions(self, size: int) -> FloatArray:
+        """Return the directions (size, size, 3) of the grid, with another number of cells."""
+        if self.grid == "sky":
+            return sky_grid(size)
+        height = self.height_m or 0.0
+        return ground_grid(size, half_width_m=self.width(), height_m=height)
+
+    def width(self) -> float:
+        """Return the half width of the ground grid, m."""
+        return self.half_width_m or (self.height_m or 0.0) * math.tan(_LARGEST_ZENITH)
+
+    def tag(self, *more: str) -> str:
+        """Return what changes with the grid and with what else is named."""
+        text = json.dumps([self.grid, self.size, self.height_m, self.half_width_m, *more])
+        return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+
+
+def remap_routes(context: ApiContext) -> APIRouter:
+    """Return the routes of the grids."""
+    routes = APIRouter(tags=["images"])
+    slots = ComputeSlots(1)
+
+    @routes.get("/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 422))
+    async def remap(
+        *,
+        request: Request,
+        at: At = None,
+        grid: _GRID = "sky",
+        size: _SIZE = 1024,
+        height: _HEIGHT = None,
+        half_width: _HALF_WIDTH = None,
+        format_: Annotated[MapFormat, Query(alias="format", description="Of the answer.")] = "npz",
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
+        asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
+        selected, record = await run_in_threadpool(_answering, context, request, at)
+        tag = asked.tag(record.id, format_)
+        if matches(if_none_match, tag):
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": tag})
+        client = client_network(request.scope)
+        slots.require_room(client)
+        async with slots.slot(client):
+            content = await run_in_threadpool(_tables, selected, record, asked, format_)
+            headers = await run_in_threadpool(_stated, selected, record, asked)
+        return Response(content, media_type=MEDIA_TYPES[format_], headers=headers | {"etag": tag})
+
+    @routes.get(
+        "/images/{time}/rectified",
+        dependencies=BY_CALIBRATION,
+        response_class=Response,
+        responses=_PICTURE | answers(404, 422),
+    )
+    async def rectified(
+        *,
+        request: Request,
+        time: Captured,
+        grid: _GRID = "sky",
+        size: _SIZE = 1024,
+        height: _HEIGHT = None,
+        half_width: _HALF_WIDTH = None,
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Return a composite's preview on the grid, north at the top and east at the right, by what answered then."""
+        asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
+        selected, record = await run_in_threadpool(_answering, context, request, time)
+        path = await run_in_threadpool(composite_file, selected, time, "jpeg")
+        tag = asked.tag(record.id, path.stem)
+        if matches(if_none_match, tag):
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": tag})
+        client = client_network(request.scope)
+        slots.require_room(client)
+        async with slots.slot(client):
+            image = await run_in_threadpool(_preview, str(path))
+            content = await run_in_threadpool(_picture, selected, record, asked, image)
+            headers = await run_in_threadpool(_stated, selected, record, asked)
+        return Response(content, media_type="image/png", headers=headers | {"etag": tag, "cache-control": "private"})
+
+    return routes
+
+
+def _answering(context: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
+    selected = context.of(request)
+    return selected, selected.record(at)
+
+
+def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
+    return context.ready.get(record).camera
+
+
+def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, format_: MapFormat) -> bytes:
+    map_x, map_y = remap_tables(_camera(context, record), asked.directions(asked.size))
+    attributes: Mapping[str, Any] = {
+        "title": f"Tables for cv2.remap: {asked.grid} grid",
+        "grid": asked.grid,
+        "calibration": record.id,
+        "north": "at the top, east at the right",
+        **({} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}),
+    }
+    described = {"units": "1", "long_name": "coordinate in px in the image; -1 where the image has nothing"}
+    variables = {
+        name: Variable(dimensions=("row", "column"), values=values, attributes=described)
+        for name, values in (("map_x", map_x), ("map_y", map_y))
+    }
+    table = Table(variables=variables, attributes=attributes)
+    return netcdf_bytes(table) if format_ == "netcdf" else npz_bytes(table)
+
+
+def _preview(path: str) -> NDArray[np.uint8]:
+    image = cv2.imread(path, cv2.IMREAD_COLOR)
+    if image is None:
+        raise OutsideError(f"the image {path} cannot be decoded")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, image: NDArray[np.uint8]) -> bytes:
+    camera = _camera(context, record)
+    if image.shape[:2] != (camera.height, camera.width):
+        problem = (
+            f"an image of {image.shape[1]}x{image.shape[0]} px, the calibration is of {camera.width}x{camera.height}"
+        )
+        raise InputError(field="time", problem=problem, remedy="choose a calibration of that camera, see calibration=")
+    map_x, map_y = remap_tables(camera, asked.directions(asked.size))
+    found = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found[map_x < -0.5] = 0
+    return bytes(cv2.imencode(".png", found)[1].tobytes())
+
+
+def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> dict[str, str]:
+    """Return the headers: which calibration, and its error over the grid, on the sky and on the ground."""
+    ready = context.ready.get(record)
+    directions = asked.directions(_CELLS).reshape(-1, 3)
+    directions = np.ascontiguousarray(directions[np.isfinite(directions[:, 0])])
+    covariance = ready.direction_covariance(directions)
+    headers = {"sunarc-calibration": record.id}
+    headers["sunarc-sigma-deg"] = _root_mean(np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
+    if asked.grid == "ground":
+        site = context.archive.model(record.id).site
+        place = clouds(directions, height_m=asked.height_m or 0.0, covariance=covariance, site=site).covariance_m2
+        headers["sunarc-sigma-m"] = _root_mean(0.5 * (place[:, 0, 0] + place[:, 1, 1]))
+    return headers
+
+
+def _root_mean(squares: FloatArray) -> str:
+    finite = squares[np.isfinite(squares)]
+    return f"{math.sqrt(float(np.mean(finite))):.4g}" if finite.size else "nan"
