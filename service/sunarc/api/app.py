@@ -39,6 +39,7 @@ from sunarc.api.routes.geolocation import geolocation_routes
 from sunarc.api.routes.health import health_routes
 from sunarc.api.routes.images import image_routes
 from sunarc.api.routes.maps import map_routes
+from sunarc.api.routes.masks import mask_routes
 from sunarc.api.routes.metrics import StatusCollector
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
@@ -183,6 +184,7 @@ def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         record_routes(context),
         image_routes(context),
         remap_routes(context),
+        mask_routes(context),
         day_air_routes(context),
         refit_routes(context),
     ):

@@ -27,6 +27,7 @@ from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
+from sunarc.array_types import BoolArray
 from sunarc.calibration import BackProjectionMap, back_projection_map
 from sunarc.errors import OutsideError
 from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_table, netcdf_bytes, npz_bytes
@@ -137,7 +138,7 @@ class _MapFile:
 
 def _file(requested: _Map) -> _MapFile:
     found = back_projection_map(requested.context.ready.get(requested.record))
-    masks = _obstructions(requested.context, requested.record, found)
+    masks = _obstructions(requested.context, requested.record)
     if requested.sun is not None and requested.site is not None:
         masks |= _sun_mask(requested.site, *requested.sun, found)
     table = map_table(found, requested.record.document, masks=masks)
@@ -167,19 +168,27 @@ def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjecti
     return {"sun_mask": Variable(dimensions=("y", "x"), values=near.astype(np.uint8), attributes=attributes)}
 
 
-def _obstructions(context: ApiContext, record: CalibrationRecord, found: BackProjectionMap) -> dict[str, Variable]:
+def hidden_by_obstructions(context: ApiContext, record: CalibrationRecord) -> BoolArray | None:
+    """Return (rows, columns): which pixels `api.obstruction_mask` calls hidden; None where it is not set."""
     path = context.options.obstruction_mask
     if path is None or record.camera != context.camera:
-        return {}
+        return None
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    height, width = found.inside.shape
-    if image is None or image.shape != (height, width):
-        raise OutsideError(f"api.obstruction_mask {path}: is no image of {width}x{height} pixels")
+    camera = context.ready.get(record).camera
+    if image is None or image.shape != (camera.height, camera.width):
+        raise OutsideError(f"api.obstruction_mask {path}: is no image of {camera.width}x{camera.height} pixels")
+    return np.asarray(image == 0)
+
+
+def _obstructions(context: ApiContext, record: CalibrationRecord) -> dict[str, Variable]:
+    hidden = hidden_by_obstructions(context, record)
+    if hidden is None:
+        return {}
     attributes = {
         "long_name": "1 where something hides the sky",
         "units": "1",
         "flag_values": np.array([0, 1], dtype=np.uint8),
         "flag_meanings": "sky obstruction",
     }
-    hidden = (image == 0).astype(np.uint8)
-    return {"obstruction_mask": Variable(dimensions=("y", "x"), values=hidden, attributes=attributes)}
+    values = hidden.astype(np.uint8)
+    return {"obstruction_mask": Variable(dimensions=("y", "x"), values=values, attributes=attributes)}

@@ -1,0 +1,108 @@
+"""Routes: masks of the image as PNG, 255 where they hold: a disc round the sun, and the sky above the horizon."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from datetime import datetime
+from http import HTTPStatus
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import Response
+from numpy.typing import NDArray
+from starlette.concurrency import run_in_threadpool
+
+from sunarc.api.compute_slots import ComputeSlots
+from sunarc.api.context import ApiContext
+from sunarc.api.middleware.client_address import client_network
+from sunarc.api.problems import answers
+from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.choice import BY_CALIBRATION
+from sunarc.api.routes.maps import hidden_by_obstructions
+from sunarc.api.schemas.parameters import At, IfNoneMatch
+from sunarc.archive import CalibrationRecord
+from sunarc.array_types import BoolArray, FloatArray
+from sunarc.sky import sun_directions
+
+_MASK: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "PNG of 8 bits of the image's size: 255 where the mask holds, else 0.",
+        "headers": {
+            "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
+            "ETag": {"description": "Changes with the mask.", "schema": {"type": "string"}},
+        },
+        "content": {"image/png": {}},
+    },
+    304: {"description": "The mask is the one that If-None-Match names."},
+}
+_RADIUS = Annotated[float, Query(gt=0.0, le=90.0, description="Of the disc, degrees on the sky.", examples=[10.0])]
+_ELEVATION = Annotated[
+    float, Query(ge=-20.0, lt=90.0, description="Apparent elevation of the mask's edge, degrees.", examples=[0.0])
+]
+
+
+def mask_routes(context: ApiContext) -> APIRouter:
+    """Return the routes of the masks."""
+    routes = APIRouter(tags=["images"])
+    slots = ComputeSlots(1)
+
+    async def sent(
+        request: Request, at: datetime | None, if_none_match: str | None, *, name: str, limit: float
+    ) -> Response:
+        """Return a mask, or 304: a threshold on the cosine of the angle to the sun, or of the zenith angle."""
+        selected = context.of(request)
+        record = await run_in_threadpool(selected.record, at)
+        time = at or selected.frame_clock()
+        axis = np.array([0.0, 0.0, 1.0])
+        if name == "sun":
+            site = await run_in_threadpool(selected.site_at, time)
+            axis = np.asarray(sun_directions(time.timestamp(), site))
+        hidden = await run_in_threadpool(hidden_by_obstructions, selected, record) if name == "horizon" else None
+        key = repr((name, record.id, limit, axis.tolist(), None if hidden is None else hidden.tobytes()))
+        headers = {"etag": f'"{hashlib.sha256(key.encode()).hexdigest()[:32]}"', "sunarc-calibration": record.id}
+        if matches(if_none_match, headers["etag"]):
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+        client = client_network(request.scope)
+        slots.require_room(client)
+        async with slots.slot(client):
+            content = await run_in_threadpool(_mask, selected, record, axis, limit, hidden)
+        return Response(content, media_type="image/png", headers=headers | {"cache-control": "no-cache"})
+
+    @routes.get("/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422))
+    async def sun(
+        request: Request, at: At = None, radius_deg: _RADIUS = 10.0, if_none_match: IfNoneMatch = None
+    ) -> Response:
+        """Return where the image looks within a radius of the sun, now or at the moment `at`."""
+        return await sent(request, at, if_none_match, name="sun", limit=math.cos(math.radians(radius_deg)))
+
+    @routes.get(
+        "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422)
+    )
+    async def horizon(
+        request: Request, at: At = None, elevation_deg: _ELEVATION = 0.0, if_none_match: IfNoneMatch = None
+    ) -> Response:
+        """Return where the image shows the sky above an elevation, and no obstruction of `api.obstruction_mask`."""
+        return await sent(request, at, if_none_match, name="horizon", limit=math.sin(math.radians(elevation_deg)))
+
+    return routes
+
+
+def _mask(
+    context: ApiContext, record: CalibrationRecord, axis: FloatArray, least_cosine: float, hidden: BoolArray | None
+) -> bytes:
+    """Return a PNG of the pixels whose direction has at least a cosine to an axis, and that are not hidden."""
+    table = context.ready.get(record).table
+    camera = table.camera
+    holds = np.zeros((camera.height, camera.width), dtype=bool)
+    columns = np.arange(camera.width, dtype=np.float64)
+    for row in range(camera.height):
+        pixels = np.stack([columns, np.full(camera.width, float(row))], axis=-1)
+        with np.errstate(invalid="ignore"):
+            holds[row] = table.directions(pixels) @ axis >= least_cosine  # NaN is no direction
+    if hidden is not None:
+        holds &= ~hidden
+    encoded: NDArray[np.uint8] = holds.astype(np.uint8) * np.uint8(255)
+    return bytes(cv2.imencode(".png", encoded)[1].tobytes())
