@@ -79,7 +79,9 @@ def test_the_errors_over_the_grid_are_stated(made: Made) -> None:
     # within 55 degrees of the zenith a small angle moves the cloud by 1 to 3 heights
     assert 1.0 < sigma_m / (1500.0 * math.radians(sigma)) < 3.0
     assert float(high["sunarc-sigma-m"]) > 1.2 * sigma_m
-    assert "sunarc-sigma-m" not in made.client.get("/v1/remap").headers
+    assert low["sunarc-height-m"] == "1500"
+    assert made.client.get("/v1/remap", params={"grid": "ground", "size": 16}).headers["sunarc-height-m"] == "1000"
+    assert not {"sunarc-sigma-m", "sunarc-height-m"} & set(made.client.get("/v1/remap").headers)
 
 
 def test_tables_come_as_netcdf_with_the_same_numbers(made: Made) -> None:
@@ -124,7 +126,6 @@ def test_the_ground_picture_has_its_error_in_metres(served: Made) -> None:
     [
         ({"size": 15}, "size"),
         ({"size": 10**10}, "size"),
-        ({"grid": "ground"}, "height"),
         ({"grid": "ground", "height": 0.0}, "height"),
         ({"grid": "ground", "height": 1e6}, "height"),
         ({"grid": "ground", "height": 1000.0, "half_width": -1.0}, "half_width"),

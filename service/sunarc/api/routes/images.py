@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
 
@@ -20,7 +20,7 @@ from sunarc.api.routes.calibrations import matches
 from sunarc.api.schemas.images import Composite, Images
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
-from sunarc.errors import InputError, NotFoundError, OutsideError
+from sunarc.errors import NotFoundError, OutsideError
 from sunarc.imaging import document_of
 from sunarc.json_fields import Time
 from sunarc.utc import rfc3339
@@ -83,16 +83,14 @@ def image_routes(context: ApiContext) -> APIRouter:
             Kind | None, Query(alias="format", description="16 bit PNG of linear counts, or JPEG preview.")
         ] = None,
         width: Annotated[
-            int | None, Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a JPEG thumbnail, px; never enlarged.")
-        ] = None,
-        accept: Annotated[
-            str | None, Header(description="Where `format` is not given: image/png or image/jpeg.")
+            int | None,
+            Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a thumbnail, px; never enlarged."),
         ] = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return a composite: whole, or the range that is asked for."""
-        kind = _kind(format_, width, accept)
-        path = composite_file(context.of(request), time, kind)
+        kind = format_ or ("jpeg" if width else _accepted(request.headers.get("accept")))
+        path = composite_file(context.of(request), time, kind if width is None else "jpeg")
         tag = f'"{path.stem}-{kind}-{width or 0}"'
         headers = _headers(context.of(request), time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
@@ -100,7 +98,7 @@ def image_routes(context: ApiContext) -> APIRouter:
         if width is None:
             _require_range(request.headers.get("range"), path)
             return FileResponse(path, media_type=_MEDIA_TYPES[kind], headers=headers)
-        return Response(_thumbnail(path, width), media_type=_MEDIA_TYPES["jpeg"], headers=headers)
+        return Response(_thumbnail(path, width, kind), media_type=_MEDIA_TYPES[kind], headers=headers)
 
     return routes
 
@@ -114,14 +112,8 @@ def _composite(context: ApiContext, time: datetime, path: Path) -> Composite:
     return Composite(time=time, calibration=None if answering is None else answering.id, bytes=size)
 
 
-def _kind(format_: Kind | None, width: int | None, accept: str | None) -> Kind:
-    """Return what is sent: as `format` says, a JPEG where a width is given, else what the client accepts."""
-    if width is not None:
-        if format_ == "png":
-            raise InputError(field="width", problem="is of JPEG thumbnails", remedy="leave format=png out")
-        return "jpeg"
-    if format_ is not None:
-        return format_
+def _accepted(accept: str | None) -> Kind:
+    """Return the kind that a client accepts, PNG first."""
     accepted = [part.partition(";")[0].strip().lower() for part in (accept or "*/*").split(",")]
     for kind in ("png", "jpeg"):
         if any(one in ("*/*", "image/*", _MEDIA_TYPES[kind]) for one in accepted):
@@ -170,8 +162,8 @@ def _require_range(text: str | None, path: Path) -> None:
     raise RefusedError(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, fault, headers=headers)
 
 
-def _thumbnail(path: Path, width: int) -> bytes:
-    """Return a JPEG of at most a width in px."""
+def _thumbnail(path: Path, width: int, kind: Kind) -> bytes:
+    """Return a preview of at most a width in px, 8 bits, as a file of a kind."""
     picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise OutsideError(f"the image {path.name} cannot be decoded")
@@ -179,4 +171,5 @@ def _thumbnail(path: Path, width: int) -> bytes:
     if width < whole:
         size = (width, max(1, round(height * width / whole)))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if kind == "jpeg" else []
+    return bytes(cv2.imencode(f".{kind}", picture, quality)[1].tobytes())

@@ -57,7 +57,10 @@ def map_routes(context: ApiContext) -> APIRouter:
     files = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
 
     @routes.get(
-        "/back-projection-map", dependencies=BY_CALIBRATION, response_class=Response, responses=_MAP | answers(404, 422)
+        "/back-projection-map",
+        dependencies=BY_CALIBRATION,
+        response_class=Response,
+        responses=_MAP | answers(404, 409, 422),
     )
     async def back_projection_map(
         request: Request,

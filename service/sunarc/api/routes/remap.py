@@ -38,12 +38,14 @@ Grid = Literal["sky", "ground"]
 
 _LARGEST_ZENITH = math.radians(78.0)
 """Out to which a ground grid reaches unless given, as `sunarc rectify` does."""
+_HEIGHT_M = 1000.0
+"""Of a cloud base where none is given, m: that of fair-weather cumulus; the header `Sunarc-Height-M` tells it."""
 _CELLS = 24
 """Along a side, of the grid that the stated error is taken over."""
 _GRID = Annotated[Grid, Query(description="Equidistant map of the sky, or the ground under a cloud layer.")]
 _SIZE = Annotated[int, Query(ge=16, le=4096, description="Cells along a side.")]
 _HEIGHT = Annotated[
-    float | None, Query(gt=0.0, le=30_000.0, description="Of the layer above the camera, m; for the ground grid.")
+    float, Query(gt=0.0, le=30_000.0, description="Of the layer above the camera, m; of the ground grid.")
 ]
 _HALF_WIDTH = Annotated[
     float | None,
@@ -56,6 +58,7 @@ _HALF_WIDTH = Annotated[
 _HEADERS: dict[str, Any] = {
     "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
     "Sunarc-Sigma-Deg": {"description": "1-sigma of the directions, RMS over the grid.", "schema": {"type": "string"}},
+    "Sunarc-Height-M": {"description": "Of the layer of a ground grid, metres.", "schema": {"type": "string"}},
     "Sunarc-Sigma-M": {
         "description": "The same on the ground grid, m, by the calibration.",
         "schema": {"type": "string"},
@@ -86,24 +89,18 @@ class _Asked:
 
     grid: Grid
     size: int
-    height_m: float | None
+    height_m: float
     half_width_m: float | None
-
-    def __post_init__(self) -> None:
-        """Refuse a ground grid without a layer."""
-        if self.grid == "ground" and self.height_m is None:
-            raise InputError(field="height", problem="missing", remedy="give the cloud base above the camera in m")
 
     def directions(self, size: int) -> FloatArray:
         """Return the directions (size, size, 3) of the grid, with another number of cells."""
         if self.grid == "sky":
             return sky_grid(size)
-        height = self.height_m or 0.0
-        return ground_grid(size, half_width_m=self.width(), height_m=height)
+        return ground_grid(size, half_width_m=self.width(), height_m=self.height_m)
 
     def width(self) -> float:
         """Return the half width of the ground grid, m."""
-        return self.half_width_m or (self.height_m or 0.0) * math.tan(_LARGEST_ZENITH)
+        return self.half_width_m or self.height_m * math.tan(_LARGEST_ZENITH)
 
     def tag(self, *more: str) -> str:
         """Return what changes with the grid and with what else is named."""
@@ -116,14 +113,16 @@ def remap_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["images"])
     slots = ComputeSlots(1)
 
-    @routes.get("/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 422))
+    @routes.get(
+        "/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 409, 422)
+    )
     async def remap(
         *,
         request: Request,
         at: At = None,
         grid: _GRID = "sky",
         size: _SIZE = 1024,
-        height: _HEIGHT = None,
+        height: _HEIGHT = _HEIGHT_M,
         half_width: _HALF_WIDTH = None,
         format_: Annotated[MapFormat, Query(alias="format", description="Of the answer.")] = "npz",
         if_none_match: IfNoneMatch = None,
@@ -145,7 +144,7 @@ def remap_routes(context: ApiContext) -> APIRouter:
         "/images/{time}/rectified",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_PICTURE | answers(404, 422),
+        responses=_PICTURE | answers(404, 409, 422),
     )
     async def rectified(
         *,
@@ -153,7 +152,7 @@ def remap_routes(context: ApiContext) -> APIRouter:
         time: Captured,
         grid: _GRID = "sky",
         size: _SIZE = 1024,
-        height: _HEIGHT = None,
+        height: _HEIGHT = _HEIGHT_M,
         half_width: _HALF_WIDTH = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
@@ -232,7 +231,8 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> di
     headers["sunarc-sigma-deg"] = _root_mean(np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
     if asked.grid == "ground":
         site = context.archive.model(record.id).site
-        place = clouds(directions, height_m=asked.height_m or 0.0, covariance=covariance, site=site).covariance_m2
+        place = clouds(directions, height_m=asked.height_m, covariance=covariance, site=site).covariance_m2
+        headers["sunarc-height-m"] = f"{asked.height_m:g}"
         headers["sunarc-sigma-m"] = _root_mean(0.5 * (place[:, 0, 0] + place[:, 1, 1]))
     return headers
 
