@@ -17,7 +17,7 @@ from starlette.requests import Request
 from sunarc.api.options import ApiOptions
 from sunarc.archive import Archive, CalibrationRecord, ImageStore, Refit
 from sunarc.calibration import Calibration, Ensemble, Lookup
-from sunarc.errors import ConflictError, InputError, NotFoundError
+from sunarc.errors import InputError, NotFoundError
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site, solar_date
 
@@ -204,7 +204,7 @@ class ApiContext:
         if not record.accepted or record.damaged:
             why = "is damaged" if record.damaged else "was refused by its verdict"
             remedy = f"see its reasons in /v1/calibrations/{calibration_id}"
-            raise ConflictError(field=CALIBRATION, problem=f"{calibration_id} {why}", remedy=remedy)
+            raise NotFoundError(field=CALIBRATION, problem=f"{calibration_id} {why}", remedy=remedy)
         return record
 
     def _best(self, at: datetime | None) -> CalibrationRecord | None:

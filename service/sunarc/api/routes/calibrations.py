@@ -52,7 +52,7 @@ def calibration_routes(context: ApiContext) -> APIRouter:
     made = {name: SingleFlightCache(partial(_exported, name), key=tag_of) for name in FORMATS}
     written = _Written()
 
-    @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 409, 422))
+    @routes.get("/calibration", dependencies=BY_CALIBRATION, responses=_EXPORTED | answers(404, 422))
     def calibration(
         request: Request,
         at: At = None,

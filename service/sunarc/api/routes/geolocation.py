@@ -46,7 +46,7 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         "/geolocate",
         dependencies=BY_CALIBRATION,
         response_model=GeolocateAnswer,
-        responses=row_responses(LOCATED) | answers(404, 408, 409, 413, 415, 422),
+        responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of(
             "GeolocateRequest", "(n, 3) x, y in px, cloud base height in m; or (n, 4) with the height's 1-sigma in m."
         ),

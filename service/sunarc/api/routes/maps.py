@@ -60,7 +60,7 @@ def map_routes(context: ApiContext) -> APIRouter:
         "/back-projection-map",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_MAP | answers(404, 409, 422),
+        responses=_MAP | answers(404, 422),
     )
     async def back_projection_map(
         request: Request,

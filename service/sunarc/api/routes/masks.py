@@ -71,9 +71,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
             content = await run_in_threadpool(_mask, selected, record, axis, limit, hidden)
         return Response(content, media_type="image/png", headers=headers | {"cache-control": "no-cache"})
 
-    @routes.get(
-        "/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 409, 422)
-    )
+    @routes.get("/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422))
     async def sun(
         request: Request, at: At = None, radius_deg: _RADIUS = 10.0, if_none_match: IfNoneMatch = None
     ) -> Response:
@@ -81,7 +79,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
         return await sent(request, at, if_none_match, name="sun", limit=math.cos(math.radians(radius_deg)))
 
     @routes.get(
-        "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 409, 422)
+        "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422)
     )
     async def horizon(
         request: Request, at: At = None, elevation_deg: _ELEVATION = 0.0, if_none_match: IfNoneMatch = None

@@ -45,7 +45,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     @routes.get(
         "/overlay",
         dependencies=BY_CALIBRATION,
-        responses=_described(Overlay) | answers(404, 409, 422),
+        responses=_described(Overlay) | answers(404, 422),
         response_model=Overlay,
     )
     def overlay(request: Request, at: At = None, if_none_match: IfNoneMatch = None) -> Response:
@@ -56,7 +56,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     @routes.get(
         "/uncertainty",
         dependencies=BY_CALIBRATION,
-        responses=_described(Uncertainty) | answers(404, 409, 422),
+        responses=_described(Uncertainty) | answers(404, 422),
         response_model=Uncertainty,
     )
     def uncertainty(

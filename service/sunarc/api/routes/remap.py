@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, Literal
 
@@ -113,9 +114,7 @@ def remap_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["images"])
     slots = ComputeSlots(1)
 
-    @routes.get(
-        "/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 409, 422)
-    )
+    @routes.get("/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 422))
     async def remap(
         *,
         request: Request,
@@ -130,21 +129,15 @@ def remap_routes(context: ApiContext) -> APIRouter:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(_answering, context, request, at)
-        tag = asked.tag(record.id, format_)
-        if matches(if_none_match, tag):
-            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": tag})
-        client = client_network(request.scope)
-        slots.require_room(client)
-        async with slots.slot(client):
-            content = await run_in_threadpool(_tables, selected, record, asked, format_)
-            headers = await run_in_threadpool(_stated, selected, record, asked)
-        return Response(content, media_type=MEDIA_TYPES[format_], headers=headers | {"etag": tag})
+        made = partial(_tables, selected, record, asked, format_)
+        question = _Question(request=request, tag=asked.tag(record.id, format_), if_none_match=if_none_match)
+        return await _made(slots, question, made, partial(_stated, selected, record, asked), MEDIA_TYPES[format_])
 
     @routes.get(
         "/images/{time}/rectified",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_PICTURE | answers(404, 409, 422),
+        responses=_PICTURE | answers(404, 422),
     )
     async def rectified(
         *,
@@ -160,18 +153,39 @@ def remap_routes(context: ApiContext) -> APIRouter:
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(_answering, context, request, time)
         path = await run_in_threadpool(composite_file, selected, time, "jpeg")
-        tag = asked.tag(record.id, path.stem)
-        if matches(if_none_match, tag):
-            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": tag})
-        client = client_network(request.scope)
-        slots.require_room(client)
-        async with slots.slot(client):
-            image = await run_in_threadpool(_preview, str(path))
-            content = await run_in_threadpool(_picture, selected, record, asked, image)
-            headers = await run_in_threadpool(_stated, selected, record, asked)
-        return Response(content, media_type="image/png", headers=headers | {"etag": tag, "cache-control": "private"})
+        made = partial(_picture, selected, record, asked, str(path))
+        question = _Question(request=request, tag=asked.tag(record.id, path.stem), if_none_match=if_none_match)
+        return await _made(slots, question, made, partial(_stated, selected, record, asked), "image/png")
 
     return routes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Question:
+    """A request for what has a tag, and the tags that the client has."""
+
+    request: Request
+    tag: str
+    if_none_match: str | None
+
+
+async def _made(
+    slots: ComputeSlots,
+    question: _Question,
+    content: Callable[[], bytes],
+    headers: Callable[[], dict[str, str]],
+    media_type: str,
+) -> Response:
+    """Return what is made in a slot, or 304 where the client has it."""
+    if matches(question.if_none_match, question.tag):
+        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": question.tag})
+    client = client_network(question.request.scope)
+    slots.require_room(client)
+    async with slots.slot(client):
+        made = await run_in_threadpool(content)
+        stated = await run_in_threadpool(headers)
+    stated |= {"etag": question.tag, "cache-control": "private, no-cache"}
+    return Response(made, media_type=media_type, headers=stated)
 
 
 def _answering(context: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
@@ -208,7 +222,8 @@ def _preview(path: str) -> NDArray[np.uint8]:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, image: NDArray[np.uint8]) -> bytes:
+def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path: str) -> bytes:
+    image = _preview(path)
     camera = _camera(context, record)
     if image.shape[:2] != (camera.height, camera.width):
         problem = (

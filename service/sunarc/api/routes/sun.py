@@ -31,12 +31,12 @@ def sun_routes(context: ApiContext) -> APIRouter:
     """Return the routes that speak of the sun."""
     routes = APIRouter(tags=["sun"])
 
-    @routes.get("/sun", dependencies=BY_CALIBRATION, responses=answers(404, 409, 422))
+    @routes.get("/sun", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def sun(request: Request, at: At = None) -> Sun:
         """Tell where the sun is now (by the frames' time) or at the moment `at`, and on which pixel."""
         return _sun(context.of(request), at or context.frame_clock(), past=at)
 
-    @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 409, 422))
+    @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 422))
     def track(
         *,
         request: Request,
