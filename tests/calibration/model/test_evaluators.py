@@ -228,7 +228,6 @@ def in_another_language(tmp_path: Path, command: list[str], script: str) -> None
         compared(made, *found)
 
 
-@pytest.mark.octave
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed: apt-get install octave")
 def test_the_octave_evaluator(tmp_path: Path) -> None:
     in_another_language(tmp_path, ["octave-cli", "--no-gui", "--quiet", "--eval"], OCTAVE)
