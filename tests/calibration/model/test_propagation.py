@@ -256,3 +256,12 @@ def test_a_field_without_amplitude_is_not_looked_at() -> None:
     broken = replace(plain, field=replace(plain.field, cross=np.full_like(plain.field.cross, np.nan)))
     assert isinstance(broken.field, Field)
     assert np.all(np.isfinite(project_with_covariance(broken, spread_directions(3))[1]))
+
+
+def test_no_direction_is_off_by_more_than_half_a_turn() -> None:
+    camera = small_camera()
+    plain = stated_calibration(camera)
+    rms, most = sky_sigma_deg(plain)
+    wide = replace(plain, covariance=plain.covariance * 1e4)
+    assert sky_sigma_deg(wide) == pytest.approx((100.0 * rms, 100.0 * most))
+    assert sky_sigma_deg(replace(plain, covariance=plain.covariance * 1e16)) == (180.0, 180.0)

@@ -34,6 +34,7 @@ _EARTH_RADIUS_M = 6_371_000.0
 _EARTH_RATE = 7.292e-5
 """Radians a second."""
 _HEMISPHERE = 1500
+_FURTHEST_DEG = 180.0
 _POLAR = 1.55
 """Latitude in radians beyond which east has no meaning."""
 
@@ -203,7 +204,10 @@ def hemisphere(count: int = _HEMISPHERE) -> FloatArray:
 
 
 def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
-    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees."""
+    """Return the root mean square and the maximum 1-sigma over the part of the sky that the camera sees, degrees.
+
+    Neither is above 180: no direction can be further off, and a linear error may say so.
+    """
     directions = hemisphere()
     pixels = project(calibration.camera, directions)
     visible = np.all(np.isfinite(pixels), axis=-1) & camera_sees(calibration.camera, pixels)
@@ -211,6 +215,7 @@ def sky_sigma_deg(calibration: Uncertain) -> tuple[float, float]:
     sigma = sigma[np.isfinite(sigma)]
     if sigma.size == 0:
         return math.nan, math.nan
+    sigma = np.minimum(sigma, _FURTHEST_DEG)
     return float(np.sqrt(np.mean(sigma**2))), float(np.max(sigma))
 
 
