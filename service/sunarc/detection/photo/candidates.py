@@ -36,8 +36,8 @@ _MIN_SIGMA_PX = 0.3
 _MIN_SIGMA_RADIUS = 0.015
 """1-sigma per axis over the radius, at best: real suns in haze, against a camera fitted to them."""
 _SCATTER, _SPREAD, _OFFSET, _UNEVEN = 0.35, 0.3, 0.25, 0.09
-"""Sigma over the scatter (over the share), the spread, the offset, and the radius times the squared unevenness: by
-maximum likelihood on 117 real suns (docs/studies.md, "Photographs")."""
+"""Sigma over the scatter (over the share), the spread, the offset, and the radius times the squared unevenness:
+found by maximum likelihood on 117 real suns, then set by hand (docs/studies.md, "Photographs")."""
 
 
 class Candidate(NamedTuple):
