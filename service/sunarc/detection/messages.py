@@ -70,6 +70,12 @@ MESSAGES = Messages(
     blob_flat=Message("it does not stand out: {near:.2f} and {far:.2f} of its level beside it", _BY_RIM),
     blob_not_clipped=Message("only {flat:.2f} of it is saturated: bright cloud may look so", _BY_RIM, _PREDICT),
     blob_off_glare=Message("it is {distance_px:.0f} px off the middle of the glare", _BY_RIM, _PREDICT),
+    blob_wide=Message(
+        "it is too wide for a sun: its radius is {radius:.2f} of the image's smaller side", _BY_RIM, _PREDICT
+    ),
+    blob_not_alone=Message(
+        "it is not alone: elsewhere {area:.4f} of the smaller side's square is as light", _BY_RIM, _PREDICT
+    ),
     blob_one_sided=Message("its rim is round in only {share:.2f} of the directions", _BY_RIM),
     blob_uneven=Message("its rim is uneven by {scatter:.3f} of its radius", _BY_RIM),
     blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_RIM),

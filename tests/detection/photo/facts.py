@@ -54,6 +54,8 @@ KINDS = {
 }
 SUNLESS = ("overcast", "bright cloud", "roofs and text", "lamp at night", "moonlit night", "blank", "contrails")
 
+_FINE = 0.5
+"""Radii: width of the finer half of the unevenness."""
 _UNEVEN_OF_UNIT = 1.9
 """Width of the middle 70 % of a normal distribution's light at 1.7 radii, in its standard deviations."""
 
@@ -70,7 +72,9 @@ def sun_photo(facts: Facts, rng: np.random.Generator, *, size: int = 480) -> tup
     )
     # The unevenness grows from the disc outwards, as cloud and dust beside the sun do.
     amount = rng.uniform(*facts.uneven) * (1.0 - facts.near) / _UNEVEN_OF_UNIT
-    light += amount * np.minimum(far / 1.7, 2.0) * _texture(rng, size, 2.5 * radius)
+    # On real ones half of it is finer than a third of the way around: the rim shows it as scatter.
+    texture = (_texture(rng, size, 2.5 * radius) + _texture(rng, size, max(_FINE * radius, 1.0))) / math.sqrt(2.0)
+    light += amount * np.minimum(far / 1.7, 2.0) * texture
     light += facts.slope * 0.3 * (rows - y) / size
     for _ in range(facts.streaks):
         ray = rng.uniform(0.0, math.pi)

@@ -29,7 +29,8 @@ def test_a_candidate_of_a_mosaic_is_twice_that_of_its_cells() -> None:
     assert [getattr(large.rim, name) for name in lengths] == pytest.approx(
         [2.0 * getattr(small.rim, name) for name in lengths]
     )
-    assert tuple(large[1:]) == pytest.approx([2.0 * value for value in small[1:]])
+    assert tuple(large[1:-1]) == pytest.approx([2.0 * value for value in small[1:-1]])
+    assert large.other_area == small.other_area
 
 
 def test_the_middle_of_the_glare_is_the_largest_suns() -> None:
@@ -39,6 +40,15 @@ def test_the_middle_of_the_glare_is_the_largest_suns() -> None:
     assert larger.off_glare_px < 3.0
     assert smaller.off_glare_px == pytest.approx(math.hypot(90.0, 40.0), abs=4.0)
     assert smaller.off_local_glare_px < 4.0
+
+
+@pytest.mark.parametrize(("of_level", "area"), [(1.0, 0.025), (0.81, 0.025), (0.77, 0.0)])
+def test_what_is_as_light_elsewhere_is_counted_by_its_area(of_level: float, area: float) -> None:
+    image = glare_image(60.0, 100.0, radius=6.0)
+    assert candidates_in(image, full_scale=4095)[0].other_area == 0.0
+    image[20:40, 120:170] = round(4095 * of_level)  # 0.9 of 8 bits' tones are 0.793 of the light
+    seen = [each for each in candidates_in(image, full_scale=4095) if abs(each.rim.x - 60.0) < 2.0]
+    assert seen[0].other_area == pytest.approx(area)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 7), (9, 9), (30, 4)])

@@ -28,7 +28,7 @@ RIM = Rim(
     uneven=0.3,
     circles=3,
 )
-SEEN = Candidate(RIM, sigma_px=0.6, off_glare_px=2.0, off_local_glare_px=2.0, size_px=200.0)
+SEEN = Candidate(RIM, sigma_px=0.6, off_glare_px=2.0, off_local_glare_px=2.0, size_px=200.0, other_area=0.0)
 
 
 def judged(seen: Candidate, expectation: Expectation | None = None) -> Judged:
@@ -97,6 +97,24 @@ def test_a_prediction_stands_for_some_of_the_clipping() -> None:
         assert judged(dull, expectation).verdict == verdict
     assert judged(SEEN._replace(off_glare_px=50.0), expectation).verdict == "clear"
     assert judged(SEEN._replace(off_local_glare_px=4.0), expectation).verdict == "veiled"
+
+
+@pytest.mark.parametrize(
+    ("radius", "area", "expected"),
+    [
+        (17.9, 0.0, "blob_found"),
+        (18.1, 0.0, "blob_wide"),
+        (12.0, 0.0226, "blob_found"),  # twice the plateau's area of pi * 0.06²
+        (12.0, 0.0227, "blob_not_alone"),
+        (2.0, 0.00099, "blob_found"),
+        (2.0, 0.00101, "blob_not_alone"),
+    ],
+)
+def test_without_a_prediction_a_sun_is_narrow_and_alone(radius: float, area: float, expected: str) -> None:
+    seen = SEEN._replace(rim=RIM._replace(radius=radius, scatter=0.02), sigma_px=0.3, other_area=area)
+    seen = seen._replace(off_glare_px=0.0, off_local_glare_px=0.0)
+    assert judged(seen).finding.code == expected
+    assert judged(seen, Expectation(x_px=101.0, y_px=91.0, uncertainty_px=2.0)).verdict == "clear"
 
 
 def test_the_most_sun_like_is_chosen() -> None:

@@ -29,7 +29,7 @@ def candidate(x: float, y: float, *, sigma_px: float, radius: float = 5.0) -> Ca
         uneven=0.2,
         circles=3,
     )
-    return Candidate(rim, sigma_px, off_glare_px=0.0, off_local_glare_px=0.0, size_px=200.0)
+    return Candidate(rim, sigma_px, off_glare_px=0.0, off_local_glare_px=0.0, size_px=200.0, other_area=0.0)
 
 
 def anchor(x: float = 10.0, y: float = 5.0, *, sigma_px: float = 0.1, radius_px: float = 5.0) -> Detection:

@@ -27,6 +27,8 @@ _MAX_RADIUS_FRACTION = 0.12
 """A plateau wider than this share of the image's smaller side is no sun; thin cloud before it gave 0.09 at most."""
 _GLARE_PX, _GLARE_BLUR_PX = 240, 4.0
 """Smaller side of the image, and the blur, in which the middle of the glare is found: 3 degrees wide."""
+_AS_LIGHT, _AWAY = 0.9, 2.6
+"""Of the plateau's level (in tones), and radii beyond which so much light is another's: in glare it is below 0.84."""
 _SURROUNDINGS = 0.08
 """Of the smaller side, beyond the radius: where a predicted sun is the brightest."""
 _LINEAR_TONES = 1.0 / 2.2
@@ -45,7 +47,8 @@ class Candidate(NamedTuple):
 
     rim : its rim. sigma_px : 1-sigma per axis of the rim's centre. off_glare_px, off_local_glare_px : how far that is
     from the middle of the glare, px: the brightest place of the blurred image, and of its surroundings. size_px :
-    smaller side of the image.
+    smaller side of the image. other_area : area beyond 2.6 radii that is as light as 0.9 of the plateau, over the
+    square of the smaller side.
     """
 
     rim: Rim
@@ -53,6 +56,7 @@ class Candidate(NamedTuple):
     off_glare_px: float
     off_local_glare_px: float
     size_px: float
+    other_area: float
 
     @property
     def score(self) -> float:
@@ -87,7 +91,17 @@ def candidates_in(
     rims = [rim_of(plane, each, static=hidden) for each in found if each.radius <= _MAX_RADIUS_FRACTION * size]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
     shown = _reduced(plane, hidden)
-    seen = [Candidate(_in_tones(rim, tones), sigma_px(rim), *_off_glare(shown, rim, size), size) for rim in fitting]
+    as_light = _AS_LIGHT ** (1.0 / tones)
+    seen = [
+        Candidate(
+            _in_tones(rim, tones),
+            sigma_px(rim),
+            *_off_glare(shown, rim, size),
+            size,
+            _other_area(shown, rim, as_light * rim.level),
+        )
+        for rim in fitting
+    ]
     return seen if plane.shape == image.shape[:2] else [_of_mosaic(each) for each in seen]
 
 
@@ -141,6 +155,15 @@ def _off_glare(shown: tuple[FloatArray, float], rim: Rim, size: int) -> tuple[fl
     return distances[0], distances[1]
 
 
+def _other_area(shown: tuple[FloatArray, float], rim: Rim, level: float) -> float:
+    """Return the area away from a rim at or above a level, over the square of the plane's smaller side."""
+    small, step = shown
+    x, y = ((value - (step - 1.0) / 2.0) / step for value in (rim.x, rim.y))
+    rows, columns = np.ogrid[: small.shape[0], : small.shape[1]]
+    others = (small >= level) & (np.hypot(columns - x, rows - y) > _AWAY * rim.radius / step)
+    return float(np.count_nonzero(others) / min(small.shape) ** 2)
+
+
 def _of_mosaic(seen: Candidate) -> Candidate:
     """Return a candidate of the half-sized plane in px of the mosaic."""
     rim = seen.rim
@@ -152,7 +175,14 @@ def _of_mosaic(seen: Candidate) -> Candidate:
         spread=2.0 * rim.spread,
         offset=2.0 * rim.offset,
     )
-    return Candidate(larger, *(2.0 * value for value in seen[1:]))
+    return Candidate(
+        rim=larger,
+        sigma_px=2.0 * seen.sigma_px,
+        off_glare_px=2.0 * seen.off_glare_px,
+        off_local_glare_px=2.0 * seen.off_local_glare_px,
+        size_px=2.0 * seen.size_px,
+        other_area=seen.other_area,
+    )
 
 
 def _enlarged(static: BoolArray | None, plane: Image) -> BoolArray | None:

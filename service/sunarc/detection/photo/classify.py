@@ -30,6 +30,11 @@ _MAX_SIGMA, _MAX_SIGMA_RADIUS = 0.01, 0.2
 smaller side is 180)."""
 _MAX_SIGMA_PX = 0.6  # a sigma up to this is always of use
 _OFF_GLARE_RADIUS = 0.3  # of the radius: within it a plateau is in the middle of the glare
+_MAX_RADIUS = 0.09
+"""Of the smaller side, without a prediction: thin cloud before the sun gave 0.09 at most."""
+_OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
+"""Plateau areas, and of the square of the smaller side, for what else is as light, without a prediction: real suns had
+1.8 plateaus and less, text has up to 0.001; overcast is as light in many places."""
 _REACH_SIGMAS, _REACH_PX = 5.0, 2.0
 """A plateau within so many sigmas (and px) of the prediction is the sun's."""
 
@@ -54,7 +59,9 @@ def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
 
 def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     if expectation is None:
-        return _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px) or _clear(seen.rim)
+        return (
+            _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px) or _one_of_many(seen) or _clear(seen.rim)
+        )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
     if distance > _REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + _REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
@@ -87,4 +94,14 @@ def _unlike_a_sun(seen: Candidate, min_flat: float, off_px: float) -> tuple[Verd
         return "veiled", Finding("blob_not_clipped", {"flat": seen.rim.flat})
     if off_px > max(OFF_GLARE * seen.size_px, _OFF_GLARE_RADIUS * seen.rim.radius):
         return "veiled", Finding("blob_off_glare", {"distance_px": off_px})
+    return None
+
+
+def _one_of_many(seen: Candidate) -> tuple[Verdict, Finding] | None:
+    """Return why a round region may be one of a cloud's: too wide for a sun's, or not the only one as light."""
+    radius = seen.rim.radius / seen.size_px
+    if radius > _MAX_RADIUS:
+        return "veiled", Finding("blob_wide", {"radius": radius})
+    if seen.other_area > max(_OTHER_PLATEAUS * math.pi * radius**2, _OTHER_AREA):
+        return "veiled", Finding("blob_not_alone", {"area": seen.other_area})
     return None
