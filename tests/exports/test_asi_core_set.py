@@ -21,6 +21,7 @@ from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError
 from sunarc.exports import asi_core_set, export
+from sunarc.exports.asi_core import matlab_bytes
 from sunarc.optics import Camera, unproject
 
 SMALL = Camera(
@@ -133,6 +134,16 @@ def test_over_http_the_set_is_a_zip_of_the_same_bytes_each_time() -> None:
         assert {name: found.read(name) for name in found.namelist()} == made.files
     assert made.sent == export(document("1", *TIMES[:2]), "asi-core").sent
     assert export(document("1", *TIMES[:2]), "mrcal").sent.startswith(b"#")
+
+
+def test_a_matlab_file_is_the_same_whenever_it_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = {"Mask": {"BW": np.eye(3, dtype=np.uint8)}}
+    first = matlab_bytes(content)
+    monkeypatch.setattr("time.asctime", lambda: "Mon Jan  1 00:00:00 2001")
+    assert matlab_bytes(content) == first
+    assert first.startswith(b"MATLAB 5.0 MAT-file")
+    found = scipy.io.loadmat(io.BytesIO(first))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found["Mask"][0][0][0], np.eye(3))
 
 
 @pytest.mark.parametrize("documents", [[], [{"schema": "something/else", "camera": "x"}]])

@@ -13,6 +13,7 @@ import pytest
 from tests.exports.conftest import LENS, FloatArray, document_of
 
 from sunarc.errors import InputError, OutsideError
+from sunarc.imaging import png_with
 from sunarc.offline.rectify_files import rectify_files
 from sunarc.optics import project
 from sunarc.sky import direction_from_angles
@@ -46,6 +47,30 @@ def center(values: FloatArray) -> tuple[float, float]:
     """Return row and column of the centre of mass."""
     rows, columns = np.mgrid[: values.shape[0], : values.shape[1]]
     return float(np.sum(rows * values) / values.sum()), float(np.sum(columns * values) / values.sum())
+
+
+def test_a_composite_that_is_a_mosaic_is_mapped_in_its_colours(calibration: Path, tmp_path: Path) -> None:
+    mosaic = np.zeros((CAMERA.height, CAMERA.width), dtype=np.uint16)
+    mosaic[0::2, 0::2] = 40_000  # red alone, of an RGGB sensor
+    document = {"schema": "sunarc.image/1", "bayer": "RGGB"}
+    png = png_with(
+        cv2.imencode(".png", mosaic)[1].tobytes(), document, software="sunarc", created="2013-05-13T18:30:00Z"
+    )
+    (tmp_path / "raw.png").write_bytes(png)
+    (done,) = rectify_files(
+        [tmp_path / "raw.png"],
+        calibration,
+        grid="sky",
+        size=100,
+        cloud_height_m=None,
+        half_width_m=None,
+        folder=tmp_path / "maps",
+    )
+    found = cv2.imread(done["written"], cv2.IMREAD_UNCHANGED)
+    assert found is not None
+    assert found.shape == (100, 100, 3)
+    assert found.dtype == np.dtype(np.uint16)
+    np.testing.assert_allclose(found[50, 50], [0, 0, 40_000], atol=1)
 
 
 def test_on_the_map_of_the_sky_north_is_up_and_east_is_right(calibration: Path, image: Path, tmp_path: Path) -> None:

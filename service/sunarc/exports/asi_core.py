@@ -26,6 +26,8 @@ from sunarc.exports.ocam import OcamModel, ocam_view
 from sunarc.exports.view import View
 from sunarc.extras import extra_module
 
+_MATLAB_HEADER = b"MATLAB 5.0 MAT-file, written by sunarc".ljust(116)
+"""Text of a version 5 file: the first 116 bytes (MathWorks, "MAT-File Format")."""
 _HORIZON_DEG = 90.0
 _NEEDED = ("ss", "xc", "yc", "c", "d", "e", "width", "height")
 _SCHEMA = "give a camera file of asi_core's schema of 2025 (camera_data.schema.yaml)"
@@ -133,10 +135,13 @@ def _require_mask_size(mask: bytes | None, size: tuple[int, int], *, name: str) 
 
 
 def matlab_bytes(content: Mapping[str, Any]) -> bytes:
-    """Return a MATLAB file (version 5) of variables by name; a mapping is written as a struct."""
+    """Return a MATLAB file (version 5) of variables by name; a mapping is written as a struct.
+
+    The same variables give the same bytes: the header's text, which has the time of writing, is replaced.
+    """
     target = io.BytesIO()
     scipy.io.savemat(target, dict(content), do_compression=True)  # type: ignore[arg-type]
-    return target.getvalue()
+    return _MATLAB_HEADER + target.getvalue()[len(_MATLAB_HEADER) :]
 
 
 def mask_of(found: BackProjectionMap) -> NDArray[np.uint8]:

@@ -14,7 +14,7 @@ from sunarc.imaging.exposure import (
 from sunarc.imaging.hdr import HdrImage, merge_hdr
 from sunarc.imaging.level import MOST_ALL_OVER, Level, factor_all_over, level_of
 from sunarc.imaging.metadata import document_of, jpeg_with, png_with
-from sunarc.imaging.preview import preview
+from sunarc.imaging.preview import demosaiced, preview
 
 __all__ = [
     "MOST_ALL_OVER",
@@ -26,6 +26,7 @@ __all__ = [
     "SunExposureOptions",
     "SunExposureState",
     "SunLook",
+    "demosaiced",
     "document_of",
     "factor_all_over",
     "first_sun_exposures",

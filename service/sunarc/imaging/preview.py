@@ -20,6 +20,12 @@ _CODES: dict[Bayer, int] = {
 }
 
 
+def demosaiced(image: Image, bayer: Bayer) -> Image:
+    """Return the colours (rows, columns, 3) of a mosaic (rows, columns), blue, green, red, interpolated bilinearly."""
+    colours = cv2.cvtColor(image, _CODES[bayer])
+    return colours.astype(np.uint8) if image.dtype == np.uint8 else colours.astype(np.uint16)
+
+
 def preview(image: Image, *, bayer: Bayer | None = None, white_percentile: float = 99.5) -> NDArray[np.uint8]:
     """Return a tone-mapped 8-bit image.
 
@@ -33,7 +39,7 @@ def preview(image: Image, *, bayer: Bayer | None = None, white_percentile: float
     -------
     uint8, logarithmic between black and white. An image without light stays black.
     """
-    light = image if bayer is None else np.asarray(cv2.cvtColor(image, _CODES[bayer]))
+    light = image if bayer is None else demosaiced(image, bayer)
     white = float(np.percentile(light[::4, ::4], white_percentile))
     if white <= 0.0:
         return np.zeros(light.shape, dtype=np.uint8)

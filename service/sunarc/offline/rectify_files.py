@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sunarc.array_types import Image
 from sunarc.calibration import Calibration
+from sunarc.detection import Bayer
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
 from sunarc.extras import extra_module
-from sunarc.offline.files import read_image
+from sunarc.imaging import demosaiced, document_of
+from sunarc.offline.files import read_file, read_image
 from sunarc.offline.project_files import read_calibration
 
 Grid = Literal["sky", "ground"]
@@ -75,7 +78,7 @@ def rectify_files(
 
 
 def _remapped(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
-    image = read_image(path)
+    image = _in_colour(path, read_image(path))
     size = (solved.camera.width, solved.camera.height)
     if (image.shape[1], image.shape[0]) != size:
         problem = f"{image.shape[1]}x{image.shape[0]} px, the calibration is of {size[0]}x{size[1]}"
@@ -84,6 +87,13 @@ def _remapped(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArr
     found = cv2.remap(image, *tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     found[tables[0] < -0.5] = 0
     return found
+
+
+def _in_colour(path: Path, image: Image) -> Image:
+    """Return the image in its colours where it is a composite of ours that says which mosaic it is."""
+    said = (document_of(read_file(path)) or {}).get("bayer")
+    bayer: Bayer | None = next((known for known in get_args(Bayer) if known == said), None)
+    return image if bayer is None or image.ndim != 2 else demosaiced(image, bayer)
 
 
 def _make(folder: Path) -> None:
