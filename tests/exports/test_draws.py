@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.fixtures.calibration import small_camera, stated_calibration
+from tests.fixtures.calibration import current_document, small_camera, stated_calibration
 from tests.fixtures.command_line import Sunarc, sunarc
 
-from sunarc.calibration import draw_ensemble, from_document, to_document
+from sunarc.calibration import draw_ensemble, from_document
 from sunarc.errors import InputError
 from sunarc.exports import export, export_draws
 from sunarc.exports.draws import MOST_DRAWS_OF_A_FILE
@@ -23,19 +22,7 @@ __all__ = ["sunarc"]
 
 @pytest.fixture(scope="module")
 def document() -> dict[str, Any]:
-    time = datetime(2013, 5, 14, tzinfo=UTC)
-    written: dict[str, Any] = to_document(
-        stated_calibration(small_camera()),
-        id="20130514T150508Z-52ee44",
-        camera="SGP",
-        state="current",
-        created_at=time,
-        valid_from=time,
-        valid_until=None,
-        pose_epoch="SGP-1",
-        software_version="0.3.0",
-    )
-    return written
+    return current_document(stated_calibration(small_camera()))
 
 
 def opened(content: bytes) -> dict[str, Any]:

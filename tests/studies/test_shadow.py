@@ -6,17 +6,16 @@ import csv
 import json
 import math
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from tests.fixtures.calibration import small_camera, stated_calibration
+from tests.fixtures.calibration import current_document, small_camera, stated_calibration
 from tests.fixtures.command_line import Sunarc
 
-from sunarc.calibration import sigma_deg, to_document
+from sunarc.calibration import sigma_deg
 from sunarc.sky import direction_from_angles
 from sunarc.studies import shadow as module
 from sunarc.studies.reports import write_shadow
@@ -133,18 +132,7 @@ def test_what_is_written(tmp_path: Path) -> None:
 
 
 def test_the_command_prints_and_writes_with_the_errors_of_a_document(sunarc: Sunarc, tmp_path: Path) -> None:
-    time = datetime(2013, 5, 14, tzinfo=UTC)
-    document = to_document(
-        replace(stated_calibration(small_camera()), sky_rms_deg=0.2),
-        id="a",
-        camera="SGP",
-        state="current",
-        created_at=time,
-        valid_from=time,
-        valid_until=None,
-        pose_epoch="SGP-1",
-        software_version="0.3.0",
-    )
+    document = current_document(replace(stated_calibration(small_camera()), sky_rms_deg=0.2))
     (tmp_path / "calibration.json").write_text(json.dumps(document), encoding="utf-8")
     command = ["study", "shadow", "--out", str(tmp_path / "study"), "--draws", "20", "--json"]
     for options, count in (([], 7 * 20), (["--calibration", str(tmp_path / "calibration.json")], 20)):

@@ -187,8 +187,7 @@ def _ensemble(answering: Answering, question: Question) -> Ensemble:
 
 
 def _answering(context: ApiContext, request: Request, at: datetime | None) -> Answering:
-    selected = context.of(request)
-    record = selected.record(at)
+    selected, record = context.answering(request, at)
     return Answering(
         context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
     )

@@ -147,6 +147,11 @@ class ApiContext:
         chosen = request.query_params.get(CALIBRATION)
         return selected if chosen is None else replace(selected, chosen=chosen)
 
+    def answering(self, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
+        """Return what `of` returns, and the calibration of it that answers now, or for the moment `at`."""
+        selected = self.of(request)
+        return selected, selected.record(at)
+
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""
         record = self.archive.camera(name)

@@ -22,10 +22,10 @@ def require_known_names(request: Request) -> None:
     given = request.query_params.keys()
     if not given:
         return
-    known = sorted(set(_names(request.scope["route"].dependant)))
+    known = set(_names(request.scope["route"].dependant))
     for name in given:
         if name not in known:
-            remedy = f"use {', '.join(known)}" if known else "leave it out; this route has no parameters"
+            remedy = f"use {', '.join(sorted(known))}" if known else "leave it out; this route has no parameters"
             fault = Fault(field=name, problem="is not a parameter of this route", remedy=remedy)
             raise RefusedError(HTTPStatus.UNPROCESSABLE_ENTITY, fault)
 

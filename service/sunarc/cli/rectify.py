@@ -10,7 +10,8 @@ import typer
 from sunarc.cli.options import AsJson, CalibrationFile
 from sunarc.cli.output import print_json
 from sunarc.errors import InputError
-from sunarc.offline.rectify_files import Grid, rectify_files
+from sunarc.exports.remap import Grid
+from sunarc.offline.rectify_files import rectify_files
 
 _GRIDS: dict[str, Grid] = {"sky": "sky", "ground": "ground"}
 

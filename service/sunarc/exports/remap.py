@@ -6,17 +6,24 @@ import io
 import json
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 from zipfile import BadZipFile
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
 from sunarc.exports.view import View, lens_view
 from sunarc.optics import Camera, project
 
+Grid = Literal["sky", "ground"]
+
+_LARGEST_ZENITH = math.radians(78.0)
+"""Out to which a ground grid reaches unless said: as far as forecasting software looks."""
+_NOTHING = -0.5
+"""Coordinates below this are the -1 of what the image has not."""
 _EARTH_RADIUS_M = 6_371_008.8
 """Mean radius of the earth (IUGG), m."""
 _RIGHT_ANGLE_DEG = 90.0
@@ -55,6 +62,24 @@ def ground_grid(size: int, *, half_width_m: float, height_m: float) -> FloatArra
     directions = np.stack([east * outward, north * outward, up], axis=-1)
     directions[up <= 0.0] = np.nan
     return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+def reach_m(height_m: float) -> float:
+    """Return how far a ground grid reaches unless said, m: what lies within 78 degrees of zenith angle at a height."""
+    return height_m * math.tan(_LARGEST_ZENITH)
+
+
+def grid_directions(grid: Grid, size: int, *, half_width_m: float, height_m: float) -> FloatArray:
+    """Return the directions (size, size, 3) of `sky_grid` or of `ground_grid`, by name."""
+    return sky_grid(size) if grid == "sky" else ground_grid(size, half_width_m=half_width_m, height_m=height_m)
+
+
+def remapped(image: Image, map_x: NDArray[Any], map_y: NDArray[Any]) -> Image:
+    """Return an image taken to a grid by its tables, interpolated bilinearly; 0 where the image has nothing."""
+    # Half a pixel beyond the image belongs to its outermost pixels; the rest of the border stays 0.
+    found = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found[map_x < _NOTHING] = 0
+    return found.astype(np.uint8) if image.dtype == np.uint8 else found.astype(np.uint16)
 
 
 def remap_tables(camera: Camera, directions: FloatArray) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
@@ -97,7 +122,7 @@ def read_remap(content: bytes, *, name: str) -> View:
             problem=f"no remap tables of the sky ({error})",
             remedy="give an opencv-remap file of sunarc export",
         ) from None
-    return _table_view(np.where(tables < -0.5, np.nan, tables), (width, height))
+    return _table_view(np.where(tables < _NOTHING, np.nan, tables), (width, height))
 
 
 def _table_view(tables: FloatArray, size: tuple[int, int]) -> View:

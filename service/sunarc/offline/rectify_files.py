@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -15,16 +15,11 @@ from sunarc.array_types import Image
 from sunarc.calibration import Calibration
 from sunarc.detection import Bayer
 from sunarc.errors import InputError, OutsideError
-from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
+from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
 from sunarc.extras import extra_module
 from sunarc.imaging import demosaiced, document_of
 from sunarc.offline.files import read_file, read_image
 from sunarc.offline.project_files import read_calibration
-
-Grid = Literal["sky", "ground"]
-
-_LARGEST_ZENITH = math.radians(78.0)
-"""Out to which a ground grid reaches unless given: as far as forecasting software looks."""
 
 
 def rectify_files(
@@ -59,10 +54,9 @@ def rectify_files(
     if grid == "ground" and cloud_height_m is None:
         raise InputError(field="--cloud-height", problem="missing", remedy="give the cloud base above the camera in m")
     solved = read_calibration(calibration)
-    half_width = half_width_m or (cloud_height_m or 0.0) * math.tan(_LARGEST_ZENITH)
-    directions = (
-        sky_grid(size) if grid == "sky" else ground_grid(size, half_width_m=half_width, height_m=cloud_height_m or 0.0)
-    )
+    height = cloud_height_m or 0.0
+    half_width = half_width_m or reach_m(height)
+    directions = grid_directions(grid, size, half_width_m=half_width, height_m=height)
     tables = remap_tables(solved.camera, directions)
     _make(folder)
     written = []
@@ -83,10 +77,7 @@ def _remapped(path: Path, solved: Calibration, tables: tuple[NDArray[Any], NDArr
     if (image.shape[1], image.shape[0]) != size:
         problem = f"{image.shape[1]}x{image.shape[0]} px, the calibration is of {size[0]}x{size[1]}"
         raise InputError(field=str(path), problem=problem, remedy="give images of this camera")
-    # Half a pixel beyond the image belongs to its outermost pixels; the rest of the border stays 0.
-    found = cv2.remap(image, *tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    found[tables[0] < -0.5] = 0
-    return found
+    return remapped(image, *tables)
 
 
 def _in_colour(path: Path, image: Image) -> Image:

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import jsonschema_rs
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import random_covariance, stated_calibration
+from tests.fixtures.calibration import current_document, random_covariance, stated_calibration
 
 from sunarc.calibration import (
     Calibration,
@@ -26,7 +25,6 @@ from sunarc.calibration import (
     from_document,
     hemisphere,
     project_with_covariance,
-    to_document,
 )
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, project
@@ -66,22 +64,6 @@ def calibration(projection: str = "equisolid", *, mirrored: bool = False) -> Cal
     )
 
 
-def document(made: Calibration) -> dict[str, Any]:
-    time = datetime(2013, 5, 14, tzinfo=UTC)
-    written: dict[str, Any] = to_document(
-        made,
-        id="20130514T150508Z-52ee44",
-        camera="SGP",
-        state="current",
-        created_at=time,
-        valid_from=time,
-        valid_until=None,
-        pose_epoch="SGP-1",
-        software_version="0.3.0",
-    )
-    return dict(json.loads(json.dumps(written)))
-
-
 def questions(made: Calibration) -> tuple[FloatArray, FloatArray]:
     """Return directions, one of them beyond the model's angle, and pixels within the image."""
     pixels = project(made.camera, SKY)
@@ -103,7 +85,7 @@ def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
     evaluator: dict[str, Any] = {"__name__": "evaluate_calibration"}
     exec((EVALUATORS / "evaluate_calibration.py").read_text(encoding="utf-8"), evaluator)  # noqa: S102 - ours
     directions, pixels = questions(made)
-    read = document(made)
+    read = current_document(made)
     compared(
         made,
         np.array([evaluator["project"](read, one) for one in directions]),
@@ -117,7 +99,7 @@ def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
 def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
     made = calibration()
     file = tmp_path / "calibration.json"
-    file.write_text(json.dumps(document(made)), encoding="utf-8")
+    file.write_text(json.dumps(current_document(made)), encoding="utf-8")
     command = [
         sys.executable,
         str(EVALUATORS / "evaluate_calibration.py"),
@@ -159,7 +141,7 @@ def test_the_c_evaluator(tmp_path: Path) -> None:
     for projection in PROJECTIONS:
         for mirrored in (False, True):
             made = calibration(projection, mirrored=mirrored)
-            values.write_text("\n".join(repr(float(n)) for n in numbers(document(made))), encoding="utf-8")
+            values.write_text("\n".join(repr(float(n)) for n in numbers(current_document(made))), encoding="utf-8")
             directions, pixels = questions(made)
             asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
             text = "\n".join(" ".join(map(str, one)) for one in asked)
@@ -171,10 +153,10 @@ def test_the_c_evaluator(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")
 def test_the_line_of_jq_in_the_c_evaluator_writes_its_numbers(tmp_path: Path) -> None:
     head = (EVALUATORS / "evaluate_calibration.c").read_text(encoding="utf-8").split("\n\n")[1]
-    (tmp_path / "calibration.json").write_text(json.dumps(document(calibration())), encoding="utf-8")
+    (tmp_path / "calibration.json").write_text(json.dumps(current_document(calibration())), encoding="utf-8")
     subprocess.run(["sh", "-c", head], cwd=tmp_path, check=True)
     written = [float(n) for n in (tmp_path / "calibration.txt").read_text(encoding="utf-8").split()]
-    np.testing.assert_allclose(written, numbers(document(calibration())), rtol=1e-15)
+    np.testing.assert_allclose(written, numbers(current_document(calibration())), rtol=1e-15)
     (tmp_path / "calibration.txt").write_text("1 2 3", encoding="utf-8")
     program = tmp_path / "evaluate"
     subprocess.run(["cc", str(EVALUATORS / "evaluate_calibration.c"), "-lm", "-o", program], check=True)
@@ -217,7 +199,7 @@ def in_another_language(tmp_path: Path, command: list[str], script: str) -> None
     cases = [calibration(projection, mirrored=k % 2 == 1) for k, projection in enumerate(PROJECTIONS)]
     for k, made in enumerate(cases, 1):
         directions, pixels = questions(made)
-        (tmp_path / f"{k}.json").write_text(json.dumps(document(made)), encoding="utf-8")
+        (tmp_path / f"{k}.json").write_text(json.dumps(current_document(made)), encoding="utf-8")
         asked = {"directions": directions.tolist(), "pixels": pixels.tolist()}
         (tmp_path / f"{k}.asked.json").write_text(json.dumps(asked), encoding="utf-8")
     filled = script.replace("FOLDER", f"'{EVALUATORS}'").replace("COUNT", str(len(cases)))
@@ -267,13 +249,13 @@ def changed(read: dict[str, Any], path: tuple[str, ...], value: object) -> dict[
 
 def test_documents_keep_to_the_schema(validator: Any) -> None:  # noqa: ANN401 - the library's
     for projection in PROJECTIONS:
-        validator.validate(document(calibration(projection)))
+        validator.validate(current_document(calibration(projection)))
 
 
 def test_whatever_the_schema_lets_pass_can_be_read_and_what_it_refuses_of_the_model_cannot(
     validator: Any,  # noqa: ANN401 - the library's
 ) -> None:
-    read = document(calibration())
+    read = current_document(calibration())
     refused = 0
     for path in keys(read):
         for value in (..., "text", [1.0], None):

@@ -124,16 +124,17 @@ class _Written:
         last = self._last
         if last is None or last[0] is not record:
             text = _text(record)
-            last = self._last = record, text, _tag(text)
+            last = self._last = record, text, etag_of(text)
         return _with_tag(last[1], last[2], if_none_match)
 
 
 def tagged(content: bytes, if_none_match: str | None) -> Response:
     """Return JSON with a tag of its content; nothing but the tag to a client that has it."""
-    return _with_tag(content, _tag(content), if_none_match)
+    return _with_tag(content, etag_of(content), if_none_match)
 
 
-def _tag(content: bytes) -> str:
+def etag_of(content: bytes) -> str:
+    """Return the ETag of what this content is, or decides."""
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 

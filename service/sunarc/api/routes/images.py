@@ -13,6 +13,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
+from numpy.typing import NDArray
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import Fault, RefusedError, answers
@@ -90,9 +91,10 @@ def image_routes(context: ApiContext) -> APIRouter:
     ) -> Response:
         """Return a composite: whole, or the range that is asked for."""
         kind = format_ or ("jpeg" if width else _accepted(request.headers.get("accept")))
-        path = composite_file(context.of(request), time, kind if width is None else "jpeg")
+        selected = context.of(request)
+        path = composite_file(selected, time, kind if width is None else "jpeg")
         tag = f'"{path.stem}-{kind}-{width or 0}"'
-        headers = _headers(context.of(request), time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
+        headers = _headers(selected, time, path) | {"etag": tag, "cache-control": _IMMUTABLE}
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
         if width is None:
@@ -134,6 +136,14 @@ def composite_file(context: ApiContext, time: datetime, kind: Kind) -> Path:
     raise NotFoundError(field="time", problem=f"no {kind} of {rfc3339(time)}", remedy="see /v1/images for what is kept")
 
 
+def decoded_preview(path: Path) -> NDArray[np.uint8]:
+    """Return the pixels (rows, columns, 3) of a preview, blue, green, red."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise OutsideError(f"the image {path.name} cannot be decoded")
+    return np.asarray(image, dtype=np.uint8)
+
+
 def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
     answering = context.record_or_none(time)
     headers = {"sunarc-time": rfc3339(time)}
@@ -164,12 +174,10 @@ def _require_range(text: str | None, path: Path) -> None:
 
 def _thumbnail(path: Path, width: int, kind: Kind) -> bytes:
     """Return a preview of at most a width in px, 8 bits, as a file of a kind."""
-    picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise OutsideError(f"the image {path.name} cannot be decoded")
+    picture = decoded_preview(path)
     height, whole = picture.shape[:2]
     if width < whole:
         size = (width, max(1, round(height * width / whole)))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
     quality = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if kind == "jpeg" else []
     return bytes(cv2.imencode(f".{kind}", picture, quality)[1].tobytes())

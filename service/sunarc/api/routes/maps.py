@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import mmap
 import tempfile
@@ -23,7 +22,7 @@ from sunarc.api.context import ApiContext, SingleFlightCache
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.middleware.holdings import Holding, Holdings
 from sunarc.api.problems import answers
-from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.calibrations import etag_of, matches
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
@@ -70,7 +69,7 @@ def map_routes(context: ApiContext) -> APIRouter:
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return every pixel's direction and 1-sigma, now or at the moment `at`, and where the sun then dazzles."""
-        selected, record = await run_in_threadpool(_selected, context, request, at)
+        selected, record = await run_in_threadpool(context.answering, request, at)
         sun = None if sun_radius_deg is None else (at or selected.frame_clock(), sun_radius_deg)
         site = None if sun is None else await run_in_threadpool(selected.site_at, sun[0])
         requested = _Map(context=selected, record=record, format=format_, sun=sun, site=site)
@@ -92,11 +91,6 @@ async def _made(
     making.require_room(client)
     async with making.slot(client):
         return await run_in_threadpool(files.get, requested)
-
-
-def _selected(context: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
-    selected = context.of(request)
-    return selected, selected.record(at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +148,7 @@ def _tag(requested: _Map) -> str:
     path = context.options.obstruction_mask if record.camera == context.camera else None
     changed = path.stat().st_mtime_ns if path is not None and path.exists() else None
     parts = (record.id, sunarc.__version__, requested.format, requested.sun, requested.site, path, changed)
-    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
+    return etag_of(repr(parts).encode())
 
 
 def _sun_mask(site: Site, time: datetime, radius_deg: float, found: BackProjectionMap) -> dict[str, Variable]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from datetime import datetime
-from http import HTTPStatus
 from typing import Annotated, Any
 
 import cv2
@@ -17,10 +15,10 @@ from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
-from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import answers
-from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
+from sunarc.api.routes.in_slot import Tagged, made_in_slot
 from sunarc.api.routes.maps import hidden_by_obstructions
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
@@ -53,8 +51,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
         request: Request, at: datetime | None, if_none_match: str | None, *, name: str, limit: float
     ) -> Response:
         """Return a mask, or 304: a threshold on the cosine of the angle to the sun, or of the zenith angle."""
-        selected = context.of(request)
-        record = await run_in_threadpool(selected.record, at)
+        selected, record = await run_in_threadpool(context.answering, request, at)
         time = at or selected.frame_clock()
         axis = np.array([0.0, 0.0, 1.0])
         if name == "sun":
@@ -62,14 +59,14 @@ def mask_routes(context: ApiContext) -> APIRouter:
             axis = np.asarray(sun_directions(time.timestamp(), site))
         hidden = await run_in_threadpool(hidden_by_obstructions, selected, record) if name == "horizon" else None
         key = repr((name, record.id, limit, axis.tolist(), None if hidden is None else hidden.tobytes()))
-        headers = {"etag": f'"{hashlib.sha256(key.encode()).hexdigest()[:32]}"', "sunarc-calibration": record.id}
-        if matches(if_none_match, headers["etag"]):
-            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
-        client = client_network(request.scope)
-        slots.require_room(client)
-        async with slots.slot(client):
-            content = await run_in_threadpool(_mask, selected, record, axis, limit, hidden)
-        return Response(content, media_type="image/png", headers=headers | {"cache-control": "no-cache"})
+        headers = {"etag": etag_of(key.encode()), "sunarc-calibration": record.id}
+        asked = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+
+        def made() -> Response:
+            content = _mask(selected, record, axis, limit, hidden)
+            return Response(content, media_type="image/png", headers=headers | {"cache-control": "no-cache"})
+
+        return await made_in_slot(slots, asked, made)
 
     @routes.get("/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422))
     async def sun(

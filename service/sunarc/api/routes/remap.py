@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
-from http import HTTPStatus
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
-from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
-from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import answers
-from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
-from sunarc.api.routes.images import Captured, composite_file
+from sunarc.api.routes.images import Captured, composite_file, decoded_preview
+from sunarc.api.routes.in_slot import Tagged, made_in_slot
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError
 from sunarc.exports import MEDIA_TYPES, MapFormat, Table, Variable, netcdf_bytes, npz_bytes
-from sunarc.exports.remap import ground_grid, remap_tables, sky_grid
+from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
 from sunarc.geolocation import clouds
 from sunarc.optics import Camera
 
-Grid = Literal["sky", "ground"]
-
-_LARGEST_ZENITH = math.radians(78.0)
-"""Out to which a ground grid reaches unless given, as `sunarc rectify` does."""
 _HEIGHT_M = 1000.0
 """Of a cloud base where none is given, m: that of fair-weather cumulus; the header `Sunarc-Height-M` tells it."""
 _CELLS = 24
@@ -95,18 +88,16 @@ class _Asked:
 
     def directions(self, size: int) -> FloatArray:
         """Return the directions (size, size, 3) of the grid, with another number of cells."""
-        if self.grid == "sky":
-            return sky_grid(size)
-        return ground_grid(size, half_width_m=self.width(), height_m=self.height_m)
+        return grid_directions(self.grid, size, half_width_m=self.width(), height_m=self.height_m)
 
     def width(self) -> float:
         """Return the half width of the ground grid, m."""
-        return self.half_width_m or self.height_m * math.tan(_LARGEST_ZENITH)
+        return self.half_width_m or reach_m(self.height_m)
 
     def tag(self, *more: str) -> str:
         """Return what changes with the grid and with what else is named."""
         text = json.dumps([self.grid, self.size, self.height_m, self.half_width_m, *more])
-        return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+        return etag_of(text.encode())
 
 
 def remap_routes(context: ApiContext) -> APIRouter:
@@ -128,10 +119,12 @@ def remap_routes(context: ApiContext) -> APIRouter:
     ) -> Response:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
-        selected, record = await run_in_threadpool(_answering, context, request, at)
-        made = partial(_tables, selected, record, asked, format_)
-        question = _Question(request=request, tag=asked.tag(record.id, format_), if_none_match=if_none_match)
-        return await _made(slots, question, made, partial(_stated, selected, record, asked), MEDIA_TYPES[format_])
+        selected, record = await run_in_threadpool(context.answering, request, at)
+        headers = {"etag": asked.tag(record.id, format_)}
+        tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        content = partial(_tables, selected, record, asked, format_)
+        stated = partial(_stated, selected, record, asked)
+        return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, MEDIA_TYPES[format_]))
 
     @routes.get(
         "/images/{time}/rectified",
@@ -151,46 +144,22 @@ def remap_routes(context: ApiContext) -> APIRouter:
     ) -> Response:
         """Return a composite's preview on the grid, north at the top and east at the right, by what answered then."""
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
-        selected, record = await run_in_threadpool(_answering, context, request, time)
+        selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(composite_file, selected, time, "jpeg")
-        made = partial(_picture, selected, record, asked, str(path))
-        question = _Question(request=request, tag=asked.tag(record.id, path.stem), if_none_match=if_none_match)
-        return await _made(slots, question, made, partial(_stated, selected, record, asked), "image/png")
+        headers = {"etag": asked.tag(record.id, path.stem)}
+        tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        content = partial(_picture, selected, record, asked, path)
+        stated = partial(_stated, selected, record, asked)
+        return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, "image/png"))
 
     return routes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Question:
-    """A request for what has a tag, and the tags that the client has."""
-
-    request: Request
-    tag: str
-    if_none_match: str | None
-
-
-async def _made(
-    slots: ComputeSlots,
-    question: _Question,
-    content: Callable[[], bytes],
-    headers: Callable[[], dict[str, str]],
-    media_type: str,
+def _answer(
+    tagged: Tagged, content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str
 ) -> Response:
-    """Return what is made in a slot, or 304 where the client has it."""
-    if matches(question.if_none_match, question.tag):
-        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers={"etag": question.tag})
-    client = client_network(question.request.scope)
-    slots.require_room(client)
-    async with slots.slot(client):
-        made = await run_in_threadpool(content)
-        stated = await run_in_threadpool(headers)
-    stated |= {"etag": question.tag, "cache-control": "private, no-cache"}
-    return Response(made, media_type=media_type, headers=stated)
-
-
-def _answering(context: ApiContext, request: Request, at: datetime | None) -> tuple[ApiContext, CalibrationRecord]:
-    selected = context.of(request)
-    return selected, selected.record(at)
+    headers = {**stated(), **tagged.headers, "cache-control": "private, no-cache"}
+    return Response(content(), media_type=media_type, headers=headers)
 
 
 def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
@@ -215,24 +184,14 @@ def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, forma
     return netcdf_bytes(table) if format_ == "netcdf" else npz_bytes(table)
 
 
-def _preview(path: str) -> NDArray[np.uint8]:
-    image = cv2.imread(path, cv2.IMREAD_COLOR)
-    if image is None:
-        raise OutsideError(f"the image {path} cannot be decoded")
-    return np.asarray(image, dtype=np.uint8)
-
-
-def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path: str) -> bytes:
-    image = _preview(path)
-    camera = _camera(context, record)
+def _picture(context: ApiContext, record: CalibrationRecord, asked: _Asked, path: Path) -> bytes:
+    image, camera = decoded_preview(path), _camera(context, record)
     if image.shape[:2] != (camera.height, camera.width):
         problem = (
             f"an image of {image.shape[1]}x{image.shape[0]} px, the calibration is of {camera.width}x{camera.height}"
         )
         raise InputError(field="time", problem=problem, remedy="choose a calibration of that camera, see calibration=")
-    map_x, map_y = remap_tables(camera, asked.directions(asked.size))
-    found = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    found[map_x < -0.5] = 0
+    found = remapped(image, *remap_tables(camera, asked.directions(asked.size)))
     return bytes(cv2.imencode(".png", found)[1].tobytes())
 
 

@@ -45,7 +45,7 @@ class Sighting:
     unix_s : mid-exposure.
     pixel : x, y, px.
     direction : where the sun was, east-north-up.
-    sigma_px : stated 1-sigma per axis; NaN where nobody states one.
+    sigma_px : stated 1-sigma per axis; NaN where none is stated.
     """
 
     unix_s: float

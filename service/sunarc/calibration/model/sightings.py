@@ -43,7 +43,7 @@ class SunPoints:
     ----------
     unix_s : (n,) mid-exposure times, seconds since 1970-01-01 UTC.
     pixels : (n, 2) where the sun's centre was seen, px.
-    sigma_px : (n,) stated 1-sigma per axis, px; NaN where nobody states one. Fits trust their ratios and find
+    sigma_px : (n,) stated 1-sigma per axis, px; NaN where none is stated. Fits trust their ratios and find
         their common scale themselves.
     epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
@@ -116,7 +116,7 @@ class FilteredSightings:
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
     dropped : how many were left out, a finding for each cause.
     static : positions that do not move with the sun, left out.
-    stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where nobody states one.
+    stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where none is stated.
     """
 
     index: IntArray

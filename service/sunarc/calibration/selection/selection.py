@@ -174,7 +174,7 @@ def _patches(unix_s: FloatArray, site: Site, width_deg: float) -> IntArray:
 
 
 def _grade(sigma_px: FloatArray, member: IntArray, count: IntArray) -> IntArray:
-    """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where nobody states one."""
+    """Return how often a pass's sigma is twice the record's usual one: 0, 1, …; 0 where none is stated."""
     has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
     if not np.any(has_sigma):
         return np.zeros(count.size, dtype=np.int64)
