@@ -178,6 +178,21 @@ def test_after_a_move_the_lens_can_be_kept_and_the_pose_alone_fitted(
     assert sunarc("calibrate", str(moved), *AT_SGP, "--pose-only").code == 2
 
 
+def test_a_camera_of_another_program_is_a_prior_for_few_sightings(sunarc: Sunarc, points: Path, tmp_path: Path) -> None:
+    document, start = tmp_path / "document.json", tmp_path / "camera.cameramodel"
+    document.write_text(sunarc("calibrate", str(points), *AT_SGP, "--json").out)
+    assert sunarc("export", "--calibration", str(document), "--format", "mrcal", "-o", str(start)).code == 0
+    few = tmp_path / "few.csv"
+    few.write_text("".join(points.read_text().splitlines(keepends=True)[:6]))
+    named = ("calibrate", str(few), *AT_SGP, "--start", str(start))
+    found = sunarc(*named, "--lens-within", "0.5", "--pose-within", "0.1", "--json")
+    assert found.code == 0, found.err
+    assert json.loads(found.out)["evidence"]["options"]["prior"]["lens_px"] == 0.5
+    assert sunarc(*named, "--json").code == 1  # five sightings are too few without the prior
+    assert sunarc(*named, "--pose-within", "0.1").code == 2
+    assert sunarc("calibrate", str(few), *AT_SGP, "--lens-within", "0.5").code == 2
+
+
 def test_a_malformed_row_is_named_by_its_line(sunarc: Sunarc, points: Path) -> None:
     points.write_text(points.read_text() + "2013-05-14T18:30:00Z,oops,3,0.02,sun\n")
     answer = sunarc("calibrate", str(points), *AT_SGP)

@@ -15,7 +15,7 @@ import pytest
 from tests.exports.conftest import LENS, document_of
 from tests.fixtures.settings import SGP
 
-from sunarc.calibration import CalibrationOptions
+from sunarc.calibration import CalibrationOptions, PriorTolerances
 from sunarc.errors import InputError
 from sunarc.exports import export
 from sunarc.offline.calibrate_files import _start_camera, calibrate_file, image_circle_of
@@ -82,6 +82,18 @@ def test_a_start_of_the_other_handedness_is_refused(tmp_path: Path, mirrored: An
         _start_camera(start, (1748, 1600), CalibrationOptions(mirrored=mirrored))
     assert refused.value.field == "--start"
     assert _start_camera(start, (1748, 1600), CalibrationOptions(mirrored="auto")).mirrored == hand
+
+
+def test_a_file_without_a_pose_is_no_prior_of_the_pose(tmp_path: Path) -> None:
+    start = tmp_path / "fisheye.yml"
+    content = export(document_of(LENS), "opencv").content
+    start.write_bytes(content.replace(b"rotation_cam_enu", b"rotation_of_another"))
+    path = points_file(tmp_path, "2013-05-13T18:30:00Z,800,700")
+    with pytest.raises(InputError) as refused:
+        calibrated(path, start=start, within=PriorTolerances(lens_px=1.0, pose_deg=1.0))
+    assert refused.value.field == "--pose-within"
+    document = calibrated(path, start=start, within=PriorTolerances(lens_px=1.0))
+    assert document["state"] == "refused"  # of one sighting
 
 
 def test_a_circle_is_read_from_three_numbers() -> None:

@@ -28,7 +28,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Le
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
-from sunarc.calibration.pose import PoseOffset, daily_pose_offset, estimate_pose
+from sunarc.calibration.pose import PoseOffset, PriorTolerances, calibrate_with_prior, daily_pose_offset, estimate_pose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.quality.acceptance import accept, disagreement, distance_px, unseen_points
@@ -70,6 +70,7 @@ __all__ = [
     "PaperOptions",
     "PoseOffset",
     "PoseStep",
+    "PriorTolerances",
     "Provenance",
     "Selection",
     "SelectionOptions",
@@ -81,6 +82,7 @@ __all__ = [
     "back_projection_map",
     "calibrate",
     "calibrate_moved",
+    "calibrate_with_prior",
     "camera_sees",
     "daily_pose_offset",
     "days_left_out",

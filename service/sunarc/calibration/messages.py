@@ -98,6 +98,11 @@ MESSAGES = Messages(
         _REFUSED,
         "check the projection",
     ),
+    prior_contradicted=Message(
+        "the sightings contradict the stated camera: {departure:.1f} times its tolerances (at most {limit:g})",
+        _REFUSED,
+        "check --start, clock, site and mirroring; widen --lens-within or --pose-within, or fit without a prior",
+    ),
     # a fit beside the active one
     first_calibration=Message("first calibration of this camera", "It becomes the active one."),
     direction_sigma_compared=Message(

@@ -50,11 +50,11 @@ def _options(stored: Mapping[str, object]) -> CalibrationOptions:
     if not stored:
         raise InputError(field="evidence.options", problem="are empty", remedy="name a calibration that a fit made")
     named = _named(stored)
-    if named.pop("free", "all") == "pose":
+    if named.pop("free", "all") != "all":
         raise InputError(
             field="evidence.options.free",
-            problem="only the pose was fitted, with another calibration's lens",
-            remedy="solve the calibration that it names as its parent, or pose that lens with --start and --pose-only",
+            problem="only the pose was fitted, with another calibration's lens, or the camera about a stated prior",
+            remedy="solve the calibration that it names as its parent, or name that camera again with --start",
         )
     lens, paper = LensTolerances(**named.pop("tolerances")), PaperOptions(**named.pop("paper"))
     return CalibrationOptions(**named, tolerances=lens, paper=paper)

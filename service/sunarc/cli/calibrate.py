@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 
-from sunarc.calibration import CalibrationOptions
+from sunarc.calibration import CalibrationOptions, PriorTolerances
 from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
@@ -20,6 +20,7 @@ from sunarc.runtime.clock import SystemClock
 from sunarc.settings import Settings, load_settings
 from sunarc.sky import Site
 
+PRIOR = "A start as a prior"
 Value = TypeVar("Value")
 
 
@@ -50,6 +51,20 @@ def calibrate(
     pose_only: Annotated[
         bool, typer.Option("--pose-only", help="Keep that camera's lens; fit the pose alone.")
     ] = False,
+    lens_within: Annotated[
+        float | None,
+        typer.Option(help="Take --start as a prior: 1-sigma of its image near the horizon, px.", rich_help_panel=PRIOR),
+    ] = None,
+    pose_within: Annotated[
+        float | None,
+        typer.Option(help="1-sigma of its rotation, degrees; unknown unless given.", rich_help_panel=PRIOR),
+    ] = None,
+    focal_within: Annotated[
+        float | None,
+        typer.Option(
+            help="1-sigma of its focal length, relative; by --lens-within unless given.", rich_help_panel=PRIOR
+        ),
+    ] = None,
     plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
     again: Annotated[
         str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
@@ -68,7 +83,19 @@ def calibrate(
         _solve_again(again, config, as_json=as_json)
         return
     if points is None and config is not None:
-        _require_settings_only(latitude, longitude, image_size, image_circle, pressure, start, plots, pose_only or None)
+        _require_settings_only(
+            latitude,
+            longitude,
+            image_size,
+            image_circle,
+            pressure,
+            start,
+            plots,
+            pose_only or None,
+            lens_within,
+            pose_within,
+            focal_within,
+        )
         calibrate_stored(load_settings(config), as_json=as_json)
         return
     points, latitude, longitude = (
@@ -78,6 +105,7 @@ def calibrate(
     )
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
+    within = _prior_tolerances(lens_within, pose_within, focal_within, usable=start is not None and not pose_only)
     document = calibrate_file(
         points,
         site=Site(
@@ -94,6 +122,7 @@ def calibrate(
         circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,
+        within=within,
         plots=plots,
     )
     if as_json:
@@ -104,6 +133,25 @@ def calibrate(
             print(f"drawn: {plots / 'residuals.png'}, {plots / 'sky.png'}")
     if not document["verdict"]["accepted"]:
         raise typer.Exit(1)
+
+
+def _prior_tolerances(
+    lens_px: float | None, pose_deg: float | None, focal_length: float | None, *, usable: bool
+) -> PriorTolerances | None:
+    """Return the tolerances of a start that is a prior, None where none is stated."""
+    if lens_px is None and pose_deg is None and focal_length is None:
+        return None
+    if not usable:
+        raise InputError(
+            field="--lens-within",
+            problem="no prior to hold to",
+            remedy="name a camera with --start, without --pose-only",
+        )
+    if lens_px is None:
+        raise InputError(
+            field="--lens-within", problem="missing beside --pose-within or --focal-within", remedy="give it in px"
+        )
+    return PriorTolerances(lens_px=lens_px, pose_deg=pose_deg, focal_length=focal_length)
 
 
 def _require_settings_only(*options: object) -> None:

@@ -13,8 +13,10 @@ from sunarc.archive import read_sightings
 from sunarc.calibration import (
     CalibrationOptions,
     ImageCircle,
+    PriorTolerances,
     SunPoints,
     calibrate_moved,
+    calibrate_with_prior,
     estimate_pose,
     find_image_circle,
     to_document,
@@ -41,12 +43,13 @@ def calibrate_file(
     circle: ImageCircle | None = None,
     start: Path | None = None,
     pose_only: bool = False,
+    within: PriorTolerances | None = None,
     plots: Path | None = None,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps the lens of the calibration document `start` and fits its
-    pose alone.
+    pose alone; `within` makes `start` a prior of these tolerances.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
@@ -63,6 +66,9 @@ def calibrate_file(
         known = read_calibration(start)
         _require_size(known.camera, image_size)
         solved = estimate_pose(points, start=known, site=site, options=options)
+    elif start is not None and within is not None:
+        prior = _start_camera(start, image_size, options, posed=within.pose_deg is not None)
+        solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
     else:
         begin = None if start is None else _start_camera(start, image_size, options)
         solved, points = calibrate_moved(
@@ -88,9 +94,18 @@ def calibrate_file(
     )
 
 
-def _start_camera(path: Path, image_size: tuple[int, int], options: CalibrationOptions) -> Camera:
-    """Return the camera to begin at: that of a document, or the one closest to what a file of another format says."""
+def _start_camera(
+    path: Path, image_size: tuple[int, int], options: CalibrationOptions, *, posed: bool = False
+) -> Camera:
+    """Return the camera to begin at: that of a document, or the one closest to what a file of another format says.
+
+    `posed` requires that the file has a pose.
+    """
     view = read_view_file(path)
+    if posed and not view.has_pose:
+        raise InputError(
+            field="--pose-within", problem=f"{path.name} has no pose", remedy="leave it out: the pose is sought anew"
+        )
     camera = view.camera
     if camera is None:
         closest, _ = closest_camera(view, projection=options.projection)

@@ -38,7 +38,7 @@ class Job(NamedTuple):
     options: CalibrationOptions
     circle: ImageCircle | None
     start: Camera | None = None
-    free: Literal["all", "pose"] = "all"
+    free: Literal["all", "pose", "prior"] = "all"
 
 
 class Fitted(NamedTuple):

@@ -58,7 +58,8 @@ class Provenance:
     ----------
     days : local mean solar dates, ISO 8601.
     n_supplied, n_used, n_rejected : sightings given, used (with any weight), left out.
-    options : the options of the fit, by name; "free" is what was fitted: "all" of the camera, or a known lens's "pose".
+    options : the options of the fit, by name; "free" is what was fitted: "all" of the camera, a known lens's "pose", or
+        the camera about a stated "prior", whose tolerances are then in "prior".
     sigma_px : noise of a sighting, px per axis, as found.
     inflation : by how much neighbours erring alike inflates a sighting's variance (mean).
     radial_px : scale of the residual radial distortion, as found.

@@ -83,7 +83,7 @@ def estimate_pose(
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))
     fit = fit_pose(start, usable.directions, usable.pixels, noise_px(start, points.sigma_px[usable.index]))
-    fitted = _fitted(fit, start, usable, wander_rad=math.radians(wander_deg))
+    fitted = handed_over(fit, start, usable, wander_rad=math.radians(wander_deg))
     return calibration_from_fit(fitted, job, Handedness(mirrored=start.camera.mirrored, ambiguous=False))
 
 
@@ -105,7 +105,14 @@ class PoseFit:
     sigma_px: float
 
 
-def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sigma_px: FloatArray) -> PoseFit:
+def fit_pose(
+    start: Calibration,
+    directions: FloatArray,
+    pixels: FloatArray,
+    sigma_px: FloatArray,
+    *,
+    turned_rad: float | None = None,
+) -> PoseFit:
     """Return a lens in the pose that sightings ask for.
 
     Parameters
@@ -113,16 +120,18 @@ def fit_pose(start: Calibration, directions: FloatArray, pixels: FloatArray, sig
     start : lens, former pose and what is known of both.
     directions, pixels : (n, 3) where the sun was, (n, 2) where it was seen, in the order of time.
     sigma_px : (n,) 1-sigma per axis of a sighting.
+    turned_rad : 1-sigma of the rotation about each axis since the former pose; None where the camera may have turned
+        by any angle.
     """
     error_model, camera = error_model_of(start), at_every_angle(start.camera)
     density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
     sightings = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
     thin = sightings.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
-    tolerance = _tolerance(error_model, camera, thin)
+    tolerance = tolerance_px(error_model, camera, thin)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
+    scales = _scales_for(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
     base = rotated(camera, rotation)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
-    scales = _scales_for(float(np.linalg.norm(rotation)))
     usual = float(scales[min(1, scales.size - 1)])
     rough, mixture = _settled(error_model.with_free_rotation(-rotation, sigma_rad=usual), base, thin, close)
     worse = _excess_noise(mixture)
@@ -144,7 +153,7 @@ def _scales_for(angle_rad: float) -> FloatArray:
     return _SCALES_RAD[min(int(np.searchsorted(_SCALES_RAD, 0.25 * angle_rad)), _SCALES_RAD.size - 1) :]
 
 
-def _tolerance(error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> FloatArray:
+def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: PredictedSightings) -> FloatArray:
     """Return (n,): how far a true sighting may lie off where the camera has not turned, 1-sigma, px."""
     at = predicted(error_model, camera, sightings.directions)
     model_variance = np.nan_to_num(np.diag(joint_covariance(error_model, at)).reshape(-1, 2).mean(axis=1))
@@ -218,7 +227,7 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
     return replace(fits[0], mean=mean, covariance=covariance, cross=cross)
 
 
-def _fitted(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> Fitted:
+def handed_over(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> Fitted:
     """Return what every method hands over; the turn's axes become those of the rotation vector."""
     error_model, size = fit.error_model, fit.error_model.mean.size
     covariance = error_model.covariance.copy()
