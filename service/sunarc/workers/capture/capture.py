@@ -231,8 +231,7 @@ class CaptureWorker:
         if self._apparent_zenith() >= self._options.sun_zenith_deg:
             return []
         selected = self._sun_exposures.choose(camera.info)
-        frames = [exposer.take_consistent_with(e, normal[:1]) if exposer.has_time() else None for e in selected]
-        taken = [frame for frame in frames if frame is not None]
+        taken = exposer.take_bracket(selected, normal[:1])
         self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
 

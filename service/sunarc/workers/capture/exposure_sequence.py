@@ -92,28 +92,39 @@ class ExposureSequence:
             self._mark_suspect(inconsistency)
         raise CameraLostError(f"frame brightness inconsistent with exposure times: {inconsistency}")
 
-    def take_consistent_with(self, exposure_us: float, references: Sequence[Frame]) -> Frame | None:
-        """Return a frame whose brightness agrees with those of other exposures, or None."""
-        for attempt in range(_ATTEMPTS):
-            if attempt and not self.has_time():
-                break
-            self.report.add(retries=int(attempt > 0))
-            frame = self.take(exposure_us)
-            if frame is None:
-                return None
-            inconsistency = next(
-                (d for reference in references if (d := contradiction(reference, frame)) is not None), None
-            )
-            if inconsistency is None:
-                return frame
-            self._mark_suspect(inconsistency)
-        self.report.add(failures=1)
-        return None
+    def take_bracket(self, exposures_us: Sequence[float], references: Sequence[Frame]) -> list[Frame]:
+        """Return the frames whose brightness agrees with that of other exposures.
+
+        A frame may be too dark to be compared. Where another of the bracket contradicts its stated exposure, the dark
+        one may have had the same wrong exposure: frames before it are dropped, and all where no attempt agrees.
+        """
+        taken: list[Frame] = []
+        for exposure_us in exposures_us:
+            for attempt in range(_ATTEMPTS):
+                if not self.has_time():
+                    return taken
+                self.report.add(retries=int(attempt > 0))
+                frame = self.take(exposure_us)
+                inconsistency = None if frame is None else _contradiction_of_any(references, frame)
+                if inconsistency is None:
+                    taken += [] if frame is None else [frame]
+                    break
+                self._mark_suspect(inconsistency)
+                taken.clear()
+            else:
+                self.report.add(failures=1)
+                return []
+        return taken
 
     def _mark_suspect(self, inconsistency: str) -> None:
         _log.warning("suspect frame: %s", inconsistency)
         self.report.add(doubts=1)
         self.camera.distrust()
+
+
+def _contradiction_of_any(references: Sequence[Frame], frame: Frame) -> str | None:
+    """Return how a frame contradicts the first reference that it does."""
+    return next((d for reference in references if (d := contradiction(reference, frame)) is not None), None)
 
 
 def contradiction(first: Frame, second: Frame) -> str | None:
