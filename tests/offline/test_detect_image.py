@@ -8,6 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import pytest
+from tests.detection.photo.suns import glare_image
 
 from sunarc.detection import Detection
 from sunarc.findings import Finding
@@ -18,11 +19,9 @@ from sunarc.offline.ingest.packed_mask import pack_mask
 SIZE = (60, 50)
 
 
-def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False, stamp: bool = False) -> Task:
-    image = np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8)
-    cv2.imwrite(str(path), image)
-    mask = pack_mask(np.ones((SIZE[1], SIZE[0]), dtype=np.bool_)) if stamp else None
-    return Task(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside, static=mask)
+def task(path: Path, *, level: int = 0, method: Method = "auto", outside: bool = False) -> Task:
+    cv2.imwrite(str(path), np.full((SIZE[1], SIZE[0]), level, dtype=np.uint8))
+    return Task(path=path, exposure_us=20.0, method=method, size=SIZE, outside=outside)
 
 
 @pytest.mark.parametrize(
@@ -38,10 +37,18 @@ def test_an_image_without_the_sun_in_its_field_is_answered_by_the_method_that_wo
     assert [one.code for one in found.findings] == ["sun_outside_image"]
 
 
-def test_an_image_that_is_masked_everywhere_holds_no_sun(tmp_path: Path) -> None:
-    found = detect_in_file(task(tmp_path / "a.png", level=90, stamp=True))
+@pytest.mark.parametrize("hidden", [False, True])
+def test_what_stands_still_takes_no_part(tmp_path: Path, hidden: bool) -> None:  # noqa: FBT001 - a parameter of the test
+    image = glare_image(100.0, 90.0, size=200)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    still = np.zeros(image.shape, dtype=np.bool_)
+    still[60:120, 70:130] = hidden
+    one = Task(path=tmp_path / "a.png", exposure_us=None, method="paper", size=(200, 200), static=pack_mask(still))
+    found = detect_in_file(one)
     assert isinstance(found, Detection)
-    assert (found.method, found.accepted) == ("paper", False)
+    assert found.accepted is not hidden
+    if not hidden:
+        assert (found.x_px, found.y_px) == pytest.approx((100.0, 90.0), abs=1.0)
 
 
 def test_a_refused_image_and_one_that_the_method_cannot_take_are_findings(tmp_path: Path) -> None:

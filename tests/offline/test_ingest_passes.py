@@ -19,7 +19,7 @@ from sunarc.archive import SunPoint, open_archive
 from sunarc.calibration import Calibration, SunPoints, Verdict
 from sunarc.detection import Detection, Expectation
 from sunarc.findings import Finding
-from sunarc.offline.ingest import consensus, detect_image
+from sunarc.offline.ingest import consensus, detect_image, run
 from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
 from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.optics import Camera, project
@@ -118,6 +118,7 @@ def test_a_run_after_the_first_looks_at_nothing_and_fits_nothing(images: Path, m
         draw(images, number, sun_px(number))
     ingested(images, monkeypatch, Fits(TRUTH))
     fits = Fits(TRUTH)
+    monkeypatch.setattr(run, "series_mask", None)  # nor are images read for a mask
     again = ingested(images, monkeypatch, fits)
     assert (again.known, again.accepted, again.rejected, fits.given) == (COUNT, 0, 0, [])
 

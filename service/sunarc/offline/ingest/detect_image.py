@@ -48,7 +48,13 @@ def detect_in_file(task: Task) -> Answer:
         image = read_checked_image(task.path, size=task.size)
         if task.outside:
             return _no_sun(image, task)
-        return detect_in_image(image, method=task.method, expectation=task.expectation, exposure_us=task.exposure_us)
+        return detect_in_image(
+            image,
+            method=task.method,
+            expectation=task.expectation,
+            static=None if task.static is None else task.static.unpacked(),
+            exposure_us=task.exposure_us,
+        )
     except RefusedImageError as error:
         return error.finding
     except InputError as error:

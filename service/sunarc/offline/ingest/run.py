@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from sunarc.archive import Archive, FileSighting, ImageKey, SunPoint, open_archive, sun_point_of, upgrade_present
@@ -133,7 +134,7 @@ def _known(archive: Archive, settings: Settings, index: Index, options: IngestOp
     return {one.key for one in named_now if options.method in {"auto", one.method}}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Run:
     """The passes over a folder.
 
@@ -141,7 +142,6 @@ class Run:
     ----------
     archive, settings, index, options, progress : see `ingest_folder`.
     size : width and height of the camera's images, px; (0, 0) where no header can be read.
-    static : what stands still in the images.
     """
 
     archive: Archive
@@ -150,7 +150,6 @@ class Run:
     options: IngestOptions
     progress: ReportProgress
     size: tuple[int, int]
-    static: PackedMask | None
 
     @staticmethod
     def of(archive: Archive, settings: Settings, index: Index, options: IngestOptions, progress: ReportProgress) -> Run:
@@ -159,17 +158,14 @@ class Run:
         size = usual_size(index.folder, index.images) if camera is None else camera.image_size
         if size is not None and index.images:
             register_camera(archive, settings, size)
-        size = size or (0, 0)
-        static = series_mask(index.folder, index.images, size=size, site=settings.site)
         return Run(
-            archive=archive,
-            settings=settings,
-            index=index,
-            options=options,
-            progress=progress,
-            size=size,
-            static=static,
+            archive=archive, settings=settings, index=index, options=options, progress=progress, size=size or (0, 0)
         )
+
+    @cached_property
+    def static(self) -> PackedMask | None:
+        """What stands still in the images; they are read for it when the first image is to be looked at."""
+        return series_mask(self.index.folder, self.index.images, size=self.size, site=self.settings.site)
 
     def first_pass(self, images: Sequence[ImageFile]) -> list[Skipped]:
         """Look at images without a prediction; return those that are left out."""
