@@ -15,6 +15,9 @@ import pytest
 from numpy.typing import NDArray
 
 from sunarc.archive import ImageStore
+from sunarc.errors import InputError
+from sunarc.exports import compare, read_view
+from sunarc.exports.view import camera_view
 from sunarc.optics import project
 from sunarc.sky import direction_from_angles
 
@@ -58,6 +61,17 @@ def test_the_sky_grid_shows_each_direction_where_the_camera_has_it(made: Made) -
     assert found["map_x"][0, 0] == -1.0
     said = json.loads(str(found["attributes"]))["attributes"]
     assert (said["grid"], said["calibration"]) == ("sky", "second")
+
+
+def test_the_tables_are_read_as_those_of_the_export(made: Made) -> None:
+    camera = made.archive.model("second").camera
+    answer = made.client.get("/v1/remap", params={"size": min(camera.width, camera.height)})
+    found = compare(camera_view(camera), read_view(answer.content, name="remap.npz"))
+    assert 0.0 < found.total.max_px < 0.01
+    assert found.undescribed < 0.01
+    ground = made.client.get("/v1/remap", params={"size": 64, "grid": "ground"})
+    with pytest.raises(InputError, match="not the sky"):
+        read_view(ground.content, name="remap.npz")
 
 
 def test_the_ground_grid_shows_the_cloud_above_each_place(made: Made) -> None:

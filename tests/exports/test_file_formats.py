@@ -179,7 +179,7 @@ def test_the_two_kinds_of_image_hold_the_same() -> None:
 
 def test_opencvs_remap_puts_the_sky_where_the_grid_says() -> None:
     with np.load(io.BytesIO(made("opencv-remap").content)) as file:
-        map_x, map_y, said = file["map_x"], file["map_y"], json.loads(str(file["attributes"]))
+        map_x, map_y, said = file["map_x"], file["map_y"], json.loads(str(file["attributes"]))["attributes"]
     assert (map_x.dtype, map_x.shape, said["image_size"]) == (np.float32, (300, 300), [330, 300])
     assert made("opencv-remap").error in said["notes"][-1]
     x, y = np.meshgrid(np.arange(330.0), np.arange(300.0))

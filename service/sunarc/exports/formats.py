@@ -20,7 +20,7 @@ from sunarc.exports.ocamcalib import calib_results
 from sunarc.exports.opencv import opencv_yaml
 from sunarc.exports.pixel_maps import fits_file, matlab_file, sixteen_bit_files
 from sunarc.exports.reading import read_view
-from sunarc.exports.remap import remap_npz
+from sunarc.exports.remap import remap_table, sky_grid
 from sunarc.exports.tables import calibration_table, map_table, netcdf_bytes, npz_bytes
 from sunarc.exports.text_cameras import colmap_text, require_no_mirror, ros_yaml
 from sunarc.exports.view import camera_view
@@ -114,7 +114,8 @@ def _fisheye_file(calibration: Calibration, document: Mapping[str, Any], notes: 
 def _remap_file(calibration: Calibration, document: Mapping[str, Any], notes: list[str]) -> Written:
     del document
     camera = calibration.camera
-    return {"remap.npz": remap_npz(camera, size=min(camera.width, camera.height), notes=notes)}
+    directions = sky_grid(min(camera.width, camera.height))
+    return {"remap.npz": npz_bytes(remap_table(camera, directions, grid="sky", attributes={"notes": notes}))}
 
 
 def _map_file(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sunarc.array_types import FloatArray, Image
 from sunarc.errors import InputError
+from sunarc.exports.discovery import Table, Variable
 from sunarc.exports.view import View, lens_view
 from sunarc.optics import Camera, project
 
@@ -92,13 +93,15 @@ def remap_tables(camera: Camera, directions: FloatArray) -> tuple[NDArray[np.flo
     return filled[..., 0], filled[..., 1]
 
 
-def remap_npz(camera: Camera, *, size: int, notes: list[str]) -> bytes:
-    """Return an npz file with map_x and map_y of the equidistant map of the sky, and `attributes`, a JSON text."""
-    map_x, map_y = remap_tables(camera, sky_grid(size))
-    attributes = {"grid": "sky", "image_size": [camera.width, camera.height], "notes": notes}
-    target = io.BytesIO()
-    np.savez(target, allow_pickle=False, map_x=map_x, map_y=map_y, attributes=np.array(json.dumps(attributes)))
-    return target.getvalue()
+def remap_table(camera: Camera, directions: FloatArray, *, grid: Grid, attributes: Mapping[str, Any]) -> Table:
+    """Return map_x and map_y of a grid's directions (rows, columns, 3), with what a reader needs of grid and image."""
+    described = {"units": "1", "long_name": "coordinate in px in the image; -1 where the image has nothing"}
+    said = {"grid": grid, "north": "at the top, east at the right", "image_size": [camera.width, camera.height]}
+    tables = zip(("map_x", "map_y"), remap_tables(camera, directions), strict=True)
+    return Table(
+        variables={n: Variable(dimensions=("row", "column"), values=v, attributes=described) for n, v in tables},
+        attributes={"title": f"Tables for cv2.remap: {grid} grid", **said, **attributes},
+    )
 
 
 def is_remap(content: bytes) -> bool:
@@ -111,7 +114,7 @@ def read_remap(content: bytes, *, name: str) -> View:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             tables = np.stack([file["map_x"], file["map_y"]], axis=-1).astype(np.float64)
-            said: Mapping[str, Any] = json.loads(str(file["attributes"]))
+            said: Mapping[str, Any] = json.loads(str(file["attributes"]))["attributes"]
         width, height = (int(value) for value in said["image_size"])
         size = tables.shape[0]
         if said["grid"] != "sky" or tables.shape != (size, size, 2):
@@ -120,7 +123,7 @@ def read_remap(content: bytes, *, name: str) -> View:
         raise InputError(
             field=name,
             problem=f"no remap tables of the sky ({error})",
-            remedy="give an opencv-remap file of sunarc export",
+            remedy="give an opencv-remap file of sunarc export, or /v1/remap?grid=sky",
         ) from None
     return _table_view(np.where(tables < _NOTHING, np.nan, tables), (width, height))
 

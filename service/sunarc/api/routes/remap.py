@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,8 +27,8 @@ from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.exports import MEDIA_TYPES, MapFormat, Table, Variable, netcdf_bytes, npz_bytes
-from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_tables, remapped
+from sunarc.exports import MEDIA_TYPES, MapFormat, netcdf_bytes, npz_bytes
+from sunarc.exports.remap import Grid, grid_directions, reach_m, remap_table, remap_tables, remapped
 from sunarc.geolocation import clouds
 from sunarc.optics import Camera
 
@@ -167,20 +167,10 @@ def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
 
 
 def _tables(context: ApiContext, record: CalibrationRecord, asked: _Asked, format_: MapFormat) -> bytes:
-    map_x, map_y = remap_tables(_camera(context, record), asked.directions(asked.size))
-    attributes: Mapping[str, Any] = {
-        "title": f"Tables for cv2.remap: {asked.grid} grid",
-        "grid": asked.grid,
-        "calibration": record.id,
-        "north": "at the top, east at the right",
-        **({} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}),
-    }
-    described = {"units": "1", "long_name": "coordinate in px in the image; -1 where the image has nothing"}
-    variables = {
-        name: Variable(dimensions=("row", "column"), values=values, attributes=described)
-        for name, values in (("map_x", map_x), ("map_y", map_y))
-    }
-    table = Table(variables=variables, attributes=attributes)
+    of_ground = {} if asked.grid == "sky" else {"height_m": asked.height_m, "half_width_m": asked.width()}
+    attributes = {"calibration": record.id, **of_ground}
+    directions = asked.directions(asked.size)
+    table = remap_table(_camera(context, record), directions, grid=asked.grid, attributes=attributes)
     return netcdf_bytes(table) if format_ == "netcdf" else npz_bytes(table)
 
 
