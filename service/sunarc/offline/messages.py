@@ -8,7 +8,7 @@ from sunarc.findings import Finding, Message, Messages
 _LEFT_OUT = "The image was left out; nothing is stored of it."
 
 MESSAGES = Messages(
-    file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG or TIFF file of 8 or 16 bits"),
+    file_not_image=Message("{error}", _LEFT_OUT, "give a whole PNG, JPEG, TIFF or JPEG 2000 file of 8 or 16 bits"),
     file_truncated=Message("the file ends before its image does", _LEFT_OUT, "copy it again from its source"),
     file_animated=Message("the file has {frames} frames", _LEFT_OUT, "write each frame to a file of its own"),
     file_cmyk=Message("its colours are for print (CMYK)", _LEFT_OUT, "convert it to RGB or grey"),
@@ -24,6 +24,22 @@ MESSAGES = Messages(
     file_copy=Message("another file has the same name, time and exposure", _LEFT_OUT, "none"),
     file_time_pattern=Message("the name does not match {pattern!r}", _LEFT_OUT, "correct --time-pattern"),
     file_time_unknown=Message("no time in its name, sidecar or EXIF", _LEFT_OUT, "give --time-pattern"),
+    file_time_ambiguous=Message(
+        "the date in its name is {day_first} or {month_first}, the day or the month first",
+        _LEFT_OUT,
+        "give --time-pattern, as %d-%m-%Y_%H-%M-%S",
+    ),
+    file_time_zone=Message(
+        "its time {written} has no zone", _LEFT_OUT, "give --utc-offset: the hours that it is ahead of UTC, or 0"
+    ),
+    file_time_units=Message(
+        "its times are in {units!r}", _LEFT_OUT, "give them in UTC, as seconds since 1970-01-01T00:00:00Z"
+    ),
+    file_video_times=Message(
+        "its container does not tell when its {frames} frames ({frames_per_s:.0f} a second) were taken",
+        _LEFT_OUT,
+        'write a sidecar, {{"times_utc": ["…Z"]}} or {{"start_utc": "…Z", "interval_s": 60}}',
+    ),
     file_sidecar=Message("the sidecar cannot be read: {error}", _LEFT_OUT, 'write {{"time_utc": "…Z"}}'),
     file_at_night=Message(
         "the sun was at {zenith_deg:.1f} degrees from the zenith", _LEFT_OUT, "none; or correct --utc-offset"

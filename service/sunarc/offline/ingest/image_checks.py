@@ -17,7 +17,7 @@ from sunarc.findings import Finding
 from sunarc.offline.files import read_file
 from sunarc.offline.messages import RefusedImageError
 
-_FORMATS = ("JPEG", "PNG", "TIFF")  # a JPEG of several images (MPO) opens as JPEG
+_FORMATS = ("JPEG", "PNG", "TIFF", "JPEG2000")  # a JPEG of several images (MPO) opens as JPEG
 _ONE_IMAGE = ("JPEG", "MPO")  # further images of an MPO are previews
 _UPRIGHT = 1
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, b"\xff\xd9"
@@ -37,7 +37,7 @@ def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Im
 
     Parameters
     ----------
-    path : PNG, JPEG or TIFF.
+    path : PNG, JPEG, TIFF or JPEG 2000.
     size : width and height that it must have, px.
 
     Raises
@@ -47,34 +47,39 @@ def read_checked_image(path: Path, *, size: tuple[int, int] | None = None) -> Im
     try:
         encoded = read_file(path)
     except InputError as error:
-        raise _unreadable(path, error.problem) from None
+        raise _unreadable(path.name, error.problem) from None
+    return checked_image(encoded, path.name, size=size)
+
+
+def checked_image(encoded: bytes, name: str, *, size: tuple[int, int] | None = None) -> Image:
+    """Return the image of a file's content; see `read_checked_image`."""
     fault = _header_fault(encoded, size)
     if fault is not None:
-        raise RefusedImageError(path.name, fault)
+        raise RefusedImageError(name, fault)
     try:
         image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is not None and image.dtype == np.uint8:
-        return _opaque(image.astype(np.uint8, copy=False), path)
+        return _opaque(image.astype(np.uint8, copy=False), name)
     if image is not None and image.dtype == np.uint16:
-        return _opaque(image.astype(np.uint16, copy=False), path)
-    raise _unreadable(path, "no image of 8 or 16 bits")
+        return _opaque(image.astype(np.uint16, copy=False), name)
+    raise _unreadable(name, "no image of 8 or 16 bits")
 
 
-def _unreadable(path: Path, error: str) -> RefusedImageError:
-    return RefusedImageError(path.name, Finding("file_not_image", {"error": error}))
+def _unreadable(name: str, error: str) -> RefusedImageError:
+    return RefusedImageError(name, Finding("file_not_image", {"error": error}))
 
 
-def _opaque(image: Image, path: Path) -> Image:
+def _opaque(image: Image, name: str) -> Image:
     """Return an image without its alpha channel; one that is not opaque everywhere is refused."""
     if image.ndim == 2 or image.shape[2] == 3:
         return image
     if image.shape[2] != 4:
-        raise _unreadable(path, f"{image.shape[2]} channels")
+        raise _unreadable(name, f"{image.shape[2]} channels")
     transparent = float(np.mean(image[..., 3] < np.iinfo(image.dtype).max))
     if transparent > 0.0:
-        raise RefusedImageError(path.name, Finding("file_transparent", {"share": transparent}))
+        raise RefusedImageError(name, Finding("file_transparent", {"share": transparent}))
     return image[..., :3]
 
 
@@ -91,7 +96,7 @@ def _header_fault(encoded: bytes, size: tuple[int, int] | None) -> Finding | Non
     try:
         header = _header_of(encoded)
     except (OSError, ValueError, TypeError, SyntaxError, Pictures.DecompressionBombError) as error:
-        return Finding("file_not_image", {"error": f"no PNG, JPEG or TIFF image ({type(error).__name__})"})
+        return Finding("file_not_image", {"error": f"no PNG, JPEG, TIFF or JPEG 2000 image ({type(error).__name__})"})
     width, height = header.size
     wanted = size or header.size
     faults = (

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as Pictures
@@ -16,10 +15,10 @@ from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.imaging import document_of
+from sunarc.offline.image_names import ambiguous_dates, time_in_name
 from sunarc.offline.messages import RefusedImageError
 from sunarc.utc import parse_time
 
-_NAME = re.compile(r"(\d{4})[-_]?(\d{2})[-_]?(\d{2})[-_T ]*(\d{2})[-_:h]?(\d{2})[-_:m]?(\d{2})(\.\d{1,6})?")
 _HEAD_BYTES = 1 << 17
 """A document stands before the image data, and is shorter than a JPEG's comment (64 KiB) or about so."""
 
@@ -53,8 +52,16 @@ def taken(path: Path, naming: Naming) -> tuple[datetime, float | None]:
         return _from_sidecar(sidecar, exposure_us)
     captured_at = _from_document(path) or _from_name(path.name, offset) or _from_exif(path, offset)
     if captured_at is None:
-        raise RefusedImageError(path.name, Finding("file_time_unknown"))
+        raise RefusedImageError(path.name, no_time_finding(path.name))
     return captured_at, exposure_us
+
+
+def no_time_finding(name: str) -> Finding:
+    """Return why nothing tells the time of a file."""
+    readings = ambiguous_dates(name)
+    if readings is None:
+        return Finding("file_time_unknown")
+    return Finding("file_time_ambiguous", {"day_first": readings[0], "month_first": readings[1]})
 
 
 def _from_document(path: Path) -> datetime | None:
@@ -74,27 +81,35 @@ def _from_document(path: Path) -> datetime | None:
 
 
 def _from_name(name: str, offset: timedelta) -> datetime | None:
-    match = _NAME.search(name)
-    if match is None:
-        return None
-    *numbers, fraction = match.groups()
+    named = time_in_name(name)
     try:
-        time = datetime(*(int(number) for number in numbers), tzinfo=UTC)  # type: ignore[misc,arg-type]
-        time += timedelta(seconds=float(fraction or 0.0))
-        return time if name[match.end() :].startswith("Z") else time - offset
-    except (ValueError, OverflowError):
+        return None if named is None else named.utc(offset)
+    except OverflowError:
         return None
 
 
 def _from_sidecar(path: Path, exposure_us: float | None) -> tuple[datetime, float | None]:
     try:
-        sidecar: dict[str, Any] = json.loads(path.read_text())
-        exposure = _exposure(sidecar.get("exposure_us", exposure_us), where=f"{path.name}, exposure_us")
-        return parse_time(str(sidecar["time_utc"]), where=f"{path.name}, time_utc"), exposure
+        return sidecar_time(path.read_bytes(), path.name, exposure_us)
+    except OSError:
+        raise RefusedImageError(path.name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
+
+
+def sidecar_time(text: bytes, name: str, exposure_us: float | None) -> tuple[datetime, float | None]:
+    """Return the time that a sidecar states, and the exposure (us): its own, or the one given.
+
+    Raises
+    ------
+    RefusedImageError : it has no time, or one of its values is none.
+    """
+    try:
+        sidecar: dict[str, Any] = json.loads(text)
+        exposure = _exposure(sidecar.get("exposure_us", exposure_us), where=f"{name}, exposure_us")
+        return parse_time(str(sidecar["time_utc"]), where=f"{name}, time_utc"), exposure
     except InputError as error:
         raise RefusedImageError(error.field, Finding("file_sidecar", {"error": error.problem})) from None
-    except (ValueError, KeyError, AttributeError, OSError):
-        raise RefusedImageError(path.name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
+    except (ValueError, KeyError, AttributeError):
+        raise RefusedImageError(name, Finding("file_sidecar", {"error": "no JSON with time_utc"})) from None
 
 
 def _exposure(value: object, *, where: str) -> float | None:
@@ -107,8 +122,17 @@ def _exposure(value: object, *, where: str) -> float | None:
 
 
 def _from_exif(path: Path, offset: timedelta) -> datetime | None:
+    time = exif_time(path)
     try:
-        with Pictures.open(path) as picture:
+        return None if time is None else _zoned(time, offset)
+    except OverflowError:
+        return None
+
+
+def exif_time(file: Path | BinaryIO) -> datetime | None:
+    """Return the time in a picture's EXIF: aware where that has a zone, else naive; None where it has no time."""
+    try:
+        with Pictures.open(file) as picture:
             tags = picture.getexif()
             details = tags.get_ifd(ExifTags.IFD.Exif)
     except (OSError, UnidentifiedImageError, ValueError):
@@ -116,10 +140,8 @@ def _from_exif(path: Path, offset: timedelta) -> datetime | None:
     text = details.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
     zone = details.get(ExifTags.Base.OffsetTimeOriginal)
     try:
-        time = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - zoned below
-        if zone:
-            return datetime.fromisoformat(time.isoformat() + str(zone)).astimezone(UTC)
-        return _zoned(time, offset)
+        time = datetime.strptime(str(text), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 - the zone follows, if there is one
+        return datetime.fromisoformat(time.isoformat() + str(zone)).astimezone(UTC) if zone else time
     except (ValueError, OverflowError):
         return None
 

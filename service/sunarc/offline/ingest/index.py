@@ -18,7 +18,7 @@ from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import RefusedImageError
 from sunarc.sky import Site, sun_angles
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2")
 _SIZES_READ = 100
 """Headers that the image size is decided from: most of them state it."""
 
