@@ -13,8 +13,9 @@ import pytest
 from sunarc.detection import Detection
 from sunarc.findings import Finding
 from sunarc.offline.ingest import detection_pool
-from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file
-from sunarc.offline.ingest.detection_pool import detect_in_pool
+from sunarc.offline.ingest.detect_image import Task
+from sunarc.offline.ingest.detect_stack import detect_in_files
+from sunarc.offline.ingest.detection_pool import Answers, detect_in_pool
 
 N_TASKS = 8
 EXPECTED = ["hidden" if n % 5 else "file_size_differs" for n in range(N_TASKS)]
@@ -30,41 +31,41 @@ def tasks(folder: Path) -> list[Task]:
     return made
 
 
-def dying(task: Task) -> Answer:
+def dying(task: Task) -> Answers:
     """Do as a process does that the kernel ends on one image."""
     if task.path.name == "2.png":
         os.kill(os.getpid(), signal.SIGKILL)
-    return detect_in_file(task)
+    return detect_in_files(task)
 
 
-def blocking(_task: Task) -> Answer:
+def blocking(_task: Task) -> Answers:
     """Answer which signals a process does not receive."""
-    return Finding("blocked", {"signals": " ".join(map(str, signal.pthread_sigmask(signal.SIG_BLOCK, [])))})
+    return (Finding("blocked", {"signals": " ".join(map(str, signal.pthread_sigmask(signal.SIG_BLOCK, [])))}),)
 
 
-def codes(answers: list[Answer]) -> list[str]:
-    return [one.code if isinstance(one, Finding) else one.verdict for one in answers]
+def codes(answers: list[Answers]) -> list[str]:
+    return [one.code if isinstance(one, Finding) else one.verdict for answered in answers for one in answered]
 
 
 def test_few_images_are_looked_at_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detection_pool, "_pool", None)
     here = list(detect_in_pool(tasks(tmp_path), n_tasks=4, processes=2))
     assert codes(here) == EXPECTED
-    assert all(one.exposure_us == 20.0 for one in here if isinstance(one, Detection))
+    assert all(one.exposure_us == 20.0 for (one,) in here if isinstance(one, Detection))
 
 
 def test_answers_keep_the_order_and_an_image_that_kills_its_process_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detection_pool, "detect_in_file", dying)
+    monkeypatch.setattr(detection_pool, "detect_in_files", dying)
     monkeypatch.setattr(detection_pool, "_AHEAD", 1)
     answers = list(detect_in_pool(tasks(tmp_path), n_tasks=N_TASKS, processes=2))
     assert codes(answers) == [*EXPECTED[:2], "worker_died", *EXPECTED[3:]]
 
 
 def test_an_interrupt_is_for_the_run_and_not_for_its_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detection_pool, "detect_in_file", blocking)
-    answer = detection_pool._alone(tasks(tmp_path)[0])
+    monkeypatch.setattr(detection_pool, "detect_in_files", blocking)
+    (answer,) = detection_pool._alone(tasks(tmp_path)[0])
     assert isinstance(answer, Finding)
     assert str(signal.SIGINT) in str(answer.data["signals"]).split()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

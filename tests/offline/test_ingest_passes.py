@@ -17,9 +17,9 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.archive import SunPoint, open_archive
 from sunarc.calibration import Calibration, SunPoints, Verdict
-from sunarc.detection import Detection, Expectation
+from sunarc.detection import Detection, Expectation, Exposure
 from sunarc.findings import Finding
-from sunarc.offline.ingest import consensus, detect_image, run
+from sunarc.offline.ingest import consensus, detect_image, detect_stack, run
 from sunarc.offline.ingest.run import PREDICTED, UNPREDICTED, IngestOptions, ingest_folder
 from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.optics import Camera, project
@@ -38,14 +38,14 @@ def sun_px(number: int, camera: Camera = CAMERA) -> tuple[float, float]:
     return x, y
 
 
-def draw(folder: Path, number: int, *bright: tuple[float, float]) -> None:
+def draw(folder: Path, number: int, *bright: tuple[float, float], suffix: str = "") -> None:
     """Write an image with bright points; the brightest is what a detector finds without a prediction."""
     image = np.zeros((CAMERA.height, CAMERA.width), dtype=np.uint8)
     for level, (x, y) in zip((255, 200), bright, strict=False):
         image[round(y), round(x)] = level
     folder.mkdir(exist_ok=True)
     time = MORNING + timedelta(minutes=30 * number)
-    cv2.imwrite(str(folder / f"{time:%Y%m%dT%H%M%SZ}.png"), image)
+    cv2.imwrite(str(folder / f"{time:%Y%m%dT%H%M%SZ}{suffix}.png"), image)
 
 
 def find(image: np.ndarray[Any, Any], *, expectation: Expectation | None, **_: object) -> Detection:
@@ -111,6 +111,27 @@ def test_a_ghost_is_replaced_by_the_sun_beside_it_and_a_ghost_alone_is_rejected(
     accepted = [point for point in stored(images) if point.accepted]
     assert max(errors_px(accepted)) < 1.0
     assert {point.ingest_pass for point in stored(images)} == {PREDICTED}
+
+
+def test_a_stack_is_looked_at_again_as_a_whole_where_its_sighting_is_a_ghost(
+    images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked_at: list[tuple[int, bool]] = []
+
+    def find_in_stack(exposures: list[Exposure], *, expectation: Expectation | None, **_: object) -> Detection:
+        looked_at.append((len(exposures), expectation is not None))
+        return find(exposures[0].image, expectation=expectation)
+
+    monkeypatch.setattr(detect_stack, "detect_sun_in_stack", find_in_stack)
+    for number in range(COUNT):
+        for exposure in ("20us", "5us"):
+            draw(images, number, *{3: ((40.0, 60.0), sun_px(3))}.get(number, (sun_px(number),)), suffix=f"_{exposure}")
+    summary = ingested(images, monkeypatch, Fits(TRUTH), method="paper")
+    assert (summary.accepted, summary.rejected, summary.stacked) == (COUNT, 0, COUNT)
+    assert looked_at == [(2, False)] * COUNT + [(2, True)]
+    points = stored(images)
+    assert {point.ingest_pass for point in points} == {PREDICTED}
+    assert max(errors_px([point for point in points if point.accepted])) < 1.0
 
 
 def test_a_run_after_the_first_looks_at_nothing_and_fits_nothing(images: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,8 +113,9 @@ def _print_summary(summary: Summary) -> None:
     rows = [[verdict, str(n)] for verdict, n in summary.by_verdict.items()]
     rows += [[f"skipped: {code}", str(n)] for code, n in summary.by_reason.items()]
     Console(soft_wrap=True).print(table(("verdict", "images"), rows))
+    stacked = f"{summary.stacked} in stacks, " if summary.stacked else ""
     print(
-        f"{summary.accepted} accepted, {summary.rejected} rejected, {summary.known} known already, "
+        f"{summary.accepted} accepted, {summary.rejected} rejected, {stacked}{summary.known} known already, "
         f"{len(summary.skipped)} skipped"
     )
     for finding in summary.camera_findings:

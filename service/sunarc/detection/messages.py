@@ -62,6 +62,7 @@ MESSAGES = Messages(
     # ordinary images
     blob_found=Message("a bright region of {diameter_px:.0f} px, round in {share:.2f} of the directions", _ACCEPTED),
     stack_mean=Message("mean of {frames} exposures, chi² {chi2:.1f} a degree of freedom", _ACCEPTED),
+    stack_member=Message("an exposure of a stack whose sighting is that of {file}", "It counts there.", "none"),
     image_dark=Message("the brightest pixel is {peak:.2f} of full scale", _NO_SUN),
     image_saturated=Message("more than half of the image is saturated", _NO_SUN),
     no_round_region=Message("no bright region is round", _NO_SUN),

@@ -23,6 +23,7 @@ Verdict = Literal[
     "elsewhere",
     "frozen",
     "no_frame",
+    "in_stack",
 ]
 Bayer = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 BAYERS: tuple[Bayer, ...] = get_args(Bayer)

@@ -6,24 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from tests.detection.photo.suns import SUN, exposed
 from tests.finding_codes import codes
 
 from sunarc.detection import Exposure, detect_sun_in_photo, detect_sun_in_stack
 from sunarc.errors import InputError
-
-SUN = (151.3, 128.6)
-
-
-def exposed(exposure: float, *, slope: float = 0.0, disc_px: float = 3.0, seed: int = 0) -> NDArray[np.uint8]:
-    """Return an image of 8 bits with a tone curve: disc, glare, sky with a slope across."""
-    rows, columns = np.mgrid[:300, :300]
-    far = np.hypot(columns - SUN[0], rows - SUN[1])
-    disc = 400.0 / (1.0 + np.exp(np.clip((far - disc_px) / 0.4, -50.0, 50.0)))
-    sky = 0.05 * (1.0 + slope * (columns - SUN[0]) / 100.0)
-    light = exposure * (disc + 8.0 / (1.0 + (far / 6.0) ** 2) + 0.5 / (1.0 + far / 40.0) + np.clip(sky, 0.0, None))
-    light += np.random.default_rng(seed).normal(0.0, 0.002, light.shape)
-    return np.asarray(np.round(255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)), dtype=np.uint8)
 
 
 def stack(exposures: tuple[float, ...], slope: float = 0.0) -> list[Exposure]:
@@ -47,6 +34,16 @@ def test_the_order_does_not_matter() -> None:
     frames = stack((1.0, 0.1, 0.01))
     one, other = (detect_sun_in_stack(each, full_scale=255) for each in (frames, frames[::-1]))
     assert (one.x_px, one.y_px, one.sigma_px) == pytest.approx((other.x_px, other.y_px, other.sigma_px))
+
+
+def test_without_times_the_lighter_exposure_is_the_longer_one() -> None:
+    frames = stack((1.0, 0.1, 0.01))
+    timed = detect_sun_in_stack(frames, full_scale=255)
+    untimed = detect_sun_in_stack([frames[1], frames[0]._replace(exposure_us=None), frames[2]], full_scale=255)
+    assert (untimed.x_px, untimed.y_px) == pytest.approx((timed.x_px, timed.y_px))
+    short = [exposed(e, seed=3) for e in (0.005, 0.01)]
+    for frames in ([Exposure(one, None) for one in short], [Exposure(one, None) for one in short[::-1]]):
+        assert detect_sun_in_stack(frames, full_scale=255) == detect_sun_in_photo(short[1], full_scale=255)
 
 
 def test_one_exposure_is_an_ordinary_image() -> None:

@@ -23,10 +23,10 @@ _AGREE_SIGMAS, _AGREE_RADIUS = 4.0, 0.35
 
 
 class Exposure(NamedTuple):
-    """An image, as `detect_sun_in_photo` takes it, and its exposure time."""
+    """An image, as `detect_sun_in_photo` takes it, and its exposure time; None where that is not known."""
 
     image: Image
-    exposure_us: float
+    exposure_us: float | None
 
 
 def detect_sun_in_stack(
@@ -41,7 +41,7 @@ def detect_sun_in_stack(
 
     Parameters
     ----------
-    exposures : images of one size, in any order.
+    exposures : images of one size, in any order; where not all times are known, the lighter one is the longer one.
     full_scale, expectation, static, bayer : as in `detect_sun_in_photo`.
 
     Returns
@@ -58,7 +58,7 @@ def detect_sun_in_stack(
         raise InputError(field="exposures", problem="none is given", remedy="give the images of one time")
     if len({each.image.shape for each in exposures}) > 1:
         raise InputError(field="exposures", problem="several sizes", remedy="give images of one size")
-    ordered = sorted(exposures, key=lambda each: -each.exposure_us)
+    ordered = _longest_first(exposures)
     seen = [
         detect_sun_in_photo(
             each.image,
@@ -82,6 +82,13 @@ def detect_sun_in_stack(
     return _mean(anchor, agreeing)
 
 
+def _longest_first(exposures: Sequence[Exposure]) -> list[Exposure]:
+    known = [each.exposure_us for each in exposures if each.exposure_us is not None]
+    lengths = known if len(known) == len(exposures) else [float(np.mean(each.image)) for each in exposures]
+    order = sorted(range(len(exposures)), key=lambda number: -lengths[number])
+    return [exposures[number] for number in order]
+
+
 def _nearest(
     image: Image, anchor: Detection, *, full_scale: int, static: BoolArray | None, bayer: Bayer | None
 ) -> Candidate | None:
@@ -99,7 +106,7 @@ def _agrees(seen: Candidate, anchor: Detection) -> bool:
     return distance <= max(reach, _AGREE_RADIUS * max(seen.rim.radius, anchor.radius_px or 0.0))
 
 
-def _mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float]]) -> Detection:
+def _mean(anchor: Detection, agreeing: Sequence[tuple[Candidate, float | None]]) -> Detection:
     """Return the anchor at the weighted mean of what agrees with it."""
     if len(agreeing) < 2:
         return anchor

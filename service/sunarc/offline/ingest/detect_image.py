@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from sunarc.array_types import Image
 from sunarc.detection import Detection, Expectation
@@ -31,6 +32,7 @@ class Task:
     expectation : where the sun should be; None without a prediction.
     static : what stands still in the series.
     outside : whether the sun should be outside the image, or the camera's field: then nothing in it is the sun.
+    more : further files of the same time, with their exposure times.
     """
 
     path: Path
@@ -40,14 +42,33 @@ class Task:
     expectation: Expectation | None = None
     static: PackedMask | None = None
     outside: bool = False
+    more: tuple[tuple[Path, float | None], ...] = ()
+
+    @property
+    def files(self) -> tuple[tuple[Path, float | None], ...]:
+        """All its files with their exposure times."""
+        return ((self.path, self.exposure_us), *self.more)
 
 
 def detect_in_file(task: Task) -> Answer:
     """Read one image and look for the sun in it."""
+    image = read_for(task)
+    return image if isinstance(image, Finding) else detect_in_read(image, task)
+
+
+def read_for(task: Task) -> Image | Finding:
+    """Return the image of a task, or why it is left out."""
     try:
-        image = read_checked_image(task.path, size=task.size)
-        if task.outside:
-            return _no_sun(image, task)
+        return read_checked_image(task.path, size=task.size)
+    except RefusedImageError as error:
+        return error.finding
+
+
+def detect_in_read(image: Image, task: Task) -> Answer:
+    """Look for the sun in an image that was read."""
+    if task.outside:
+        return no_sun(selected_method(image, task.method, full_scale=full_scale_of(image)), task.exposure_us)
+    try:
         return detect_in_image(
             image,
             method=task.method,
@@ -55,14 +76,11 @@ def detect_in_file(task: Task) -> Answer:
             static=None if task.static is None else task.static.unpacked(),
             exposure_us=task.exposure_us,
         )
-    except RefusedImageError as error:
-        return error.finding
     except InputError as error:
         return Finding("file_not_image", {"error": f"{error.problem}; {error.remedy}"})
 
 
-def _no_sun(image: Image, task: Task) -> Detection:
+def no_sun(method: Literal["disc", "paper"], exposure_us: float | None) -> Detection:
     """Return the answer for an image in which the sun cannot be, by the method that would have looked for it."""
-    method = selected_method(image, task.method, full_scale=full_scale_of(image))
     outside = (Finding("sun_outside_image"),)
-    return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=task.exposure_us)
+    return Detection(method=method, accepted=False, verdict="hidden", findings=outside, exposure_us=exposure_us)

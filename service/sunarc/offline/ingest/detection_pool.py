@@ -15,19 +15,23 @@ from multiprocessing.connection import wait
 import cv2
 
 from sunarc.findings import Finding
-from sunarc.offline.ingest.detect_image import Answer, Task, detect_in_file
+from sunarc.offline.ingest.detect_image import Answer, Task
+from sunarc.offline.ingest.detect_stack import detect_in_files
+
+Answers = tuple[Answer, ...]
+"""An answer for each file of a task."""
 
 _AHEAD = 4
-"""Images handed to each process before the first answer is read: bounds the memory of a long run."""
+"""Tasks handed to each process before the first answer is read: bounds the memory of a long run."""
 
 
-def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> Iterator[Answer]:
+def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> Iterator[Answers]:
     """Yield the answers of the tasks, in their order; fewer than a process is worth are computed here.
 
     An image whose process dies (a fault of a decoder, too little memory) is left out, and the others go on.
     """
     if processes < 2 or n_tasks <= 2 * processes:
-        yield from map(detect_in_file, tasks)
+        yield from map(detect_in_files, tasks)
         return
     waiting = iter(tasks)
     lost: list[Task] | None = []
@@ -37,9 +41,9 @@ def detect_in_pool(tasks: Iterable[Task], *, n_tasks: int, processes: int) -> It
         lost = yield from _until_a_process_dies(waiting, processes)
 
 
-def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[Answer, None, list[Task] | None]:
+def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[Answers, None, list[Task] | None]:
     """Yield answers; return the tasks that were under way when a process died, None when all are done."""
-    under_way: deque[tuple[Task, Future[Answer]]] = deque()
+    under_way: deque[tuple[Task, Future[Answers]]] = deque()
     pool = _pool(processes)
     try:
         for task in tasks:
@@ -57,27 +61,27 @@ def _until_a_process_dies(tasks: Iterator[Task], processes: int) -> Generator[An
     return None
 
 
-def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answer]:
+def _submitted(pool: ProcessPoolExecutor, task: Task) -> Future[Answers]:
     """Return the future answer of a task; a pool that is broken already answers with its error."""
     # The process that this may start inherits the mask: Ctrl-C is for the run, which lets each image be finished.
     former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return pool.submit(detect_in_file, task)
+        return pool.submit(detect_in_files, task)
     except BrokenProcessPool as error:
-        broken = Future[Answer]()
+        broken = Future[Answers]()
         broken.set_exception(error)
         return broken
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
-def _alone(task: Task) -> Answer:
-    """Return the answer of a task in a process of its own; that it died is an answer, too."""
+def _alone(task: Task) -> Answers:
+    """Return the answers of a task in a process of its own; that it died is an answer, too."""
     with _pool(1) as pool:
         try:
             return _submitted(pool, task).result()
         except BrokenProcessPool as error:
-            return Finding("worker_died", {"error": str(error)})
+            return tuple(Finding("worker_died", {"error": str(error)}) for _ in task.files)
 
 
 def _pool(processes: int) -> ProcessPoolExecutor:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from sunarc.archive import Archive, FileSighting, ImageKey, SunPoint, open_archive, sun_point_of, upgrade_present
+from sunarc.calibration import Calibration
 from sunarc.detection import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
@@ -17,9 +18,11 @@ from sunarc.offline.detect_files import Method
 from sunarc.offline.ingest.consensus import Agreed, agreed_cameras, expectations, is_consistent
 from sunarc.offline.ingest.contact_sheet import write_contact_sheet
 from sunarc.offline.ingest.detect_image import Task
+from sunarc.offline.ingest.detect_stack import IN_STACK
 from sunarc.offline.ingest.detection_pool import detect_in_pool
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.index import ImageFile, Index, Skipped, index_folder, usual_size
+from sunarc.offline.ingest.moments import Moment, moments_of
 from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.ingest.series_mask import series_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
@@ -73,7 +76,8 @@ def ingest_folder(
     stands still in the images takes no part.
 
     An image is known by its time, exposure and file name; one that is known is left as it is unless `reprocess` is set
-    or another method is asked for. What was done is in the archive after every few images.
+    or another method is asked for. Images of one time are a stack: they are looked at together, and the first one's
+    sighting is that of all. What was done is in the archive after every few images.
 
     Parameters
     ----------
@@ -96,16 +100,20 @@ def ingest_folder(
     with open_archive(settings.database) as archive:
         known_camera(archive, settings)
         known = _known(archive, settings, index, options)
-        images = [image for image in index.images if options.reprocess or image.key not in known]
+        moments = [
+            moment
+            for moment in moments_of(index.images)
+            if options.reprocess or any(image.key not in known for image in moment)
+        ]
         run = Run.of(archive, settings, index, options, progress)
-        skipped = run.first_pass(images)
+        skipped = run.first_pass(moments)
         camera_findings = run.second_pass()
         found = newest_verdicts(index.images, _stored(archive, settings, index))
     return _summary(
         settings,
         index,
         found,
-        looked_at=images,
+        looked_at=[image for moment in moments for image in moment],
         skipped=[*index.skipped, *skipped],
         camera_findings=camera_findings,
         options=options,
@@ -167,9 +175,9 @@ class Run:
         """What stands still in the images; they are read for it when the first image is to be looked at."""
         return series_mask(self.index.folder, self.index.images, size=self.size, site=self.settings.site)
 
-    def first_pass(self, images: Sequence[ImageFile]) -> list[Skipped]:
+    def first_pass(self, moments: Sequence[Moment]) -> list[Skipped]:
         """Look at images without a prediction; return those that are left out."""
-        return self._detect("detecting", images, None)
+        return self._detect("detecting", moments, None)
 
     def second_pass(self) -> tuple[Finding, ...]:
         """Look again, with a prediction, at images whose sighting is not where the sun should be.
@@ -179,48 +187,60 @@ class Run:
         Why there is no prediction for some of them, or what of the camera has to be set.
         """
         stored = newest_verdicts(self.index.images, _stored(self.archive, self.settings, self.index))
-        waiting = {image: one for image, one in stored.items() if one.ingest_pass == UNPREDICTED}
-        if not waiting:
+        if all(one.ingest_pass != UNPREDICTED for one in stored.values()):
             return ()
         agreed = agreed_cameras(self.archive, self.settings, stored.items())
-        again, expected = list[ImageFile](), list[Expectation | None]()
-        for one in agreed:
-            if one.calibration is not None:
-                images = [image for image, _ in one.found if image in waiting]
-                places = expectations(one.calibration, images, site=self.settings.site)
-                as_expected = {i.key for i, e in zip(images, places, strict=True) if is_consistent(waiting[i], e)}
-                self.archive.mark_predicted(self.settings.name, as_expected, ingest_pass=PREDICTED)
-                again += [image for image in images if image.key not in as_expected]
-                expected += [e for i, e in zip(images, places, strict=True) if i.key not in as_expected]
-        self._detect("with prediction", again, expected)
+        again = [
+            waiting
+            for one in agreed
+            if one.calibration is not None
+            for waiting in self._unexpected(one.calibration, dict(one.found))
+        ]
+        self._detect("with prediction", [moment for moment, _ in again], [expected for _, expected in again])
         cameras = [one.calibration for one in agreed if one.calibration is not None]
         if cameras:
             learn_sigma(self.archive, self.settings, cameras[-1])
         return _camera_findings(agreed, self.settings)
 
+    def _unexpected(
+        self, calibration: Calibration, found: Mapping[ImageFile, FileSighting]
+    ) -> list[tuple[Moment, Expectation | None]]:
+        """Return the images without a prediction yet whose sighting is not there; mark those where it is."""
+        moments = [one for one in moments_of(found) if any(found[image].ingest_pass == UNPREDICTED for image in one)]
+        places = expectations(calibration, [moment[0] for moment in moments], site=self.settings.site)
+        again, as_expected = list[tuple[Moment, Expectation | None]](), list[ImageKey]()
+        for moment, expected in zip(moments, places, strict=True):
+            if all(found[image].verdict == IN_STACK or is_consistent(found[image], expected) for image in moment):
+                as_expected += [image.key for image in moment]
+            else:
+                again.append((moment, expected))
+        self.archive.mark_predicted(self.settings.name, as_expected, ingest_pass=PREDICTED)
+        return again
+
     def _detect(
-        self, stage: str, images: Sequence[ImageFile], expected: Sequence[Expectation | None] | None
+        self, stage: str, moments: Sequence[Moment], expected: Sequence[Expectation | None] | None
     ) -> list[Skipped]:
         """Look at images and store their sightings; return those that are left out."""
         skipped, waiting = list[Skipped](), list[tuple[ImageFile, Detection]]()
         ingest_pass = UNPREDICTED if expected is None else PREDICTED
-        answers = detect_in_pool(self._tasks(images, expected), n_tasks=len(images), processes=self.options.processes)
+        tasks, done, total = self._tasks(moments, expected), 0, sum(len(moment) for moment in moments)
+        answers = detect_in_pool(tasks, n_tasks=len(moments), processes=self.options.processes)
         try:
-            for done, (image, found) in enumerate(zip(images, answers, strict=True), start=1):
-                if isinstance(found, Detection):
-                    waiting.append((image, found))
-                else:
-                    skipped.append(Skipped(image.path, found))
+            for moment, answered in zip(moments, answers, strict=True):
+                pairs = list(zip(moment, answered, strict=True))
+                skipped += [Skipped(image.path, found) for image, found in pairs if isinstance(found, Finding)]
+                waiting += [(image, found) for image, found in pairs if isinstance(found, Detection)]
                 if len(waiting) >= _BATCH:
                     self._store(waiting, ingest_pass)
                     waiting = []
-                self.progress(stage, done, len(images))
+                done += len(moment)
+                self.progress(stage, done, total)
         finally:  # also when the run is broken off: what was found need not be looked for again
             self._store(waiting, ingest_pass)
         return skipped
 
-    def _tasks(self, images: Sequence[ImageFile], expected: Sequence[Expectation | None] | None) -> Iterator[Task]:
-        for number, image in enumerate(images):
+    def _tasks(self, moments: Sequence[Moment], expected: Sequence[Expectation | None] | None) -> Iterator[Task]:
+        for number, (image, *others) in enumerate(moments):
             yield Task(
                 path=self.index.folder / image.path,
                 exposure_us=image.exposure_us,
@@ -229,6 +249,7 @@ class Run:
                 static=self.static,
                 expectation=None if expected is None else expected[number],
                 outside=expected is not None and expected[number] is None,
+                more=tuple((self.index.folder / other.path, other.exposure_us) for other in others),
             )
 
     def _store(self, answers: Iterable[tuple[ImageFile, Detection]], ingest_pass: int) -> None:
@@ -273,10 +294,11 @@ def _summary(
     if found:
         write_contact_sheet(index.folder, found, sheet)
     new = [found[image] for image in looked_at if image in found]
-    accepted = sum(one.accepted for one in new)
+    accepted, stacked = sum(one.accepted for one in new), sum(one.verdict == IN_STACK for one in new)
     return Summary(
         accepted=accepted,
-        rejected=len(new) - accepted,
+        rejected=len(new) - accepted - stacked,
+        stacked=stacked,
         known=len(index.images) - len(looked_at),
         by_verdict=dict(Counter(one.verdict for one in found.values()).most_common()),
         skipped=tuple(skipped),

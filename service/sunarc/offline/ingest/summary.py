@@ -25,6 +25,7 @@ class Summary:
     Attributes
     ----------
     accepted, rejected : images looked at in this run, by whether a fit may use their sighting.
+    stacked : images looked at in this run whose sighting is that of another image of the same time.
     known : images that were in the archive before, and were left as they were.
     by_verdict : all images of the folder in the archive, those known before among them, by the verdict on them.
     skipped : images that were left out, with the reason.
@@ -34,6 +35,7 @@ class Summary:
 
     accepted: int
     rejected: int
+    stacked: int
     known: int
     by_verdict: Mapping[str, int]
     skipped: tuple[Skipped, ...]
@@ -50,6 +52,7 @@ class Summary:
         return {
             "accepted": self.accepted,
             "rejected": self.rejected,
+            "stacked": self.stacked,
             "known": self.known,
             "skipped": len(self.skipped),
             "by_verdict": dict(self.by_verdict),
