@@ -19,6 +19,8 @@ def upgrade() -> None:
     """Create them; times are whole microseconds since 1970-01-01 UTC."""
     _create_cameras()
     _create_sightings()
+    if _is_postgresql():
+        _partition_sightings()
     _create_calibrations()
     _create_events()
 
@@ -49,10 +51,19 @@ def _create_cameras() -> None:
     )
 
 
+def _is_postgresql() -> bool:
+    return op.get_bind().dialect.name == "postgresql"
+
+
 def _create_sightings() -> None:
+    partitioned = _is_postgresql()  # there every unique key has the partitions' column, the time
     op.create_table(
         "sun_point",
-        sa.Column("id", sa.Integer(), nullable=False),
+        *(
+            (sa.Column("id", sa.BigInteger(), sa.Identity(), nullable=False),)
+            if partitioned
+            else (sa.Column("id", sa.Integer(), nullable=False),)
+        ),
         sa.Column("camera", sa.Text(), nullable=False),
         sa.Column("pose_epoch", sa.Text(), nullable=False),
         sa.Column("time", sa.BigInteger(), nullable=False),
@@ -73,10 +84,11 @@ def _create_sightings() -> None:
         sa.Column("snr", sa.Float()),
         sa.Column("saturated_px", sa.Integer()),
         sa.Column("clock_error_s", sa.Float()),
-        sa.PrimaryKeyConstraint("id", name="pk_sun_point"),
+        sa.PrimaryKeyConstraint(*(("id", "time") if partitioned else ("id",)), name="pk_sun_point"),
         sa.ForeignKeyConstraint(["camera"], ["camera.name"], name="fk_sun_point_camera"),
         sa.ForeignKeyConstraint(["pose_epoch"], ["pose_epoch.id"], name="fk_sun_point_pose_epoch"),
         sa.UniqueConstraint("camera", "time", "body", "exposure_us", "method", name="uq_sun_point"),
+        postgresql_partition_by="RANGE (time)",
     )
     op.create_table(
         "day",
@@ -93,6 +105,35 @@ def _create_sightings() -> None:
         sa.PrimaryKeyConstraint("camera", "date", name="pk_day"),
         sa.ForeignKeyConstraint(["camera"], ["camera.name"], name="fk_day_camera"),
     )
+
+
+def _partition_sightings() -> None:
+    """Make what makes the partition of a month; whoever may store a sighting may call it, and make no other table."""
+    op.create_index("ix_sun_point_time", "sun_point", ["time"], postgresql_using="brin")
+    schema = op.get_bind().dialect.identifier_preparer.quote(op.get_bind().scalar(sa.select(sa.func.current_schema())))
+    op.execute(
+        f"""
+        CREATE FUNCTION sunarc_require_month(moment bigint) RETURNS void
+        LANGUAGE plpgsql SECURITY DEFINER SET search_path = {schema}, pg_temp AS $$
+        DECLARE
+            first timestamp := date_trunc('month', to_timestamp(moment / 1000000) AT TIME ZONE 'UTC');
+            partition text := 'sun_point_' || to_char(first, 'YYYYMM');
+        BEGIN
+            IF first NOT BETWEEN '1970-01-01' AND '2199-12-01' THEN
+                RAISE EXCEPTION 'no sightings of the year %', extract(year FROM first) USING ERRCODE = '22008';
+            END IF;
+            IF to_regclass(partition) IS NULL THEN
+                EXECUTE format(
+                    'CREATE TABLE %I PARTITION OF sun_point FOR VALUES FROM (%s) TO (%s)',
+                    partition,
+                    extract(epoch FROM first)::bigint * 1000000,
+                    extract(epoch FROM first + interval '1 month')::bigint * 1000000
+                );
+            END IF;
+        END $$
+        """
+    )
+    op.execute("REVOKE ALL ON FUNCTION sunarc_require_month(bigint) FROM PUBLIC")
 
 
 def _create_calibrations() -> None:
@@ -117,7 +158,12 @@ def _create_calibrations() -> None:
     )
     op.create_index("ix_calibration_camera_valid_from", "calibration", ["camera", "valid_from"])
     op.create_index(
-        "uq_calibration_one_current", "calibration", ["camera"], unique=True, sqlite_where=sa.text("state = 'current'")
+        "uq_calibration_one_current",
+        "calibration",
+        ["camera"],
+        unique=True,
+        sqlite_where=sa.text("state = 'current'"),
+        postgresql_where=sa.text("state = 'current'"),
     )
 
 

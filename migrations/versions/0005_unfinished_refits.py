@@ -18,7 +18,11 @@ depends_on = None
 def upgrade() -> None:
     """Index them alone."""
     op.create_index(
-        "ix_refit_unfinished", "refit", ["camera", "requested_at"], sqlite_where=sa.text("finished_at IS NULL")
+        "ix_refit_unfinished",
+        "refit",
+        ["camera", "requested_at"],
+        sqlite_where=sa.text("finished_at IS NULL"),
+        postgresql_where=sa.text("finished_at IS NULL"),
     )
 
 

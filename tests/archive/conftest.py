@@ -5,11 +5,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from sqlalchemy import URL
+from tests.fixtures.postgresql import Server, postgresql
 
 from sunarc.archive import Archive, CameraRecord, open_archive, upgrade
 
+__all__ = ["postgresql"]
+
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 ROOF = CameraRecord(name="roof", latitude=36.604, longitude=-97.485, altitude=318.0, width=1748, height=1748)
+ENGINES = ("sqlite", "postgresql")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run every test of an archive on both engines, but for those of SQLite's file."""
+    if "archive" in metafunc.fixturenames and "path" not in metafunc.fixturenames:
+        metafunc.parametrize("engine", ENGINES, indirect=True)
 
 
 @pytest.fixture
@@ -18,9 +29,26 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def archive(path: Path) -> Iterator[Archive]:
-    upgrade(path)
-    archive = open_archive(path)
+def engine(request: pytest.FixtureRequest) -> str:
+    """Name the engine of a test's archive; SQLite's where the test is not of both."""
+    return str(getattr(request, "param", "sqlite"))
+
+
+@pytest.fixture
+def store(engine: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path | URL]:
+    """Yield where a new database of the head revision is."""
+    if engine == "sqlite":
+        path = tmp_path / "state" / "sunarc.sqlite"
+        upgrade(path)
+        yield path
+        return
+    server: Server = request.getfixturevalue("postgresql")
+    yield server.emptied_database()
+
+
+@pytest.fixture
+def archive(store: Path | URL) -> Iterator[Archive]:
+    archive = open_archive(store)
     archive.save_camera(ROOF)
     archive.open_epoch("roof", at=datetime(2013, 5, 1, tzinfo=UTC), reason="installed")
     yield archive

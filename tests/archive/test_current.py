@@ -46,6 +46,7 @@ def test_a_write_of_another_process_is_seen(archive: Archive, path: Path) -> Non
     assert found.id == "a"
 
 
+@pytest.mark.usefixtures("path")  # PostgreSQL's number does not depend on the connection
 def test_a_connection_that_is_opened_anew_counts_on(archive: Archive) -> None:
     before = archive.revision()
     archive._changes.close()
@@ -89,6 +90,7 @@ def test_a_camera_archive_asks_for_its_camera_alone(archive: Archive) -> None:
 def test_an_archive_is_closed_at_the_end_of_its_block(archive: Archive, path: Path) -> None:
     with open_archive(path) as other:
         witness = other._witness
+    assert witness is not None
     with pytest.raises(sqlite3.ProgrammingError):
         witness.execute("SELECT 1")
     assert archive.current_calibration("roof") is None

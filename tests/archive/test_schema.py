@@ -142,6 +142,7 @@ def test_a_backup_to_a_folder_that_is_not_there_fails_in_one_line(archive: Archi
         backup(path, path.parent / "missing" / "copy.sqlite")
 
 
+@pytest.mark.usefixtures("path")  # SQLite's
 def test_every_connection_is_durable_and_keeps_foreign_keys(archive: Archive) -> None:
     with archive._reading() as connection:
         pragmas = {

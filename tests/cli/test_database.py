@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 import xarray as xr
+from tests.fixtures.postgresql import postgresql
 
 from sunarc.archive import CameraRecord, DayAir, lock_state, open_archive
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
+    from tests.fixtures.postgresql import Server
+
+__all__ = ["postgresql"]
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 POINTS = (
@@ -196,3 +200,39 @@ def test_the_database_of_a_running_service_is_not_replaced_or_migrated(
         assert refused.code == 3
         assert f"in use by process {os.getpid()}; stop that service first" in refused.err
         assert sunarc("db", "check", "--state", str(state)).code == 0  # what only reads goes on
+
+
+def test_a_server_is_upgraded_and_checked_by_its_address(sunarc: Sunarc, postgresql: Server) -> None:
+    url = postgresql.new_database(template="template0")
+    store = url.render_as_string(hide_password=False)
+    assert sunarc("db", "check", "--store", store).code == 1
+    for words in ("was upgraded", "is up to date"):
+        done = sunarc("db", "upgrade", "--store", store)
+        assert done.code == 0
+        assert words in done.out
+    found = json.loads(sunarc("db", "check", "--store", store, "--json").out)
+    assert found["sound"]
+    assert found["rows"]["sun_point"] == 0
+    postgresql.drop(url)
+
+
+@pytest.mark.parametrize("options", [[], ["--state", "s", "--store", "postgresql://h/d"], ["--store", "sqlite:///x"]])
+def test_one_database_is_named(sunarc: Sunarc, options: list[str]) -> None:
+    for command in ("upgrade", "check"):
+        assert sunarc("db", command, *options).code == 2
+
+
+def test_commands_work_on_the_store_of_the_settings(
+    sunarc: Sunarc, config: Path, postgresql: Server, tmp_path: Path
+) -> None:
+    url = postgresql.new_database()
+    address = url.render_as_string(hide_password=False)
+    config.write_text(f'store = "{address}"\n{config.read_text()}')
+    (tmp_path / "points.csv").write_text(POINTS)
+    options = ("--config", str(config))
+    done = sunarc("points", "import", str(tmp_path / "points.csv"), "--image-size", "1748,1748", *options)
+    assert (done.code, done.out.split(" ")[0]) == (0, "2")
+    assert len(sunarc("points", "export", *options).out.splitlines()) == 3
+    assert sunarc("calibrations", "list", *options).code == 0
+    assert not (tmp_path / "state" / "sunarc.sqlite").exists()
+    postgresql.drop(url)

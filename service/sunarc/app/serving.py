@@ -58,8 +58,12 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
     clock = SystemClock()
     prepare_state(settings.images)
     _make_room(settings)
-    recovered = prepare_database(settings.database, backups=settings.backups, images=settings.images, now=clock.now())
-    archive = open_archive(settings.database)
+    recovered = None
+    if settings.store is None:
+        recovered = prepare_database(
+            settings.database, backups=settings.backups, images=settings.images, now=clock.now()
+        )
+    archive = open_archive(settings.archive)
     require_stored_site(archive, settings)
     service = Service(
         settings,

@@ -1,8 +1,8 @@
-"""The database: cameras, pose epochs, sightings, days, calibrations, refits and events in one SQLite file.
+"""The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
 epoch_closing sighting_revisions file_sightings` · `values` what goes in and comes out · `tables types` the schema ·
-`engine store` connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership
+`engine server store` connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership
 space_reserve` the file on disk · `images` composites · `csv_files` sightings as CSV.
 """
 
@@ -21,8 +21,18 @@ from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
-from sunarc.archive.schema import Check, check, downgrade, head_revision, prepare_folder, require_file, upgrade
+from sunarc.archive.schema import (
+    Check,
+    check,
+    downgrade,
+    head_revision,
+    prepare_folder,
+    require_file,
+    upgrade,
+    upgrade_server,
+)
 from sunarc.archive.seen import sun_point_of
+from sunarc.archive.server import server_url
 from sunarc.archive.sighting_revisions import ELSEWHERE, FROZEN, LENS_CHANGED, MOVED
 from sunarc.archive.sites import require_same_site
 from sunarc.archive.space_reserve import Reserve
@@ -90,9 +100,11 @@ __all__ = [
     "require_same_site",
     "require_unlocked",
     "restore",
+    "server_url",
     "sun_point_of",
     "upgrade",
     "upgrade_present",
+    "upgrade_server",
     "write_columns",
     "write_sightings",
 ]

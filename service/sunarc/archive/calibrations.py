@@ -33,7 +33,7 @@ _FIELDS = ("id", "camera", "method", "pose_epoch")
 class Calibrations(Store):
     """The part of the archive with calibrations; none is ever deleted."""
 
-    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
         super().__init__(engine, file)
         self._documents = Documents()
         self._current: dict[str, tuple[int, CalibrationRecord | None]] = {}

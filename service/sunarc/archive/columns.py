@@ -6,11 +6,12 @@ from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Integer, case, func, literal_column, select, type_coerce
+from sqlalchemy import BigInteger, ColumnElement, Connection, Subquery, case, func, select, type_coerce
 
 from sunarc.archive import tables
 from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
+from sunarc.archive.types import stored_as
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray
 from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
@@ -27,23 +28,15 @@ _COLUMNS = np.dtype(
 )
 _UNMEASURED = -1e9
 """Stands for NULL while rows are read; no temperature and no pressure."""
-_EPOCH_NUMBER: ColumnElement[int] = literal_column("pose_epoch._rowid_", Integer)
 
 
 def read_columns(connection: Connection, camera: str, filters: list[ColumnElement[bool]]) -> SunPointColumns:
     """Return the sightings of a camera that meet the conditions, in the order of their times."""
-    epochs = tables.pose_epoch.c
-    rows = _numbers(connection, [*filters, epochs.camera == camera])
-    epoch_rows = connection.execute(
-        select(_EPOCH_NUMBER, epochs.id).where(epochs.camera == camera).order_by(epochs.started_at)
-    ).all()
-    ids = [str(row.id) for row in epoch_rows]
-    # The row number of an epoch does not tell its place in time: one may be stored after a later one.
-    index_of = {int(row[0]): index for index, row in enumerate(epoch_rows)}
-    # Few epochs and millions of rows: names are looked up once an epoch, not once a row.
-    numbers, member = np.unique(rows["epoch"], return_inverse=True)
-    order = np.array([index_of[int(number)] for number in numbers], dtype=np.int64)
-    present, epoch = np.unique(order[member], return_inverse=True)
+    # Few epochs and millions of rows: a row has its epoch's number in the order of time, and no name.
+    numbered = _numbered_epochs(camera)
+    rows = _numbers(connection, numbered, filters)
+    ids = [str(name) for name in connection.scalars(select(numbered.c.id).order_by(numbered.c.number))]
+    present, epoch = np.unique(rows["epoch"], return_inverse=True)
     temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
         unix_s=rows["time"] / 1e6,
@@ -69,15 +62,24 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     )
 
 
-def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
-    c, epochs = sun_point.c, tables.pose_epoch
+def _numbered_epochs(camera: str) -> Subquery:
+    """Return the ids of a camera's pose epochs, with their numbers in the order of time from 0 on."""
+    epochs = tables.pose_epoch.c
+    number = func.row_number().over(order_by=(epochs.started_at, epochs.id)) - 1
+    return select(epochs.id, number.label("number")).where(epochs.camera == camera).subquery()
+
+
+def _numbers(connection: Connection, epochs: Subquery, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+    c = sun_point.c
     numbers = (
         *(c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
         *(_number_or(c.temperature_c, _UNMEASURED), _number_or(c.pressure_hpa, _UNMEASURED)),
     )
-    sound = [func.typeof(c.time) == "integer", *(func.typeof(column) == "real" for column in (c.x_px, c.y_px))]
+    sound = [stored_as(c.time, "integer"), *(stored_as(column, "real") for column in (c.x_px, c.y_px))]
     joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
-    statement = select(*numbers, _EPOCH_NUMBER, c.id).select_from(joined).where(*filters, *sound).order_by(c.time, c.id)
+    statement = (
+        select(*numbers, epochs.c.number, c.id).select_from(joined).where(*filters, *sound).order_by(c.time, c.id)
+    )
     result = connection.execute(statement)
     cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
     return np.fromiter(cursor, dtype=_COLUMNS)
@@ -85,7 +87,7 @@ def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.n
 
 def _number_or(column: ColumnElement[Any], otherwise: float) -> ColumnElement[Any]:
     """Return a column's numbers; what a hand wrote there that is none counts as unknown."""
-    return case((func.typeof(column) == "real", column), else_=otherwise)
+    return case((stored_as(column, "real"), column), else_=otherwise)
 
 
 def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -95,7 +97,8 @@ def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[
 def read_levels(connection: Connection, filters: list[ColumnElement[bool]]) -> tuple[FloatArray, FloatArray]:
     """Return times (unix seconds) and the discs' levels over full scale in 1 µs."""
     c = sun_point.c
-    peak = func.min(c.peak_fraction, _EXTRAPOLATED_AT_MOST) - func.coalesce(c.background_fraction, 0.0)
+    limited = case((c.peak_fraction > _EXTRAPOLATED_AT_MOST, _EXTRAPOLATED_AT_MOST), else_=c.peak_fraction)
+    peak = limited - func.coalesce(c.background_fraction, 0.0)
     result = connection.execute(select(c.time, peak / c.exposure_us).where(*filters, c.exposure_us > 0.0, peak > 0.0))
     rows = np.fromiter(cast("Iterable[tuple[float, ...]]", result.cursor), dtype=_LEVELS)
     return rows["time"] / 1e6, rows["level"].copy()
@@ -104,5 +107,5 @@ def read_levels(connection: Connection, filters: list[ColumnElement[bool]]) -> t
 def read_times(connection: Connection, filters: list[ColumnElement[bool]]) -> FloatArray:
     """Return the times of all rows that meet the conditions, s since 1970-01-01 UTC (n,), in no order."""
     c = sun_point.c
-    times = select(type_coerce(c.time, Integer)).where(*filters, func.typeof(c.time) == "integer")
+    times = select(type_coerce(c.time, BigInteger)).where(*filters, stored_as(c.time, "integer"))
     return np.fromiter(connection.scalars(times), dtype=np.float64) / 1e6

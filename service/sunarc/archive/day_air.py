@@ -8,8 +8,8 @@ from datetime import date, datetime
 
 import numpy as np
 from sqlalchemy import Connection, delete, select
-from sqlalchemy.dialects.sqlite import insert
 
+from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import camera as cameras
 from sunarc.archive.tables import day_air
@@ -45,7 +45,6 @@ class MeasuredAir(Store):
         _require_within("pressure_hpa", air.pressure_hpa, PRESSURE_BOUNDS_HPA)
         c = day_air.c
         this = (c.camera == air.camera, c.date == air.date)
-        row = asdict(air)
         with self._writing() as connection:
             if connection.scalar(select(cameras.c.name).where(cameras.c.name == air.camera)) is None:
                 raise NotFoundError(
@@ -59,8 +58,7 @@ class MeasuredAir(Store):
             if _values(air) == (None, None):
                 connection.execute(delete(day_air).where(*this))
             else:
-                statement = insert(day_air).values(row)
-                connection.execute(statement.on_conflict_do_update(index_elements=["camera", "date"], set_=row))
+                upsert(connection, day_air, asdict(air), key=["camera", "date"])
         return air
 
     def day_air(self, camera: str, *, since: date | None = None, until: date | None = None) -> tuple[DayAir, ...]:

@@ -7,10 +7,10 @@ from dataclasses import asdict, replace
 from datetime import date, datetime
 from typing import Any
 
-from sqlalchemy import Connection, select, update
-from sqlalchemy.dialects.sqlite import insert
+from sqlalchemy import Connection, insert, select, update
 
 from sunarc.archive import tables
+from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.values import Day, Event, EventSeverity, Refit, RefitState
 from sunarc.errors import NotFoundError
@@ -25,10 +25,8 @@ class Journal(Store):
 
     def save_day(self, day: Day) -> None:
         """Write a day's verdict, in place of an earlier one."""
-        row = _row_of(day)
-        statement = insert(tables.day).values(row)
         with self._writing() as connection:
-            connection.execute(statement.on_conflict_do_update(index_elements=["camera", "date"], set_=row))
+            upsert(connection, tables.day, _row_of(day), key=["camera", "date"])
 
     def days(
         self, camera: str, *, since: date | None = None, until: date | None = None, limit: int | None = None

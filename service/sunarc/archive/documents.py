@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import Connection, LargeBinary, RowMapping, cast, select
+from sqlalchemy import Connection, RowMapping, select
 
-from sunarc.archive.engine import json_text
+from sunarc.archive.json_text import json_text, parsed_json
 from sunarc.archive.tables import calibration
+from sunarc.archive.types import stored_bytes
 from sunarc.archive.values import CalibrationRecord
 from sunarc.findings import Finding
 from sunarc.utc import EPOCH
@@ -57,13 +57,13 @@ class Documents:
 
 def read_document(connection: Connection, calibration_id: str) -> Mapping[str, Any] | None:
     """Read a document and compare it with its checksum; None when the two differ."""
-    columns = select(cast(calibration.c.document, LargeBinary), calibration.c.document_sha256)
+    columns = select(stored_bytes(calibration.c.document), calibration.c.document_sha256)
     found = connection.execute(columns.where(calibration.c.id == calibration_id)).one_or_none()
     stored, checksum = (None, "") if found is None else found  # an id that is no UTF-8 finds nothing
     if stored is None or hashlib.sha256(stored).hexdigest() != checksum:
         return None
     # The checksum is of the stored bytes: parsing first would raise on a flipped bit.
-    document = json.loads(stored)
+    document = parsed_json(stored)
     return document if isinstance(document, dict) else None
 
 

@@ -1,23 +1,25 @@
-"""Connections to the SQLite file: durable, with foreign keys, and with transactions that begin where we say."""
+"""Connections to the SQLite file: durable, with foreign keys, and with transactions that begin where we say.
+
+Reads and writes are the same on PostgreSQL (`server`).
+"""
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.json_text import json_text, parsed_json
+from sunarc.archive.server import ONE_CAMERA, WRITES, server_errors
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 
 _BUSY_TIMEOUT_MS = 30_000
-_WRITES = "sunarc_writes"
 
 
 def create_archive_engine(
@@ -32,7 +34,7 @@ def create_archive_engine(
         max_overflow=32,
         pool_timeout=30.0,
         json_serializer=json_text,
-        json_deserializer=_parsed,
+        json_deserializer=parsed_json,
     )
 
     @event.listens_for(engine, "connect")
@@ -48,7 +50,7 @@ def create_archive_engine(
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
-        writes = connection.get_execution_options().get(_WRITES, False)
+        writes = connection.get_execution_options().get(WRITES, False)
         # IMMEDIATE: a transaction that reads first and writes later could find another's commit between, and fail.
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
@@ -63,15 +65,25 @@ def reading(engine: Engine) -> Iterator[Connection]:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Connection]:
-    """Yield a connection that holds the database's write lock, and commit at the end."""
-    with outside_errors(engine), engine.execution_options(**{_WRITES: True}).begin() as connection:
+def writing(engine: Engine, *, camera: str | None = None) -> Iterator[Connection]:
+    """Yield a connection that holds the database's write lock, and commit at the end.
+
+    With `camera` only rows of that camera are written: PostgreSQL then lets other cameras' be written meanwhile.
+    """
+    options = {WRITES: True, ONE_CAMERA: camera}
+    with outside_errors(engine), engine.execution_options(**options).begin() as connection:
         yield connection
 
 
 @contextmanager
 def outside_errors(engine: Engine) -> Iterator[None]:
-    """Raise SQLite's errors as this package's, in one line with the remedy."""
+    """Raise the database's errors as this package's, in one line with the remedy."""
+    with server_errors(engine) if engine.dialect.name == "postgresql" else _file_errors(engine):
+        yield
+
+
+@contextmanager
+def _file_errors(engine: Engine) -> Iterator[None]:
     path = engine.url.database
     try:
         yield
@@ -90,19 +102,6 @@ def outside_errors(engine: Engine) -> Iterator[None]:
             f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "
             f"sunarc db restore --latest --state {Path(str(path)).parent}"
         ) from error
-
-
-def json_text(value: object) -> str:
-    """Return a value as the text that is stored of it."""
-    return json.dumps(value)
-
-
-def _parsed(text: str) -> Any:  # noqa: ANN401 - whatever JSON holds
-    """Return a stored value; None where it is no JSON any more."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return None
 
 
 def _text(stored: bytes) -> str:

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import NamedTuple
 
-from sqlalchemy import Connection, Integer, and_, select, type_coerce, update
-from sqlalchemy.dialects.sqlite import insert
+from sqlalchemy import BigInteger, Connection, and_, select, type_coerce, update
 
 from sunarc.archive.calibration_inputs import keep_sigma
+from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store
 from sunarc.archive.tables import sun_point
 from sunarc.archive.values import SunPoint
@@ -51,7 +51,7 @@ class FileSightings(Store):
         """Return what is stored of the sun at the given times, microseconds since 1970-01-01 UTC."""
         c = sun_point.c
         names = [name for name in FileSighting._fields if name != "time_us"]
-        rows = select(type_coerce(c.time, Integer), *(c[name] for name in names)).where(
+        rows = select(type_coerce(c.time, BigInteger), *(c[name] for name in names)).where(
             c.camera == camera, c.body == "sun"
         )
         with self._reading() as connection:
@@ -62,7 +62,7 @@ class FileSightings(Store):
         c = sun_point.c
         with self._writing() as connection:
             for time_us, exposure_us, file in keys:
-                unnamed = (c.camera == camera, type_coerce(c.time, Integer) == time_us, c.file == "")
+                unnamed = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == "")
                 change = update(sun_point).where(*unnamed, c.exposure_us == exposure_us, c.body == "sun")
                 connection.execute(change.values(file=file))
 
@@ -71,11 +71,11 @@ class FileSightings(Store):
 
         Where one is accepted, sightings of the same image by other methods are set aside: an image counts once.
         """
+        kept = tuple(points)
+        self._prepare_months([point.time for point in kept])
         with self._writing() as connection:
-            for point in points:
-                row = asdict(point)
-                statement = insert(sun_point).values(row)
-                connection.execute(statement.on_conflict_do_update(index_elements=_KEY, set_=row))
+            for point in kept:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
                 if point.accepted:
                     _set_others_aside(connection, point)
 
@@ -84,7 +84,7 @@ class FileSightings(Store):
         c = sun_point.c
         with self._writing() as connection:
             for time_us, exposure_us, file in keys:
-                same = (c.camera == camera, type_coerce(c.time, Integer) == time_us, c.file == file, c.body == "sun")
+                same = (c.camera == camera, type_coerce(c.time, BigInteger) == time_us, c.file == file, c.body == "sun")
                 change = update(sun_point).where(*same, c.exposure_us == exposure_us)
                 connection.execute(change.values(ingest_pass=ingest_pass))
 

@@ -10,6 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
+from sqlalchemy import URL
+
 from sunarc.archive.backup import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
 from sunarc.archive.file import EMPTIED
 from sunarc.archive.ownership import PRIVATE, give_to_owner_of
@@ -63,13 +65,18 @@ def prepare_database(path: Path, *, backups: Path, images: Path, now: datetime) 
     )
 
 
-def upgrade_present(path: Path) -> Path | None:
+def upgrade_present(store: Path | URL) -> Path | None:
     """Make or migrate a database as `upgrade` does, unless it was lost while copies of it lie in `backups`.
+
+    A PostgreSQL database is left as it is: its owner alone may migrate it.
 
     Raises
     ------
     InputError : it is missing or has 0 bytes, and there is a sound copy.
     """
+    if isinstance(store, URL):
+        return None
+    path = store
     lost = not path.exists() or path.stat().st_size == 0
     copy = newest_sound_copy(path.parent / "backups") if lost else None
     if copy is not None:

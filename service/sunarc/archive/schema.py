@@ -6,15 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sqlalchemy import Connection, Engine, func, inspect, select
+from sqlalchemy import URL, Connection, Engine, func, inspect, select
 
 import sunarc
 from sunarc.archive.backup import backup, remove_old_asides
 from sunarc.archive.documents import damaged_calibrations
 from sunarc.archive.engine import create_archive_engine, reading
 from sunarc.archive.ownership import give_to_owner_of
+from sunarc.archive.server import create_server_engine, name_of, require_writable
 from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError, SchemaError
+
+UPGRADE_SERVER = "sunarc db upgrade --store ADDRESS, as the database's owner"
+"""The command that brings a PostgreSQL database to the head revision."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +28,7 @@ class Check:
     Attributes
     ----------
     revision, head : the database's own, and the one this version needs; None for a database without tables.
-    integrity : SQLite's findings; empty when it is sound.
+    integrity : SQLite's findings; empty when it is sound, and on PostgreSQL.
     damaged : ids of the calibrations whose documents do not match their checksums; none of them is served.
     current_damaged : whether one of them is current.
     rows : the number of rows by table; empty when the revisions differ.
@@ -64,7 +68,7 @@ def upgrade(path: Path) -> Path | None:
         if revision == head_revision():
             return None
         if revision is not None and revision not in _revisions():
-            raise _newer(revision, path)
+            raise _newer(revision, str(path))
         copy = backup(path, _copy_path(path, revision), replace=True) if existed else None
         _migrate(engine, to="head")
     finally:
@@ -74,10 +78,29 @@ def upgrade(path: Path) -> Path | None:
     return copy
 
 
-def check(path: Path) -> Check:
+def upgrade_server(url: URL) -> bool:
+    """Bring a PostgreSQL database to the head revision as its owner, and return whether anything was to do."""
+    engine = create_server_engine(url)
+    try:
+        with reading(engine) as connection:
+            require_writable(connection)
+            revision = _revision(connection)
+        if revision is not None and revision not in _revisions():
+            raise _newer(revision, name_of(url))
+        if revision != head_revision():
+            _migrate(engine, to="head")
+        return revision != head_revision()
+    finally:
+        engine.dispose()
+
+
+def check(store: Path | URL) -> Check:
     """Return revision, integrity and size of a database, changing nothing."""
-    require_file(path, command="sunarc db upgrade")
-    engine = create_archive_engine(path)
+    if isinstance(store, URL):
+        engine = create_server_engine(store)
+    else:
+        require_file(store, command="sunarc db upgrade")
+        engine = create_archive_engine(store)
     try:
         with reading(engine) as connection:
             revision, head = _revision(connection), head_revision()
@@ -129,19 +152,19 @@ def require_file(path: Path, *, command: str) -> None:
         raise SchemaError(f"there is no database at {path}; run: {command}")
 
 
-def require_head(connection: Connection, *, path: Path, command: str) -> None:
+def require_head(connection: Connection, *, where: str, command: str) -> None:
     """Refuse a database of another revision."""
     revision, head = _revision(connection), head_revision()
     if revision is None or revision in _revisions():
         if revision != head:
-            raise SchemaError(f"{path} is at revision {revision}, this version needs {head}; run: {command}")
+            raise SchemaError(f"{where} is at revision {revision}, this version needs {head}; run: {command}")
         return
-    raise _newer(revision, path)
+    raise _newer(revision, where)
 
 
-def _newer(revision: str, path: Path) -> SchemaError:
+def _newer(revision: str, where: str) -> SchemaError:
     return SchemaError(
-        f"{path} is at revision {revision}, which this version ({sunarc.__version__}, {head_revision()}) "
+        f"{where} is at revision {revision}, which this version ({sunarc.__version__}, {head_revision()}) "
         "does not know; "
         "install the version that wrote it, or a newer one"
     )
@@ -173,6 +196,8 @@ def _migrate(engine: Engine, *, to: str) -> None:
 
 
 def _integrity(connection: Connection) -> tuple[str, ...]:
+    if connection.dialect.name != "sqlite":
+        return ()  # PostgreSQL checks its pages itself (initdb --data-checksums, pg_amcheck)
     lines = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
     orphans = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
     return (*(line for line in lines if line != "ok"), *(f"{row[0]} row {row[1]} refers to nothing" for row in orphans))

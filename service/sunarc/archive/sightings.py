@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 from datetime import date, datetime
 
-from sqlalchemy import ColumnElement, Connection, Engine, func, or_, select, text, update
-from sqlalchemy.dialects.sqlite import insert
+from sqlalchemy import ColumnElement, Connection, Engine, func, insert, or_, select, text, update
 
 from sunarc.archive import tables
 from sunarc.archive.columns import read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.rows import insert_new, upsert
 from sunarc.archive.sighting_revisions import FROZEN
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
@@ -42,16 +42,14 @@ _FIRST_OF_EACH_DAY = text(
 class Sightings(Store):
     """The part of the archive with cameras, pose epochs and sightings."""
 
-    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
         super().__init__(engine, file)
         self._saved: dict[str, CameraRecord] = {}
 
     def save_camera(self, record: CameraRecord) -> None:
         """Write a camera down, in place of what was known of the same name."""
-        row = asdict(record)
-        statement = insert(tables.camera).values(row)
         with self._writing() as connection:
-            connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=row))
+            upsert(connection, tables.camera, asdict(record), key=["name"])
         self._saved = {**self._saved, record.name: record}
 
     def saved_cameras(self) -> tuple[CameraRecord, ...]:
@@ -161,8 +159,9 @@ class Sightings(Store):
         rows = [asdict(point) for point in points]
         if not rows:
             return 0
+        self._prepare_months([row["time"] for row in rows])
         with self._writing() as connection:
-            return connection.execute(insert(sun_point).on_conflict_do_nothing(), rows).rowcount
+            return insert_new(connection, sun_point, rows)
 
     def widen_clock_errors(self, camera: str, *, since: datetime, until: datetime, error_s: float) -> int:
         """Widen the bound of the clock's error of sightings with `since` <= time <= `until`; return how many."""

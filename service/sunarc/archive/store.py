@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from typing import Any, Self, TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDecorator
@@ -13,6 +14,7 @@ from sqlalchemy import Column, ColumnElement, Connection, Engine, Select, TypeDe
 from sunarc.archive.data_version import Changes
 from sunarc.archive.engine import reading, writing
 from sunarc.archive.file import DatabaseFile
+from sunarc.archive.server import Months, SnapshotVersion
 from sunarc.errors import InputError
 
 _log = logging.getLogger(__name__)
@@ -32,13 +34,14 @@ class Store:
     Parameters
     ----------
     engine : an engine of `create_archive_engine`, on a database of the head revision.
-    file : its file, as it was opened.
+    file : its file, as it was opened; None on PostgreSQL.
     """
 
-    def __init__(self, engine: Engine, file: DatabaseFile) -> None:
+    def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:
         self._engine = engine
         self._file = file
-        self._changes = Changes(engine, file)
+        self._changes = SnapshotVersion(engine) if file is None else Changes(engine, file)
+        self._months = Months(engine) if file is None else None
         self._usable = threading.Event()
         self._usable.set()
         self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
@@ -69,9 +72,15 @@ class Store:
     def _writing(self) -> Iterator[Connection]:
         with self._lock:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
-            self._file.require_in_place()
+            if self._file is not None:
+                self._file.require_in_place()
             with writing(self._engine) as connection:
                 yield connection
+
+    def _prepare_months(self, times: Sequence[datetime]) -> None:
+        """Make the partitions that sightings of these times go to; SQLite has none."""
+        if self._months is not None:
+            self._months.require(times)
 
     def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         with self._reading() as connection:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 from sqlalchemy import (
     JSON,
+    BigInteger,
     Boolean,
     Column,
     Float,
@@ -38,6 +39,11 @@ def _camera_column(*, nullable: bool = False) -> Column[str]:
     return Column("camera", Text, ForeignKey("camera.name"), nullable=nullable)
 
 
+def _only(condition: str) -> dict[str, Any]:
+    """Return the condition of a partial index, for both engines."""
+    return {"sqlite_where": text(condition), "postgresql_where": text(condition)}
+
+
 camera = Table(
     "camera",
     metadata,
@@ -66,7 +72,7 @@ pose_epoch = Table(
 sun_point = Table(
     "sun_point",
     metadata,
-    Column("id", Integer, primary_key=True),
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     _camera_column(),
     Column("pose_epoch", Text, ForeignKey("pose_epoch.id"), nullable=False),
     Column("time", UtcTime, nullable=False),
@@ -148,7 +154,7 @@ calibration = Table(
     Column("document_sha256", Text, nullable=False, server_default=""),
     Column("pinned", Boolean, nullable=False, server_default=false()),
     Index("ix_calibration_camera_valid_from", "camera", "valid_from"),
-    Index("uq_calibration_one_current", "camera", unique=True, sqlite_where=text("state = 'current'")),
+    Index("uq_calibration_one_current", "camera", unique=True, **_only("state = 'current'")),
 )
 
 used_sightings = Table(
@@ -176,7 +182,7 @@ refit = Table(
     Column("message", Text, nullable=False),
     Column("findings", FindingTuple),
     Index("ix_refit_camera_requested_at", "camera", "requested_at"),
-    Index("ix_refit_unfinished", "camera", "requested_at", sqlite_where=text("finished_at IS NULL")),
+    Index("ix_refit_unfinished", "camera", "requested_at", **_only("finished_at IS NULL")),
 )
 
 event = Table(

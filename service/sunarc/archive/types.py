@@ -5,11 +5,26 @@ A row that lacks a value which it must have is then left out of what is returned
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from datetime import date, datetime
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Date, Dialect, Float, Text, TypeDecorator
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    ColumnElement,
+    Date,
+    Dialect,
+    Float,
+    LargeBinary,
+    Text,
+    TypeDecorator,
+)
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import GenericFunction
 
 from sunarc.findings import Finding, from_json
 from sunarc.utc import from_microseconds, to_microseconds
@@ -36,10 +51,14 @@ class UtcTime(TypeDecorator[datetime]):
 
 
 class Number(TypeDecorator[float]):
-    """A number; a text that stands in its place is None."""
+    """A number; a text that stands in its place is None, and so is NaN: SQLite stores it as NULL."""
 
     impl = Float
     cache_ok = True
+
+    def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's
+        """Return the number to store."""
+        return None if value is None or math.isnan(value) else value
 
     def process_result_value(self, value: Any | None, dialect: Dialect) -> float | None:  # noqa: ANN401, ARG002 - SQLAlchemy's
         """Return the stored number."""
@@ -47,7 +66,7 @@ class Number(TypeDecorator[float]):
 
 
 class CalendarDate(TypeDecorator[date]):
-    """A date, as SQLAlchemy's `Date` stores it: ISO 8601 text."""
+    """A date, as SQLAlchemy's `Date` stores it: ISO 8601 text in SQLite."""
 
     impl = Date
     cache_ok = True
@@ -119,7 +138,47 @@ class JsonObject(TypeDecorator[dict[str, Any]]):
         return value if isinstance(value, dict) else {}
 
 
+def stored_bytes(column: ColumnElement[Any]) -> ColumnElement[bytes]:
+    """Return the bytes of a JSON column as they are stored."""
+    return _StoredBytes(column)
+
+
+class _StoredBytes(GenericFunction[bytes]):
+    type = LargeBinary()
+    inherit_cache = True
+
+
+@compiles(_StoredBytes)
+def _cast_to_blob(element: _StoredBytes, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
+    return f"CAST({compiler.process(element.clauses, **options)} AS BLOB)"
+
+
+@compiles(_StoredBytes, "postgresql")
+def _convert_to_bytes(element: _StoredBytes, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
+    return f"convert_to(({compiler.process(element.clauses, **options)})::text, 'UTF8')"
+
+
+class stored_as(GenericFunction[bool]):  # noqa: N801 - a function of SQL
+    """Whether a column's value is stored as SQLite's `kind`; on PostgreSQL: whether there is one."""
+
+    type = Boolean()
+    inherit_cache = True
+
+
+@compiles(stored_as)
+def _compare_type(element: stored_as, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
+    column, kind = element.clauses
+    return f"(typeof({compiler.process(column, **options)}) = {compiler.process(kind, **options)})"
+
+
+@compiles(stored_as, "postgresql")
+def _compare_null(element: stored_as, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
+    return f"({compiler.process(next(iter(element.clauses)), **options)} IS NOT NULL)"
+
+
 def _date(stored: object) -> date | None:
+    if isinstance(stored, date):
+        return stored
     try:
         return date.fromisoformat(stored) if isinstance(stored, str) else None
     except ValueError:

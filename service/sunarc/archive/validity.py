@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, func, literal, or_, update
+from sqlalchemy import Connection, case, literal, or_, update
 
 from sunarc.archive.tables import calibration
 from sunarc.archive.types import UtcTime
@@ -44,7 +44,8 @@ def end_others(connection: Connection, camera: str, at: datetime) -> None:
     answering = update(calibration).where(
         c.camera == camera, c.state.in_(SERVED), or_(c.valid_until.is_(None), c.valid_until > at)
     )
-    until = func.max(c.valid_from, literal(at, UtcTime), type_=UtcTime)  # of one that began later nothing remains
+    end = literal(at, UtcTime)
+    until = case((c.valid_from > end, c.valid_from), else_=end)  # of one that began later nothing remains
     connection.execute(answering.values(state="retired", valid_until=until, pinned=False))
 
 

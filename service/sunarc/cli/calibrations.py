@@ -40,7 +40,7 @@ def list_calibrations(
     Example: sunarc calibrations list --config sunarc.toml
     """
     settings = load_settings(config)
-    with open_archive(settings.database) as archive:
+    with open_archive(settings.archive) as archive:
         rows = [_row(record) for record in archive.calibrations(settings.name, limit=limit)]
     if as_json:
         print_json(rows)
@@ -57,7 +57,7 @@ def activate(
 
     Example: sunarc calibrations activate 20130514T063000Z-ab12cd --reason "the last one was worse"
     """
-    with open_archive(load_settings(config).database) as archive:
+    with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.reinstate(calibration, at=_time_or_now(start), reason=reason))
     _print_result(row, f"{row['id']} is current from {row['valid_from']}", as_json=as_json)
 
@@ -68,7 +68,7 @@ def pin(calibration: Id, *, config: Config = None, reason: Reason = "by hand", a
 
     Example: sunarc calibrations pin 20130514T063000Z-ab12cd
     """
-    with open_archive(load_settings(config).database) as archive:
+    with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.pin(calibration, at=_time_or_now(None), reason=reason))
     _print_result(row, f"{row['id']} stays current until it is unpinned", as_json=as_json)
 
@@ -79,7 +79,7 @@ def unpin(calibration: Id, *, config: Config = None, reason: Reason = "by hand",
 
     Example: sunarc calibrations unpin 20130514T063000Z-ab12cd
     """
-    with open_archive(load_settings(config).database) as archive:
+    with open_archive(load_settings(config).archive) as archive:
         row = _row(archive.unpin(calibration, at=_time_or_now(None), reason=reason))
     _print_result(row, f"{row['id']} may be replaced again", as_json=as_json)
 
@@ -91,7 +91,7 @@ def list_epochs(config: Config = None, *, as_json: AsJson = False) -> None:
     Example: sunarc epochs list --config sunarc.toml
     """
     settings = load_settings(config)
-    with open_archive(settings.database) as archive:
+    with open_archive(settings.archive) as archive:
         rows = [_epoch_row(epoch) for epoch in archive.epochs(settings.name, include_closed=True)]
     if as_json:
         print_json(rows)
@@ -115,7 +115,7 @@ def close_epoch(
 
     Example: sunarc epochs close imager-2 --reason "the clock was ahead"
     """
-    with open_archive(load_settings(config).database) as archive:
+    with open_archive(load_settings(config).archive) as archive:
         current = archive.close_epoch(epoch, at=_time_or_now(None), reason=reason)
     row = {"id": epoch, "closed": True, "calibration": current}
     said = "no calibration was served before it" if current is None else f"calibration {current} is current"

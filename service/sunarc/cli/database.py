@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from sqlalchemy import URL
 
 from sunarc.archive import (
     backup,
@@ -23,7 +24,9 @@ from sunarc.archive import (
     prepare_folder,
     require_file,
     restore,
+    server_url,
     upgrade_present,
+    upgrade_server,
 )
 from sunarc.cli.options import AsJson, Config, State
 from sunarc.cli.output import print_json, table
@@ -37,6 +40,11 @@ from sunarc.settings import load_settings
 from sunarc.utc import parse_time
 
 points_cli = typer.Typer(no_args_is_help=True, help="Sun sightings in and out of the archive, as CSV.")
+OptionalState = Annotated[Path | None, typer.Option("--state", help="The service's state folder.", show_default=False)]
+Store = Annotated[
+    str | None, typer.Option("--store", help="A PostgreSQL database, as the setting `store`.", show_default=False)
+]
+
 db_cli = typer.Typer(no_args_is_help=True, help="The archive's database.")
 
 
@@ -80,11 +88,16 @@ def export_points(
 
 
 @db_cli.command()
-def upgrade(state: State) -> None:
-    """Create the database, or bring it to this version's revision; a copy is kept.
+def upgrade(state: OptionalState = None, store: Store = None) -> None:
+    """Create the database, or bring it to this version's revision; of an SQLite file a copy is kept.
 
     Example: sunarc db upgrade --state /var/lib/sunarc
     """
+    place = _place(state, store)
+    if isinstance(place, URL):
+        print("the database was upgraded" if upgrade_server(place) else "the database is up to date")
+        return
+    state = place
     path = database_of(state)
     existed = path.exists()
     with _locked(state):
@@ -96,12 +109,13 @@ def upgrade(state: State) -> None:
 
 
 @db_cli.command("check")
-def check_database(state: State, *, as_json: AsJson = False) -> None:
+def check_database(state: OptionalState = None, store: Store = None, *, as_json: AsJson = False) -> None:
     """Check the database's revision and integrity; exit 1 when something is wrong.
 
     Example: sunarc db check --state /var/lib/sunarc
     """
-    result = check(database_of(state))
+    place = _place(state, store)
+    result = check(place if isinstance(place, URL) else database_of(place))
     found = {
         "sound": result.sound,
         "revision": result.revision,
@@ -185,6 +199,15 @@ def export_all(
         print_json(written)
     else:
         Console(soft_wrap=True).print(table(("file", "rows"), [[name, str(n)] for name, n in written.items()]))
+
+
+def _place(state: Path | None, store: str | None) -> Path | URL:
+    """Return the state folder or the PostgreSQL database that one of two options names."""
+    if state is not None and store is None:
+        return state
+    if store is not None and state is None:
+        return server_url(store)
+    raise InputError(field="--state, --store", problem="give one of them", remedy="see --help")
 
 
 def _existing(state: Path) -> Path:

@@ -14,7 +14,7 @@ from typing import Any
 
 import sunarc
 from sunarc.app import camera_opener, require_stored_site
-from sunarc.archive import check, newest_sound_copy, open_archive
+from sunarc.archive import check, head_revision, newest_sound_copy, open_archive
 from sunarc.diagnostics.camera_checks import CheckResult, Outcome, survey
 from sunarc.errors import SunarcError
 from sunarc.runtime.clock import Clock, host_clock_state
@@ -69,6 +69,10 @@ def _state(settings: Settings) -> tuple[Outcome, str]:
 
 
 def _database(settings: Settings) -> tuple[Outcome, str]:
+    if settings.store is not None:
+        with open_archive(settings.archive) as archive:
+            require_stored_site(archive, settings)
+        return "ok", f"PostgreSQL, revision {head_revision()}"
     if not settings.database.exists() or settings.database.stat().st_size == 0:
         copy = newest_sound_copy(settings.backups)
         if copy is not None:
@@ -88,6 +92,8 @@ def _database(settings: Settings) -> tuple[Outcome, str]:
 
 
 def _backups(settings: Settings, clock: Clock) -> tuple[Outcome, str]:
+    if settings.store is not None:
+        return "ok", "those of PostgreSQL are its administrator's (pg_dump, see docs/fleet.md)"
     copies = sorted(settings.backups.glob("sunarc-*.sqlite"))
     if not copies:
         return "ok", "none yet; sunarc-backup.timer, or sunarc db backup, makes them"

@@ -7,7 +7,7 @@ import uuid
 from typing import Any
 
 import sunarc
-from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive, require_file, upgrade
+from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archive, require_file, upgrade_present
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera
@@ -37,10 +37,11 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
     InputError : the archive has no images or sightings of this camera.
     OutsideError : a service uses the state folder.
     """
-    require_file(settings.database, command="sunarc ingest FOLDER --config FILE")
+    if settings.store is None:
+        require_file(settings.database, command="sunarc ingest FOLDER --config FILE")
     with lock_state(settings.state):
-        upgrade(settings.database)
-        with open_archive(settings.database) as archive:
+        upgrade_present(settings.archive)
+        with open_archive(settings.archive) as archive:
             if known_camera(archive, settings) is None:
                 raise InputError(
                     field="POINTS",

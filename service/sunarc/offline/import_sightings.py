@@ -51,15 +51,15 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
-    upgrade_present(settings.database)
-    with open_archive(settings.database) as archive:
+    upgrade_present(settings.archive)
+    with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
         return archive.add_sun_points(_points(archive, settings, table, path.name)), int(table.unix_s.size)
 
 
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
     """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
-    with open_archive(settings.database) as archive:
+    with open_archive(settings.archive) as archive:
         points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
         placed = [(p, p.x_px, p.y_px) for p in points if p.x_px is not None and p.y_px is not None]
         air = archive.air_of(settings.name, [point for point, _, _ in placed])
@@ -67,10 +67,11 @@ def write_points(settings: Settings, target: TextIO, *, since: datetime | None, 
 
 
 def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
-    if not settings.database.is_file() or settings.database.stat().st_size == 0:
-        return None
-    upgrade(settings.database)
-    with open_archive(settings.database) as archive:
+    if settings.store is None:
+        if not settings.database.is_file() or settings.database.stat().st_size == 0:
+            return None
+        upgrade(settings.database)
+    with open_archive(settings.archive) as archive:
         known = known_camera(archive, settings)
     return None if known is None else known.image_size
 

@@ -21,7 +21,7 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     NotFoundError : there is no such calibration, or nothing was kept with it.
     InputError : its sightings were changed or deleted since.
     """
-    with open_archive(settings.database) as archive:
+    with open_archive(settings.archive) as archive:
         record = archive.calibration(calibration_id)
         points = points_of(archive.sightings_of(calibration_id), latest=record.pose_epoch)
     past = from_document(record.document)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
+from sqlalchemy import URL
 
 from sunarc.api import ApiOptions
-from sunarc.archive import DiskOptions
+from sunarc.archive import DiskOptions, server_url
 from sunarc.calibration import CalibrationOptions
 from sunarc.calibration.change_detection import WatchOptions
 from sunarc.cameras import AravisOptions, ReplayOptions
@@ -26,6 +27,8 @@ class Settings(BaseModel):
     ----------
     name : the camera's name in the archive and in documents.
     state : folder of the database and the images.
+    store : where the archive is: unset, the SQLite file in `state`; or a PostgreSQL database,
+        "postgresql+psycopg://USER@HOST/DATABASE" (needs the extra `postgresql`).
     source : where frames come from.
     site : where the camera stands.
     camera, replay : the GigE Vision camera, or the folder to replay.
@@ -43,6 +46,7 @@ class Settings(BaseModel):
 
     name: str = "imager"
     state: Path = Path("/var/lib/sunarc")
+    store: str | None = None
     source: Literal["aravis", "replay"] = "aravis"
     site: Site
     camera: AravisOptions | None = None
@@ -64,9 +68,21 @@ class Settings(BaseModel):
         """Whether frames are dated by the camera's own clock."""
         return self.camera is None or self.camera.timestamps == "camera"
 
+    @field_validator("store")
+    @classmethod
+    def _check_store(cls, store: str | None) -> str | None:
+        if store is not None:
+            server_url(store)
+        return store
+
+    @property
+    def archive(self) -> Path | URL:
+        """Where the archive is: its file, or the address of its PostgreSQL database."""
+        return self.database if self.store is None else server_url(self.store)
+
     @property
     def database(self) -> Path:
-        """The archive's file."""
+        """The archive's file, where the store is SQLite."""
         return self.state / "sunarc.sqlite"
 
     @property

@@ -90,14 +90,14 @@ def ingest_folder(
     ------
     InputError : it is no folder, or it has no images.
     """
-    upgrade_present(settings.database)
+    upgrade_present(settings.archive)
     index = index_folder(
         folder,
         naming=options.naming,
         site=settings.site,
         largest_zenith_deg=settings.capture.sun_zenith_deg,
     )
-    with open_archive(settings.database) as archive:
+    with open_archive(settings.archive) as archive:
         known_camera(archive, settings)
         known = _known(archive, settings, index, options)
         moments = [

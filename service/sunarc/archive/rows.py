@@ -1,0 +1,38 @@
+"""Inserts that meet a row of the same key, in the dialect of the database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Table
+from sqlalchemy.dialects import postgresql, sqlite
+
+
+def _insert(connection: Connection, table: Table) -> sqlite.Insert | postgresql.Insert:
+    return sqlite.insert(table) if connection.dialect.name == "sqlite" else postgresql.insert(table)
+
+
+def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Insert rows and return how many were new; one whose key is there already is left as it is."""
+    statement = _insert(connection, table).on_conflict_do_nothing()
+    if connection.dialect.name == "sqlite":
+        return connection.execute(statement, list(rows)).rowcount
+    # psycopg does not count the rows of many statements; RETURNING makes one statement of many rows besides
+    return len(connection.execute(statement.returning(next(iter(table.primary_key))), list(rows)).all())
+
+
+def upsert(
+    connection: Connection, table: Table, row: Mapping[str, Any], *, key: Sequence[str], of: str | None = None
+) -> int:
+    """Insert a row, or write it over the one of the same key, and return how many rows were written.
+
+    Parameters
+    ----------
+    connection, table, row : where to, and the columns' values by their keys.
+    key : the columns of the unique key.
+    of : a column that must have the same value in the row that is there; else nothing is written.
+    """
+    statement = _insert(connection, table).values(row)
+    same = None if of is None else table.c[of] == row[of]
+    return connection.execute(statement.on_conflict_do_update(index_elements=key, set_=dict(row), where=same)).rowcount

@@ -1,0 +1,231 @@
+"""PostgreSQL as the store: partitions, locks, the data version, roles, restarts and failovers."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import URL, Engine, text
+from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+
+from sunarc.archive import Archive, SunPoint, check, head_revision, open_archive, server_url, upgrade_server
+from sunarc.archive.engine import writing
+from sunarc.archive.server import create_server_engine
+from sunarc.archive.tables import metadata
+from sunarc.errors import InputError, OutsideError, SchemaError
+
+from .conftest import NOON, ROOF
+
+DEPLOY = Path(__file__).parents[2] / "deploy" / "hub"
+POINT = SunPoint(
+    camera="roof", pose_epoch="roof-1", time=NOON, method="disc", accepted=True, verdict="clear", x_px=1.0, y_px=2.0
+)
+
+
+@pytest.fixture
+def url(postgresql: Server) -> URL:
+    return postgresql.emptied_database()
+
+
+@pytest.fixture
+def engine_of(url: URL) -> Iterator[Engine]:
+    engine = create_server_engine(url)
+    yield engine
+    engine.dispose()
+
+
+def opened(url: URL) -> Archive:
+    archive = open_archive(url)
+    archive.save_camera(ROOF)
+    archive.epoch_at("roof", datetime(2013, 1, 1, tzinfo=UTC), reason="installed")
+    return archive
+
+
+def test_the_migrations_make_the_tables_of_the_models(engine_of: Engine) -> None:
+    def is_declared(_object: object, name: str | None, kind: str, reflected: bool, other: object) -> bool:  # noqa: FBT001 - alembic's
+        # the partitions and their index exist on this engine alone
+        return not (reflected and other is None and (kind == "index" or str(name).startswith("sun_point_")))
+
+    with engine_of.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "include_object": is_declared})
+        assert compare_metadata(context, metadata) == []
+
+
+def test_sightings_go_to_the_partition_of_their_month_and_a_query_reads_no_other(url: URL, engine_of: Engine) -> None:
+    ends = [datetime(2013, 4, 30, 23, 59, 59, 999_999, UTC), datetime(2013, 5, 1, tzinfo=UTC)]
+    with opened(url) as archive:
+        assert archive.add_sun_points(replace(POINT, time=time) for time in ends) == 2
+        assert [p.time for p in archive.sun_points("roof")] == ends
+    with engine_of.connect() as connection:
+        month = "SELECT time FROM sun_point_{} ORDER BY time"
+        found = [connection.execute(text(month.format(name))).scalars().all() for name in ("201304", "201305")]
+        assert [len(times) for times in found] == [1, 1]
+        since = 1_367_366_400_000_000  # 2013-05-01
+        asked = f"FROM sun_point WHERE camera = 'roof' AND time >= {since} AND time < {since + 10**9}"
+        plan = "\n".join(connection.execute(text(f"EXPLAIN SELECT * {asked}")).scalars())
+        assert "sun_point_201305" in plan
+        assert "sun_point_201304" not in plan
+        kinds = "SELECT indexdef FROM pg_indexes WHERE tablename = 'sun_point_201305'"
+        assert any("USING brin" in line for line in connection.execute(text(kinds)).scalars())
+
+
+@pytest.mark.parametrize("year", [1969, 2200])
+def test_a_time_that_no_sighting_has_makes_no_partition(url: URL, year: int) -> None:
+    with opened(url) as archive:
+        with pytest.raises(InputError):
+            archive.add_sun_points([replace(POINT, time=datetime(year, 6, 1, tzinfo=UTC))])
+        assert archive.sun_points("roof") == ()
+
+
+def test_a_second_upgrade_finds_nothing_to_do_and_a_check_tells_rows(url: URL) -> None:
+    assert not upgrade_server(url)
+    opened(url).close()
+    found = check(url)
+    assert found.sound
+    assert (found.revision, found.rows["camera"], found.rows["sun_point"]) == (head_revision(), 1, 0)
+
+
+def test_a_database_without_tables_or_of_a_newer_version_is_refused(postgresql: Server) -> None:
+    empty = postgresql.new_database(template="template0")
+    with pytest.raises(SchemaError, match="sunarc db upgrade --store"):
+        open_archive(empty)
+    assert upgrade_server(empty)
+    open_archive(empty).close()
+    postgresql.sql(str(empty.database), "UPDATE alembic_version SET version_num = '9999'")
+    for attempt in (open_archive, upgrade_server):
+        with pytest.raises(SchemaError, match="9999"):
+            attempt(empty)
+    postgresql.drop(empty)
+
+
+def test_the_revision_changes_with_every_commit_of_anyone_and_else_not(url: URL) -> None:
+    with opened(url) as archive, open_archive(url) as other:
+        before = archive.revision()
+        assert archive.revision() == before
+        archive.sun_points("roof")
+        assert archive.revision() == before
+        other.add_sun_points([POINT])
+        after = archive.revision()
+        assert after != before
+        assert archive.revision() == after
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "waits"),
+    [("roof", "mast", False), ("roof", "roof", True), (None, "roof", True), ("roof", None, True), (None, None, True)],
+)
+def test_writers_of_different_cameras_do_not_wait_for_one_another(
+    engine_of: Engine, first: str | None, second: str | None, *, waits: bool
+) -> None:
+    begun = threading.Event()
+
+    def write() -> None:
+        with writing(engine_of, camera=second):
+            begun.set()
+
+    with writing(engine_of, camera=first):
+        thread = threading.Thread(target=write)
+        thread.start()
+        assert begun.wait(0.3 if waits else 10.0) is not waits
+    thread.join(10.0)
+    assert begun.is_set()
+
+
+def test_a_restart_of_the_server_breaks_no_more_than_what_is_under_way(url: URL, postgresql: Server) -> None:
+    with opened(url) as archive:
+        before = archive.revision()
+        postgresql.stop()
+        with pytest.raises(OutsideError):
+            archive.add_sun_points([POINT])
+        with pytest.raises(OutsideError):
+            archive.revision()
+        postgresql.start()
+        assert archive.add_sun_points([POINT]) == 1
+        assert archive.revision() != before
+        assert len(archive.sun_points("roof")) == 1
+
+
+def test_after_a_failover_the_new_server_is_written_to(url: URL, postgresql: Server) -> None:
+    with running_server() as first:
+        first.sql(TEMPLATE, "SELECT 1")
+        with running_server(copy_of=first) as standby:
+            hosts = {"host": f"{first.folder},{standby.folder}", "target_session_attrs": "read-write"}
+            with opened(url.update_query_dict(hosts)) as archive:
+                archive.add_sun_points([POINT])
+                first.sql("postgres", "SELECT pg_switch_wal()")
+                _wait_for_row(standby)
+                with pytest.raises(OutsideError):
+                    open_archive(standby.url(TEMPLATE))  # a stand-by alone is none to write to
+                first.stop()
+                standby.promote()
+                assert archive.add_sun_points([POINT, replace(POINT, time=NOON + timedelta(seconds=30))]) == 1
+                assert len(archive.sun_points("roof")) == 2
+            first.start()
+    assert postgresql.folder != first.folder
+
+
+def _wait_for_row(server: Server) -> None:
+    ticking = threading.Event()
+    for _ in range(100):
+        if server.sql(TEMPLATE, "SELECT count(*) FROM sun_point").strip() == "1":
+            return
+        ticking.wait(0.1)
+    pytest.fail("the stand-by did not follow")
+
+
+@pytest.mark.parametrize(
+    "store", ["", "sqlite:///x", "mysql://h/d", "postgresql+psycopg://host", "postgresql+asyncpg://h/d", "no address"]
+)
+def test_another_address_is_no_store(store: str) -> None:
+    with pytest.raises(InputError) as error:
+        server_url(store)
+    assert error.value.field == "store"
+
+
+def test_a_password_is_in_no_message() -> None:
+    url = server_url("postgresql://someone:hidden-word@127.0.0.1:1/sunarc")
+    with pytest.raises(OutsideError) as error:
+        open_archive(url)
+    assert "hidden-word" not in str(error.value)
+    assert "someone" in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def fleet() -> Iterator[Server]:
+    """Yield a server with the roles and the database of deploy/hub."""
+    with running_server() as server:
+        for name, user in (("roles.sql", "test"), (None, "sunarc_owner"), ("grants.sql", "sunarc_owner")):
+            if name is None:
+                upgrade_server(server.url("sunarc", user=user))
+                continue
+            database = "postgres" if user == "test" else "sunarc"
+            script = server.folder / name
+            script.write_text((DEPLOY / name).read_text())
+            server.run(
+                "psql", "-qX", "-v", "ON_ERROR_STOP=1", "-h", server.folder, "-U", user, "-d", database, "-f", script
+            )
+        yield server
+
+
+def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Server) -> None:
+    with opened(fleet.url("sunarc", user="sunarc_feed")) as archive:
+        assert archive.add_sun_points([POINT]) == 1  # makes a partition
+    refused = ["DROP TABLE sun_point", "DELETE FROM sun_point", "DELETE FROM event", "CREATE TABLE mine (x int)"]
+    for statement in refused:
+        with pytest.raises(AssertionError, match=r"permission denied|must be owner"):
+            fleet.sql("sunarc", statement, user="sunarc_feed")
+
+
+def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
+    with open_archive(fleet.url("sunarc", user="sunarc_reader")) as archive:
+        archive.sun_points("roof")
+        with pytest.raises(OutsideError, match="permission denied"):
+            archive.save_camera(ROOF)
+    with pytest.raises(AssertionError, match="permission denied"):
+        fleet.sql("sunarc", "SELECT sunarc_require_month(0)", user="sunarc_reader")
