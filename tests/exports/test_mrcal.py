@@ -37,7 +37,7 @@ def test_mrcal_projects_to_the_stated_error(
         check=False,
     )
     if "No module named 'mrcal'" in done.stderr:
-        pytest.skip("python3-mrcal is not installed")
+        pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
     assert done.returncode == 0, done.stderr
     off = np.linalg.norm(np.array(json.loads(done.stdout)) - pixels, axis=-1)
     assert off.max() < 1.2 * worst_stated_px(exported.error) + 1e-4

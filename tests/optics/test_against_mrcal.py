@@ -39,7 +39,7 @@ def test_projects_and_unprojects_as_mrcal_does() -> None:
         check=False,
     )
     if "No module named 'mrcal'" in done.stderr:
-        pytest.skip("python3-mrcal is not installed")
+        pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
     theirs = np.array(json.loads(done.stdout))
     np.testing.assert_allclose(project(CAMERA, rays), theirs, atol=1e-7)
     np.testing.assert_allclose(unproject(CAMERA, theirs), rays, atol=1e-9)
