@@ -31,7 +31,7 @@ def document() -> dict[str, Any]:
 def faults(path: Path) -> dict[str, set[str]]:
     """Return what each of the conventions finds wrong, required or recommended: the checks that fail."""
     asked = [argument for one in CONVENTIONS for argument in ("-t", one)]
-    command = [CHECKER, *asked, "-c", "strict", "-f", "json_new", "-o", "report.json", path.name]
+    command = [str(CHECKER), *asked, "-c", "strict", "-f", "json_new", "-o", "report.json", path.name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False, cwd=path.parent)
     assert (path.parent / "report.json").is_file(), done.stderr
     found: dict[str, Any] = json.loads((path.parent / "report.json").read_text())

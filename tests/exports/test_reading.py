@@ -89,6 +89,18 @@ def mask_of(shape: tuple[int, int]) -> bytes:
     return target.getvalue()
 
 
+def with_nan(*keys: str) -> dict[str, Any]:
+    """Return a calibration document with NaN where a number stood."""
+    document = json.loads(json.dumps(document_of(SMALL)))
+    place: Any = document
+    for key in keys:
+        place = place[key]
+    while isinstance(place[0], list):
+        place = place[0]
+    place[0] = float("nan")
+    return dict(document)
+
+
 YAML = export(document_of(SMALL), "asi-core").content
 OCAM = export(document_of(SMALL), "ocamcalib").content
 OPENCV = export(document_of(SMALL), "opencv").content
@@ -122,6 +134,9 @@ TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
         (b"PK\x03\x04", "no map"),
         (b"\x89HDF", "no map"),
         (NOTHING.getvalue(), "NaN"),
+        (YAML.replace(b"  xc: ", b"  xc: .nan #"), "no pixel"),
+        (json.dumps(with_nan("uncertainty", "covariance")).encode(), "not finite"),
+        (json.dumps(with_nan("model", "radial")).encode(), "not finite"),
         (OTHER.getvalue(), "shape"),
     ],
 )  # fmt: skip

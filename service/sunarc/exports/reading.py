@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 
+import numpy as np
+
 from sunarc.calibration import from_document
 from sunarc.errors import InputError
 from sunarc.exports.asi_core import mask_file, read_asi_core
@@ -47,6 +49,8 @@ _BY_CONTENT: tuple[tuple[bytes, Callable[..., View]], ...] = (
     (b"opencv_storage", read_opencv),
     (b"<?xml", read_opencv),
 )
+_PROBED = 9
+"""Pixels along a side that are asked for a direction: a fisheye shows some of them, whatever its field."""
 _IMAGES = (b"\x89PNG", b"\x00\x00\x00\x0cjP  ")
 
 
@@ -68,8 +72,18 @@ def read_view(content: bytes, *, name: str, beside: Beside = lambda _: None) -> 
     Raises
     ------
     InputError
-        The format is unknown, or the file is not what its format says.
+        The format is unknown, the file is not what its format says, or no pixel of its image has a direction.
     """
+    view = _view_of(content, name=name, beside=beside)
+    across = [np.linspace(0.0, size - 1.0, _PROBED) for size in (view.width, view.height)]
+    if not np.any(np.isfinite(view.unproject(np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)))):
+        raise InputError(
+            field=name, problem="no pixel of its image has a direction", remedy="look for NaN among its numbers"
+        )
+    return view
+
+
+def _view_of(content: bytes, *, name: str, beside: Beside) -> View:
     for start, read in _BY_START:
         if content.startswith(start):
             return read(content, name=name)

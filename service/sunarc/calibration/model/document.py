@@ -153,7 +153,10 @@ def from_document(document: object) -> Calibration:
     """
     read = _Reader(document)
     if read.value("schema") != SCHEMA:
-        raise InputError(field="schema", problem=f"{read.value('schema')!r}", remedy=f"give a {SCHEMA} document")
+        remedy = f"give a {SCHEMA} document, or use the version of sunarc that wrote this one"
+        raise InputError(
+            field="schema", problem=f"{read.value('schema')!r}, which this version does not read", remedy=remedy
+        )
     camera = _read_camera(read)
     names = tuple(str(n) for n in read.items("uncertainty.parameters"))
     if any(n not in PARAMETER_NAMES for n in names):
@@ -325,4 +328,6 @@ class _Reader:
             return np.zeros(shape)
         if found.shape != shape:
             raise InputError(field=key, problem=f"shape {found.shape}", remedy=f"give shape {shape}")
+        if not np.all(np.isfinite(found)):
+            raise InputError(field=key, problem="a number is not finite", remedy="give finite numbers")
         return found
