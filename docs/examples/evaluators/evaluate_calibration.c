@@ -14,8 +14,9 @@
 
 static double n[40]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 */
 enum { F = 3, SKEW = 5, CENTER = 6, ROTATION = 8, SHIFT = 11, RADIAL = 14, P = 22, MOST = 26, BACK = 27, Q = 35 };
+static double R[3][3]; /* east-north-up to camera */
 
-static double ideal(double x, int inverse) {
+static double ideal(double x, int inverse) { /* radius of an angle, or angle of a radius */
     switch ((int)n[2]) {
     case 0: return inverse ? atan(x) : tan(x);
     case 1: return x;
@@ -39,36 +40,31 @@ static void decenter(const double *c, int higher, double r, double x, double y, 
     d[1] = g * (2 * c[0] * u * v + c[1] * (1 + 2 * v * v));
 }
 
-static void rotation(double R[3][3]) { /* of the rotation vector (Rodrigues) */
-    const double *w = n + ROTATION, angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), s = angle > 0 ? angle : 1;
-    const double a[3] = {w[0] / s, w[1] / s, w[2] / s}, c = cos(angle), t = sin(angle);
+static void rotate(void) { /* of the rotation vector (Rodrigues) */
+    const double *w = n + ROTATION, angle = hypot(hypot(w[0], w[1]), w[2]), s = angle > 0 ? angle : 1;
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            R[i][j] = (i == j) * c + (1 - c) * a[i] * a[j] + (i == j ? 0 : ((j - i + 3) % 3 == 1 ? -t : t) * a[3 - i - j]);
+            R[i][j] = (i == j) * cos(angle) + (1 - cos(angle)) * w[i] * w[j] / (s * s) +
+                      (i == j ? 0 : ((j - i + 3) % 3 == 1 ? -1 : 1) * sin(angle) * w[3 - i - j] / s);
 }
 
 static void project(const double *d, double *pixel) {
-    double R[3][3], ray[3], e[2];
-    rotation(R);
+    double ray[3], e[2];
     for (int i = 0; i < 3; i++) ray[i] = R[i][0] * d[0] + R[i][1] * d[1] + R[i][2] * d[2] + n[SHIFT + i];
     double across = hypot(ray[0], ray[1]), theta = atan2(across, ray[2]), half = acos(-1) / 2;
-    if (theta > n[MOST] * half / 90) { pixel[0] = pixel[1] = NAN; return; }
     double r = ideal(theta, 0) + polynomial(n + RADIAL, theta / half), q = across > 0 ? r / across : 0;
-    double x = q * ray[0], y = q * ray[1];
-    decenter(n + P, 2, r, x, y, e);
-    pixel[1] = n[F + 1] * (y + e[1]) + n[CENTER + 1];
-    pixel[0] = n[F] * (x + e[0]) + n[SKEW] * (y + e[1]) + n[CENTER];
-    if (n[1]) pixel[0] = n[0] - 1 - pixel[0];
+    decenter(n + P, 2, r, q * ray[0], q * ray[1], e);
+    double x = q * ray[0] + e[0], y = q * ray[1] + e[1], px = n[F] * x + n[SKEW] * y + n[CENTER];
+    pixel[0] = theta > n[MOST] * half / 90 ? NAN : n[1] ? n[0] - 1 - px : px;
+    pixel[1] = theta > n[MOST] * half / 90 ? NAN : n[F + 1] * y + n[CENTER + 1];
 }
 
 static void back_project(const double *pixel, double *d) { /* closed form */
-    double R[3][3], e[2], px = n[1] ? n[0] - 1 - pixel[0] : pixel[0];
+    double e[2], px = n[1] ? n[0] - 1 - pixel[0] : pixel[0];
     double y = (pixel[1] - n[CENTER + 1]) / n[F + 1], x = (px - n[CENTER] - n[SKEW] * y) / n[F], r = hypot(x, y);
     decenter(n + Q, 3, r, x, y, e);
-    x -= e[0], y -= e[1];
-    double adjusted = hypot(x, y), theta = ideal(adjusted - polynomial(n + BACK, r), 1);
-    double s = adjusted > 0 ? sin(theta) / adjusted : 0, ray[3] = {s * x, s * y, cos(theta)};
-    rotation(R);
+    double adjusted = hypot(x - e[0], y - e[1]), theta = ideal(adjusted - polynomial(n + BACK, r), 1);
+    double s = adjusted > 0 ? sin(theta) / adjusted : 0, ray[3] = {s * (x - e[0]), s * (y - e[1]), cos(theta)};
     for (int i = 0; i < 3; i++) d[i] = R[0][i] * ray[0] + R[1][i] * ray[1] + R[2][i] * ray[2];
 }
 
@@ -78,9 +74,9 @@ int main(int count, char **names) {
     char kind;
     for (int i = 0; i < 40; i++)
         if (!file || fscanf(file, "%lf", n + i) != 1) return fprintf(stderr, "give a file of 40 numbers\n"), 2;
-    while (scanf(" %c %lf %lf", &kind, in, in + 1) == 3) {
+    rotate();
+    while (scanf(" %c %lf %lf", &kind, in, in + 1) == 3)
         if (kind == 'p') back_project(in, out), printf("%.17g %.17g %.17g\n", out[0], out[1], out[2]);
         else if (scanf("%lf", in + 2) == 1) project(in, out), printf("%.17g %.17g\n", out[0], out[1]);
-    }
     return 0;
 }
