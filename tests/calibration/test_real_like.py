@@ -19,6 +19,7 @@ from sunarc.calibration.fit.least_squares_reference import at_least_least_square
 from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
+from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.sightings import filter_sightings
 from sunarc.optics import project, rotation_matrix
 from sunarc.sky import Site, sun_directions
@@ -63,10 +64,11 @@ def _problem(track_seed: int) -> tuple[Problem, Observations, NDArray[np.float64
 
 def test_a_camera_that_misses_the_sightings_is_brought_back_and_a_good_one_stays() -> None:
     problem, seen, good = _problem(7)
-    assert np.array_equal(at_least_least_squares(problem, seen, good, sigma=0.8), good)
+    alone = Bins(member=np.arange(len(seen)), count=len(seen))
+    assert np.array_equal(at_least_least_squares(problem, seen, alone, good, sigma=0.8), good)
     missed = good.copy()
     missed[5] += 60.0
-    back = at_least_least_squares(problem, seen, missed, sigma=0.8)
+    back = at_least_least_squares(problem, seen, alone, missed, sigma=0.8)
     residual = [float(np.median(np.linalg.norm(problem.residuals(at, seen), axis=-1))) for at in (good, missed, back)]
     assert residual[1] > 1.5 * residual[0]
     assert residual[2] < 1.1 * residual[0]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tests.optics.reference import rodrigues
 
 from sunarc.optics import PoseAngles, pose_angles, rotation_from_pose_angles, rotation_matrix, rotation_vector
+from sunarc.optics.kernels import write_rotation
 from sunarc.optics.pose import right_jacobian, skew_matrix
 
 FloatArray = NDArray[np.float64]
@@ -119,3 +120,12 @@ def test_a_level_camera_leans_nowhere_and_one_that_looks_down_is_tilted_by_180_d
     assert level.theta_zz_deg == 0.0
     assert level.phi_xz_deg == pytest.approx(-math.degrees(0.3))  # the rows are the camera's axes
     assert pose_angles((math.pi, 0.0, 0.0)).theta_zz_deg == pytest.approx(180.0)
+
+
+def test_the_compiled_matrix_and_jacobian_are_those_of_numpy() -> None:
+    near_the_series_end = [np.array([scale, 0.3 * scale, -0.2 * scale]) for scale in (9e-4, 1.1e-3)]
+    for vector in (*VECTORS, *near_the_series_end):
+        matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
+        write_rotation(vector, matrix, jacobian)
+        np.testing.assert_allclose(matrix, rotation_matrix(vector), atol=2e-14)
+        np.testing.assert_allclose(jacobian, right_jacobian(vector), atol=1e-9)

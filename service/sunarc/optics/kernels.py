@@ -21,6 +21,8 @@ PROJECTION_CODES = {name: code for code, name in enumerate(PROJECTIONS)}
 
 _RIGHT_ANGLE = math.pi / 2
 _ON_AXIS = 1e-12
+_SMALL_ANGLE = 1e-3
+"""rad; below it the first term left out of the series is 1e-14."""
 # plain integers: the compiler indexes faster by them than by members of an enumeration
 _FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
 _X0, _Y0 = int(Param.PRINCIPAL_POINT_X_PX), int(Param.PRINCIPAL_POINT_Y_PX)
@@ -95,14 +97,60 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     rows = np.zeros((n, 2, _SIZE))
     shape = np.empty(11)
     for i in range(n):
-        x, y, z = _in_camera(vector, rotation, directions[i])
-        if not _shape_at(vector, code, max_angle, x, y, z, shape):
+        if not write_pixel_and_rows(
+            vector, code, mirror, max_angle, rotation, jacobian, directions[i], shape, pixels[i], rows[i]
+        ):
             pixels[i, 0], pixels[i, 1] = np.nan, np.nan
-            continue
-        _lens_rows(vector, mirror, shape, pixels[i], rows[i])
-        _vector_rows(vector, mirror, shape, x, y, z, rows[i])
-        _pose_rows(rotation, jacobian, directions[i], rows[i])
     return pixels, rows
+
+
+@njit(nogil=True)
+def write_pixel_and_rows(  # noqa: PLR0917 - compiled functions take positions
+    vector: FloatArray,
+    code: int,
+    mirror: float,
+    max_angle: float,
+    rotation: FloatArray,
+    jacobian: FloatArray,
+    direction: FloatArray,
+    shape: FloatArray,
+    pixel: FloatArray,
+    row: FloatArray,
+) -> bool:
+    """Write one pixel (2,) and its derivatives (2, 23); return False, and write nothing, beyond the largest angle.
+
+    `shape` (11,) is room for what the lens makes of the ray. The other arguments as of `pixels_and_rows_of`.
+    """
+    x, y, z = _in_camera(vector, rotation, direction)
+    if not _shape_at(vector, code, max_angle, x, y, z, shape):
+        return False
+    _lens_rows(vector, mirror, shape, pixel, row)
+    _vector_rows(vector, mirror, shape, x, y, z, row)
+    _pose_rows(rotation, jacobian, direction, row)
+    return True
+
+
+@njit(nogil=True)
+def write_rotation(w: FloatArray, rotation: FloatArray, jacobian: FloatArray) -> None:
+    """Write `rotation_matrix` (3, 3) and `right_jacobian` (3, 3) of a rotation vector (3,)."""
+    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    angle = math.sqrt(square)
+    if angle < _SMALL_ANGLE:  # series: the quotients lose their digits near 0
+        first, second, third = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    else:
+        first, second = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        third = (1.0 - first) / square
+    for i in range(3):
+        for j in range(3):
+            same = 1.0 if i == j else 0.0
+            twice = w[i] * w[j] - same * square  # the square of the skew matrix
+            rotation[i, j] = same + second * twice
+            jacobian[i, j] = same + third * twice
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        rotation[i, j] -= first * w[k]
+        rotation[j, i] += first * w[k]
+        jacobian[i, j] += second * w[k]
+        jacobian[j, i] -= second * w[k]
 
 
 @njit(nogil=True)

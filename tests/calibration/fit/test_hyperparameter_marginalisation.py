@@ -155,7 +155,7 @@ def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: Hyperpar
 
 def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
     choices = module._plausible(system.normal(), grid, at)
-    assert module._honest_tilt(choices, np.zeros((len(choices.fits), 0, 2, 2))) == 0.0
+    assert module._honest_tilt(choices, np.zeros((len(choices.shift), 0, 2, 2))) == 0.0
 
 
 def test_the_plausible_choices_hold_nearly_all_probability(
@@ -163,7 +163,7 @@ def test_the_plausible_choices_hold_nearly_all_probability(
 ) -> None:
     weight = scale_weights(system.normal(), grid)
     choices = module._plausible(system.normal(), grid, at)
-    kept = len(choices.fits)
+    kept = len(choices.shift)
     assert kept < weight.size
     largest = np.sort(weight.ravel())[::-1]
     assert largest[:kept].sum() > 0.95

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,11 +13,16 @@ from tests.fixtures.calibration import observed, small_camera, small_problem, su
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.robust_loss import tukey_loss
+from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss
 
 FloatArray = NDArray[np.float64]
 
 SIGMA = 0.1
+
+
+def _each_alone(seen: Observations) -> Bins:
+    return Bins(member=np.arange(len(seen)), count=len(seen))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +47,7 @@ def _levels(problem: Problem, seen: Observations, at: FloatArray) -> tuple[Float
 
 
 def test_a_fit_that_is_as_good_stays(problem: Problem, seen: Observations, plain: FloatArray) -> None:
-    assert at_least_least_squares(problem, seen, plain, sigma=SIGMA) is plain
+    assert at_least_least_squares(problem, seen, _each_alone(seen), plain, sigma=SIGMA) is plain
 
 
 @pytest.mark.parametrize("off", [0.002, 0.02])
@@ -48,7 +56,7 @@ def test_a_fit_that_is_worse_is_brought_to_the_bound(
 ) -> None:
     start = plain.copy()
     start[18] += off
-    found = at_least_least_squares(problem, seen, start, sigma=SIGMA)
+    found = at_least_least_squares(problem, seen, _each_alone(seen), start, sigma=SIGMA)
     costs, median = _levels(problem, seen, found)
     best_costs, best_median = _levels(problem, seen, plain)
     start_costs, start_median = _levels(problem, seen, start)
@@ -66,5 +74,33 @@ def test_outliers_do_not_change_what_is_asked(problem: Problem, seen: Observatio
     pixels = seen.pixels.copy()
     pixels[::10] += 5.0
     wrong = Observations(directions=seen.directions, pixels=pixels, information=seen.information, epoch=seen.epoch)
-    found = at_least_least_squares(problem, wrong, plain, sigma=SIGMA)
+    found = at_least_least_squares(problem, wrong, _each_alone(wrong), plain, sigma=SIGMA)
     np.testing.assert_array_equal(found, plain)
+
+
+def test_least_squares_of_the_bins_means_is_that_of_all(problem: Problem) -> None:
+    at = problem.unknowns([small_camera()])
+    dense = observed(small_camera(), sun_arc(600), sigma_px=SIGMA)
+    bins = Bins(member=np.arange(600) // 8, count=75)
+    means = bins.observations(dense, problem, at, information=dense.information)
+    all_of_them, of_means = least_squares(problem, dense, at), least_squares(problem, means, at)
+    moved = problem.residuals(of_means, dense) - problem.residuals(all_of_them, dense)
+    assert np.max(np.abs(moved)) < 0.006
+    assert np.max(np.abs(problem.residuals(at, dense) - problem.residuals(all_of_them, dense))) > 0.02
+    ratio = np.sum(problem.residuals(of_means, dense) ** 2) / np.sum(problem.residuals(all_of_them, dense) ** 2)
+    assert ratio - 1.0 < 2e-4  # decision 0023 allows 0.012
+
+
+def test_a_sighting_where_the_lens_sees_nothing_takes_no_part_in_its_bin(problem: Problem, seen: Observations) -> None:
+    at = problem.unknowns([small_camera()])
+    narrow = replace(problem, template=replace(problem.template, max_angle=math.radians(60.0)))
+    unseen = np.any(narrow.residuals(at, seen) == UNSEEN_PX, axis=-1)
+    assert 5 < np.count_nonzero(unseen) < 100
+    bins = Bins(member=np.arange(150) // 10, count=15)
+    means = bins.observations(seen, narrow, at, information=seen.information)
+    seen_again = bins.observations(seen, problem, at, information=np.where(unseen, 0.0, seen.information))
+    np.testing.assert_allclose(means.information, seen_again.information)
+    counted = means.information > 0.0
+    off = narrow.residuals(at, means)[counted] - problem.residuals(at, seen_again)[counted]
+    shown = np.all(narrow.residuals(at, means)[counted] != UNSEEN_PX, axis=-1)
+    np.testing.assert_allclose(off[shown], 0.0, atol=1e-9)

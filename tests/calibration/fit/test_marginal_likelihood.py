@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
+from sunarc.calibration.fit.field_axes import BasisProducts
 from sunarc.calibration.fit.marginal_likelihood import (
     NormalEquations,
     Scales,
+    Turned,
     log_evidences,
     marginal_fit,
-    marginal_fits,
     normal_sums,
     penalty,
+    posterior_covariances,
     prior_precision,
-    responses,
 )
 from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
 
@@ -107,7 +108,7 @@ def test_sums_over_sightings_by_hand() -> None:
     found = normal_sums(rows, waves, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1.0, 4.0]), at=np.zeros(2))
     np.testing.assert_allclose(found.jj, [[1.0 + 4.0 * 10.0, 2.0 + 4.0], [6.0, 5.0 + 4.0]])
     np.testing.assert_allclose(found.jf[:, :, 0], [[1.0 + 24.0, 2.0], [8.0, 1.0 + 8.0]])
-    np.testing.assert_allclose(found.ff, [[17.0]])
+    np.testing.assert_allclose(found.ff.matrix, [[17.0]])
     np.testing.assert_allclose(found.jr, [1.0 + 4.0 * 13.0, 4.0 + 16.0])
     np.testing.assert_allclose(found.fr, [[25.0], [34.0]])
     assert found.rr == pytest.approx(5.0 + 4.0 * 25.0)
@@ -115,7 +116,7 @@ def test_sums_over_sightings_by_hand() -> None:
 
 def test_given_wave_products_are_taken_as_they_are(basis: WaveBasis) -> None:
     case = _Case(basis)
-    given = np.eye(case.basis_values.shape[1])
+    given = BasisProducts(matrix=np.eye(case.basis_values.shape[1]))
     found = normal_sums(case.rows, case.basis_values, case.residual, case.information, at=case.at, ff=given)
     assert found.ff is given
 
@@ -165,25 +166,15 @@ def test_the_fit_and_its_field_are_the_joint_mode_and_the_gain_is_what_the_step_
     assert found.gain == pytest.approx(gain, rel=1e-6)
 
 
-def test_several_choices_are_fitted_as_each_alone(basis: WaveBasis) -> None:
-    case = _Case(basis)
-    choices = [SCALES, Scales(0.01, 250.0, 1.0, 0.3), Scales(2.0, 300.0, 2.0, 0.7)]
-    for scales, found in zip(choices, marginal_fits(case.normal(), basis, choices), strict=True):
-        alone = marginal_fit(case.normal(), basis, scales)
-        np.testing.assert_allclose(found.unknowns, alone.unknowns)
-        np.testing.assert_allclose(found.covariance, alone.covariance)
-
-
-def test_responses_are_by_how_much_the_fit_moves_with_the_sightings(basis: WaveBasis) -> None:
-    case = _Case(basis)
-    displaced = np.random.default_rng(5).standard_normal((3, *case.residual.shape))
-    jr = np.einsum("nap,n,kna->kp", case.rows, case.information, displaced)
-    fr = np.einsum("nm,n,kna->kam", case.basis_values, case.information, displaced)
-    found = responses(case.normal(), basis, SCALES, jr=jr, fr=fr)
-    plain = marginal_fit(case.normal(), basis, SCALES).unknowns
-    for k in range(3):
-        moved = normal_sums(case.rows, case.basis_values, case.residual + displaced[k], case.information, at=case.at)
-        np.testing.assert_allclose(found[k], marginal_fit(moved, basis, SCALES).unknowns - plain, atol=1e-9)
+def test_several_precisions_are_those_of_each_alone(basis: WaveBasis) -> None:
+    normal = _Case(basis).normal()
+    scales = [SCALES, SCALES._replace(radial_px=1.0, decentering_px=0.3)]
+    turned = Turned.of(normal, basis, SCALES.length_px)
+    shrink = turned.axes.shrinkage(np.array([SCALES.amplitude_px]))[0]
+    precision = np.stack([normal.prior_precision(one.radial_px, one.decentering_px) for one in scales])
+    found = posterior_covariances(normal.jj - turned.absorbed(shrink), normal, precision)
+    for one, covariance in zip(scales, found, strict=True):
+        np.testing.assert_allclose(covariance, marginal_fit(normal, basis, one).covariance)
 
 
 def test_the_unknowns_scatter_as_the_covariance_says(basis: WaveBasis) -> None:

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fixtures.calibration import ideal_camera, small_camera, spread_directions
+from numpy.typing import NDArray
+from tests.fixtures.calibration import ideal_camera, numerical_derivative, small_camera, spread_directions
 
+from sunarc.calibration.model import backward
 from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.optics import Projection, project, unproject
 
@@ -63,3 +65,22 @@ def test_a_camera_sees_what_lies_within_its_outer_pixels_edges() -> None:
         [[-0.5, -0.5], [639.5, 479.5], [-0.6, 0.0], [639.6, 0.0], [0.0, -0.6], [0.0, 479.6], [np.nan, 1.0]]
     )
     assert camera_sees(ideal_camera(), pixels).tolist() == [True, True, False, False, False, False, False]
+
+
+def test_slopes_are_the_differences_of_the_point() -> None:
+    camera = small_camera()
+    x_hat, y_hat = np.meshgrid(np.linspace(-1.2, 1.3, 7), np.linspace(-1.1, 1.2, 6))
+    at = backward._first(camera) + np.r_[0.01, -0.02, np.full(8, 2e-3), 0.1, 0.05, -0.1]
+
+    def point(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        return backward._ideal_point(camera, coefficients, x_hat.ravel(), y_hat.ravel())
+
+    found = backward._slopes(camera, at, x_hat.ravel(), y_hat.ravel())
+    np.testing.assert_allclose(found, numerical_derivative(point, at), atol=1e-7)
+    assert found.shape == (42, 2, 13)
+
+
+def test_a_decentering_that_nothing_determines_is_fitted_as_well() -> None:
+    """p1 and p2 next to nothing beside p3 in the thousands, as a noisy day's fit by the paper's method ends."""
+    camera = replace(small_camera(), decentering=(8e-8, 1e-8, -4600.0, 1100.0))
+    assert fit_backward(camera).max_error_px < 0.05

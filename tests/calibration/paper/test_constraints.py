@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from tests.fixtures.calibration import ideal_camera, small_camera
+from tests.fixtures.calibration import ideal_camera, numerical_derivative, penalties, small_camera
 
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.calibration.paper.constraints import penalties
+from sunarc.calibration.paper.constraints import Penalties
 from sunarc.optics import Camera, ideal_radius
 from sunarc.optics.forward import distorted_radius
 
@@ -78,3 +78,16 @@ def test_c3_is_the_falling_part_of_the_radius() -> None:
 def test_weights_of_nothing_leave_no_penalty() -> None:
     options = PaperOptions(orthogonality_weight=0.0, circularity_weight=0.0, monotony_weight=0.0)
     np.testing.assert_array_equal(penalties(small_camera(), options, largest_angle=EDGE), 0.0)
+
+
+@pytest.mark.parametrize("scope", ["focal_lengths", "with_decentering"])
+def test_slopes_are_the_differences_of_the_values(scope: str) -> None:
+    options = PaperOptions(ellipse_scope=scope)  # type: ignore[arg-type]
+    camera = replace(small_camera(), radial=(-1.2, 0.1, *([0.02] * 6)), skew_px=0.3)
+    of = Penalties.of(camera.projection, options, largest_angle=EDGE)
+    values, slopes = of.values_and_slopes(camera.to_vector())
+    np.testing.assert_array_equal(values, of.values(camera.to_vector()))
+    expected = numerical_derivative(of.values, camera.to_vector())
+    np.testing.assert_allclose(slopes, expected, rtol=1e-5, atol=1e-4)
+    assert np.count_nonzero(values[25:]) > 10
+    assert np.any(slopes[1:25, 19:] != 0.0) == (scope == "with_decentering")

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.fixtures.calibration import penalties
 
 from sunarc.calibration import Calibration, CalibrationOptions, ImageCircle, PaperOptions, calibrate
 from sunarc.calibration.initial_guess.candidates import wahba
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.metrics import measures
-from sunarc.calibration.paper import direct_linear_pose, penalties
+from sunarc.calibration.paper import direct_linear_pose
 from sunarc.optics import pose_angles, project
 
 if TYPE_CHECKING:

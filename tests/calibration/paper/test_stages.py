@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import (
     numerical_derivative,
     observed,
+    penalties,
     random_covariance,
     small_camera,
     spread_directions,
@@ -20,7 +21,6 @@ from sunarc.calibration.fit.assemble import Fitted
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, PaperOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.paper.constraints import penalties
 from sunarc.calibration.paper.stages import _inverse, _start, fit_as_paper
 from sunarc.optics import PARAMETER_NAMES, project
 

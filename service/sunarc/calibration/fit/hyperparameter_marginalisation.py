@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_weights
-from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales, marginal_fits
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Turned, posterior_covariances
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -49,20 +50,46 @@ class PosteriorCovariance:
     length_px: float
 
 
+class _Field(NamedTuple):
+    """The field under one amplitude and length: the sums in its axes, and its shrinkage (r,)."""
+
+    turned: Turned
+    shrink: FloatArray
+
+    def pull(self, values: FloatArray) -> FloatArray:
+        """Return (2, p, n): J' of each component with the field's posterior at places of basis values (n, m)."""
+        return np.asarray((self.turned.rows * self.shrink) @ (values @ self.turned.axes.transform).T)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Choices:
-    """The plausible scales: their shares, and the fits under them; shift (k, p) from the fit that is doubted."""
+    """The plausible scales, those of one field together.
+
+    share (k,): probabilities. amplitude, length (k,): px. fields: one for each `field` (k,) of them. covariance
+    (k, p, p); shift (k, p): from the fit that is doubted.
+    """
 
     share: FloatArray
     amplitude: FloatArray
     length: FloatArray
-    fits: list[MarginalFit]
+    fields: list[_Field]
+    field: IntArray
+    covariance: FloatArray
     shift: FloatArray
 
     def tilted(self, tilt: float) -> FloatArray:
         """Return the shares, each times a power of its amplitude."""
         weight = self.share * self.amplitude**tilt
         return np.asarray(weight / weight.sum())
+
+    def mean_cross(self, weight: FloatArray) -> FloatArray:
+        """Return (2, p, m): the mean covariance of the unknowns with the field's coefficients."""
+        parts = []
+        for number, field in enumerate(self.fields):
+            inside = self.field == number
+            mean = np.tensordot(weight[inside], self.covariance[inside], 1)
+            parts.append(-(mean @ (field.turned.rows * field.shrink)) @ field.turned.axes.transform.T)
+        return np.asarray(np.sum(parts, axis=0))
 
 
 def marginalised_covariance(
@@ -71,15 +98,10 @@ def marginalised_covariance(
     """Return how far the unknowns may be off, whatever the scales are."""
     choices = _plausible(normal, grid, unknowns)
     weight = choices.tilted(_honest_tilt(choices, _at_probes(choices, grid.basis, problem, unknowns)))
-    covariance = np.einsum("k,kp,kq->pq", weight, choices.shift, choices.shift, optimize=True)
-    cross = np.zeros((2, unknowns.size, len(grid.basis.orders)))
-    for part, fit in zip(weight, choices.fits, strict=True):
-        covariance += part * fit.covariance
-        cross += part * fit.cross
     power = weight * choices.amplitude**2
     return PosteriorCovariance(
-        covariance=covariance,
-        cross=cross,
+        covariance=(choices.shift.T * weight) @ choices.shift + np.tensordot(weight, choices.covariance, 1),
+        cross=choices.mean_cross(weight),
         amplitude_px=math.sqrt(float(power.sum())),
         length_px=math.exp(float(power @ np.log(choices.length) / power.sum())),
     )
@@ -92,39 +114,46 @@ def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: Floa
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
     either = (weight + tail / tail.sum()).ravel()
     order = np.argsort(either)[::-1]
-    retained = order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))]
+    # in the order of the grid, so that choices of one field follow one another
+    retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
-    amplitude, length, lens = grid.amplitudes[i], grid.lengths[j], grid.lens_scales[k]
-    scales = [
-        Scales(float(a), float(l), float(r), float(d)) for a, l, (r, d) in zip(amplitude, length, lens, strict=True)
-    ]
-    fits = marginal_fits(normal, grid.basis, scales)
+    pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
+    precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in grid.lens_scales])
+    fields, covariance, fitted = [], [], []
+    for number, (amplitude, length) in enumerate(pairs):
+        turned = Turned.of(normal, grid.basis, float(grid.lengths[length]))
+        shrink = turned.axes.shrinkage(grid.amplitudes[amplitude : amplitude + 1])[0]
+        here = precision[k[field.ravel() == number]]
+        covariance.append(posterior_covariances(normal.jj - turned.absorbed(shrink), normal, here))
+        pull = normal.jr - turned.explained(shrink) - here * normal.at
+        fitted.append(normal.at + np.einsum("kpq,kq->kp", covariance[-1], pull))
+        fields.append(_Field(turned, shrink))
     share = weight.ravel()[retained]
     return _Choices(
         share=share / share.sum(),
-        amplitude=amplitude,
-        length=length,
-        fits=fits,
-        shift=np.stack([fit.unknowns - unknowns for fit in fits]),
+        amplitude=grid.amplitudes[i],
+        length=grid.lengths[j],
+        fields=fields,
+        field=field.ravel(),
+        covariance=np.concatenate(covariance),
+        shift=np.concatenate(fitted) - unknowns,
     )
 
 
 def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray) -> FloatArray:
-    """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky."""
+    """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky.
+
+    Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted.
+    """
     rows, basis_values = _probes(problem, unknowns, basis)
-    moved = np.einsum("nap,kp->kna", rows, choices.shift, optimize=True)
-    found = [
-        _moments(rows, basis_values, fit, float(amplitude))
-        for amplitude, fit in zip(choices.amplitude, choices.fits, strict=True)
-    ]
-    return np.asarray(np.stack(found) + moved[..., :, None] * moved[..., None, :])
-
-
-def _moments(rows: FloatArray, basis_values: FloatArray, fit: MarginalFit, amplitude_px: float) -> FloatArray:
-    """Return (n, 2, 2): camera and field together, see `covariance`."""
-    mixed = rows @ np.stack([basis_values @ part.T for part in fit.cross], axis=-1)
-    by_parameters = (rows @ fit.covariance) @ np.swapaxes(rows, -1, -2)
-    return np.asarray(by_parameters + mixed + np.swapaxes(mixed, -1, -2) + amplitude_px**2 * np.eye(2))
+    n, size = rows.shape[0], unknowns.size
+    by_unknowns = (rows.reshape(-1, size) @ choices.covariance).reshape(-1, n, 2, size)
+    moments = by_unknowns @ np.swapaxes(rows, -1, -2)
+    pulls = np.stack([np.moveaxis(field.pull(basis_values), -1, 0) for field in choices.fields])
+    mixed = -by_unknowns @ np.swapaxes(pulls[choices.field], -1, -2)
+    moved = (choices.shift @ rows.reshape(-1, size).T).reshape(-1, n, 2)
+    moments += mixed + np.swapaxes(mixed, -1, -2) + moved[..., :, None] * moved[..., None, :]
+    return np.asarray(moments + choices.amplitude[:, None, None, None] ** 2 * np.eye(2))
 
 
 def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,7 @@ from sunarc.calibration.initial_guess.multistart import (
 )
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
+from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.robust_loss import tukey_loss
 
 _SCALES = (0.7, 1.0, 1.4)
@@ -46,7 +47,7 @@ class _Level(NamedTuple):
 
 
 def at_least_least_squares(
-    problem: Problem, observed: Observations, unknowns: FloatArray, *, sigma: float
+    problem: Problem, observed: Observations, bins: Bins, unknowns: FloatArray, *, sigma: float
 ) -> FloatArray:
     """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
 
@@ -54,11 +55,13 @@ def at_least_least_squares(
     ----------
     problem : the camera sought.
     observed : all sightings.
+    bins : those that are neighbours: plain least squares looks at their means.
     unknowns : (p,) the most probable ones.
     sigma : px, scale of the robust loss.
     """
-    plain = [least_squares(problem, observed, begin) for begin in (unknowns, undistorted(unknowns))]
-    plain.append(staged_least_squares(problem, observed, unknowns))
+    means = bins.observations(observed, problem, unknowns, information=observed.information)
+    plain = [least_squares(problem, means, begin) for begin in (unknowns, undistorted(unknowns))]
+    plain.append(staged_least_squares(problem, means, unknowns))
     levels = [_level(problem, observed, at, sigma) for at in plain]
     best = int(np.argmin([level.costs[1] for level in levels]))
     target = _Level(_COST_RATIO * levels[best].costs, _MEDIAN_RATIO * levels[best].median)

@@ -8,14 +8,15 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.least_squares.priors import N_LENS, precisions
+from sunarc.calibration.fit.evidence_kernel import evidence_terms
+from sunarc.calibration.fit.field_axes import BasisProducts, FieldAxes
+from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, precisions
 from sunarc.calibration.model.residual_field import WaveBasis
 
 _POSE_PRECISION = 1e-8
@@ -23,6 +24,8 @@ _POSE_PRECISION = 1e-8
 _RIDGE = 1e-13
 _ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
+_VARIED = slice(RADIAL.start, DECENTERING.stop)
+"""Places of the unknowns whose prior precisions are sought: the radial distortion and, right after it, p1 and p2."""
 
 
 class Scales(NamedTuple):
@@ -40,7 +43,8 @@ class NormalEquations:
 
     Attributes
     ----------
-    jj, jf, ff : (p, p), (2, p, m), (m, m) products of derivatives and of basis values (both components share ff).
+    jj, jf : (p, p), (2, p, m) products of the derivatives with themselves and with the basis values.
+    ff : products of the basis values; both components share them.
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
     n_air : how many of the last unknowns are the refraction's, of unit prior variance.
@@ -48,7 +52,7 @@ class NormalEquations:
 
     jj: FloatArray
     jf: FloatArray
-    ff: FloatArray
+    ff: BasisProducts
     jr: FloatArray
     fr: FloatArray
     rr: float
@@ -86,7 +90,7 @@ def normal_sums(
     information: FloatArray,
     *,
     at: FloatArray,
-    ff: FloatArray | None = None,
+    ff: BasisProducts | None = None,
     n_air: int = 0,
 ) -> NormalEquations:
     """Return the sums over sightings: rows (n, 2, p), basis_values (n, m), residual (n, 2), information (n,).
@@ -101,7 +105,7 @@ def normal_sums(
     return NormalEquations(
         jj=flat.T @ flat,
         jf=np.stack([j[:, a].T @ f for a in (0, 1)]),
-        ff=f.T @ f if ff is None else ff,
+        ff=BasisProducts(matrix=f.T @ f) if ff is None else ff,
         jr=flat.T @ r.ravel(),
         fr=np.stack([f.T @ r[:, a] for a in (0, 1)]),
         rr=float(np.sum(r**2)),
@@ -118,58 +122,39 @@ def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_air
 
 def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> MarginalFit:
     """Return the fit under one choice of scales."""
-    return marginal_fits(normal, basis, [scales])[0]
-
-
-def marginal_fits(normal: NormalEquations, basis: WaveBasis, choices: Sequence[Scales]) -> list[MarginalFit]:
-    """Return the fits under several choices of scales."""
-    reduced = {length: _Reduced.of(normal, basis, length) for length in {scales.length_px for scales in choices}}
-    return [_fit(normal, reduced[scales.length_px], scales) for scales in choices]
-
-
-def _fit(normal: NormalEquations, reduced: _Reduced, scales: Scales) -> MarginalFit:
-    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
+    turned = Turned.of(normal, basis, scales.length_px)
+    shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
-    matrix = normal.jj - reduced.absorbed(shrink) + np.diag(precision + _ROUNDING * np.diag(normal.jj))
-    vector = normal.jr - reduced.explained(shrink) - precision * normal.at
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    scaled = matrix * scale[:, None] * scale + _RIDGE * np.eye(normal.at.size)
-    covariance = np.linalg.inv(scaled) * scale[:, None] * scale
-    covariance = 0.5 * (covariance + covariance.T)
+    vector = normal.jr - turned.explained(shrink) - precision * normal.at
+    covariance = posterior_covariances(normal.jj - turned.absorbed(shrink), normal, precision[None])[0]
     # the field is integrated out already: this is the mean of the unknowns' marginal
     step = covariance @ vector
-    residual = reduced.residual - step @ reduced.rows
+    residual = turned.residual - step @ turned.rows
     return MarginalFit(
         unknowns=normal.at + step,
         gain=float(step @ vector),
-        coefficients=(shrink * residual) @ reduced.transform.T,
+        coefficients=(shrink * residual) @ turned.axes.transform.T,
         covariance=covariance,
-        cross=-(covariance @ (reduced.rows * shrink)) @ reduced.transform.T,
+        cross=-(covariance @ (turned.rows * shrink)) @ turned.axes.transform.T,
     )
 
 
-def responses(
-    normal: NormalEquations, basis: WaveBasis, scales: Scales, *, jr: FloatArray, fr: FloatArray
-) -> FloatArray:
-    """Return (k, p): by how much the fit moves where the sightings are displaced in k ways.
-
-    Parameters
-    ----------
-    jr, fr : (k, p), (k, 2, m) products of the derivatives and of the basis values with each displacement, see
-        `NormalEquations`.
-    """
-    reduced = _Reduced.of(normal, basis, scales.length_px)
-    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
-    explained = np.einsum("apm,m,kam->kp", reduced.rows, shrink, fr @ reduced.transform, optimize=True)
-    return np.asarray((jr - explained) @ marginal_fit(normal, basis, scales).covariance)
+def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
+    """Return (k, p, p): covariances of the unknowns of one matrix of information (p, p) under precisions (k, p)."""
+    diagonal = precision + _ROUNDING * np.diag(normal.jj)
+    matrices = matrix + diagonal[:, :, None] * np.eye(normal.at.size)
+    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    both = scale[:, :, None] * scale[:, None, :]
+    covariance = np.linalg.inv(matrices * both + _RIDGE * np.eye(normal.at.size)) * both
+    return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
 def penalty(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
     """Return what a fit makes small at `normal.at`: twice the negative log posterior, the field at its best."""
-    reduced = _Reduced.of(normal, basis, scales.length_px)
-    shrink = reduced.shrinkage(np.array([scales.amplitude_px]))[0]
+    turned = Turned.of(normal, basis, scales.length_px)
+    shrink = turned.axes.shrinkage(np.array([scales.amplitude_px]))[0]
     precision = normal.prior_precision(scales.radial_px, scales.decentering_px)
-    explained = float(np.sum(shrink * reduced.residual**2))
+    explained = float(np.sum(shrink * turned.residual**2))
     return normal.rr - explained + float(np.sum(precision * normal.at**2))
 
 
@@ -181,65 +166,38 @@ def log_evidences(
     `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
     """
     precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in lens_scales])
-    each = [_log_evidence(normal, _Reduced.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
+    each = [_log_evidence(normal, Turned.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
     return np.stack(each, axis=1)
 
 
-def _log_evidence(
-    normal: NormalEquations, reduced: _Reduced, amplitudes: FloatArray, precision: FloatArray
-) -> FloatArray:
+def _log_evidence(normal: NormalEquations, turned: Turned, amplitudes: FloatArray, precision: FloatArray) -> FloatArray:
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
-    shrink = reduced.shrinkage(amplitudes)
-    absorbed = np.stack([reduced.absorbed(row) for row in shrink])
-    vector = normal.jr - np.stack([reduced.explained(row) for row in shrink])
+    shrink = turned.axes.shrinkage(amplitudes)
     # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
-    square = normal.rr - np.einsum("am,im,am->i", reduced.residual, shrink, reduced.residual, optimize=True)
+    matrices = normal.jj + _ROUNDING * np.diag(np.diag(normal.jj)) - np.stack([turned.absorbed(one) for one in shrink])
+    vectors = normal.jr - np.stack([turned.explained(one) for one in shrink])
+    square = normal.rr - shrink @ np.sum(turned.residual**2, axis=0)
     # twice: the field's two components have the same kernel and the same sightings
-    determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * reduced.power), axis=1)
-    rounding = _ROUNDING * np.diag(normal.jj)
-    matrix = (normal.jj - absorbed)[:, None] + (precision + rounding)[:, :, None] * np.eye(normal.at.size)
-    right = vector[:, None] - precision * normal.at
-    scale = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-    scaled = matrix * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(normal.at.size)
-    factor = np.linalg.cholesky(scaled)
-    half = np.linalg.solve(factor, (scale * right)[..., None])[..., 0]
-    prior_square = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
-    log_determinant = 2.0 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)) - np.log(scale), axis=-1)
-    return np.asarray(
-        -0.5 * (square[:, None] + prior_square - np.sum(half**2, axis=-1) + log_determinant + determinant[:, None])
-    )
+    determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * turned.axes.power), axis=1)
+    terms = np.empty((amplitudes.size, precision.shape[0]))
+    varied = np.ascontiguousarray(precision[:, _VARIED])
+    evidence_terms(matrices, vectors, normal.at, precision[0], varied, _VARIED.start, _RIDGE, terms)
+    prior = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
+    return np.asarray(-0.5 * (square[:, None] + prior - terms + determinant[:, None]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Reduced:
-    """The sums turned so that the field's own equations are diagonal, for one length and unit amplitude.
+class Turned(NamedTuple):
+    """The sums in the field's axes: rows (2, p, r) and residual (2, r), products with derivatives and residuals."""
 
-    turn (m, m) takes turned coefficients back; power (m,) what the sightings tell of each; rows (2, p, m) and
-    residual (2, m) the products with the derivatives and the residuals.
-    """
-
-    transform: FloatArray
-    power: FloatArray
+    axes: FieldAxes
     rows: FloatArray
     residual: FloatArray
 
     @classmethod
-    def of(cls, normal: NormalEquations, basis: WaveBasis, length_px: float) -> _Reduced:
-        spread = np.sqrt(basis.variances(length_px=length_px))
-        # in these axes every amplitude costs a division per coefficient, not a factorisation
-        power, vectors = np.linalg.eigh(normal.ff * spread[:, None] * spread)
-        transform = spread[:, None] * vectors
-        return cls(
-            transform=transform,
-            power=np.maximum(power, 0.0),
-            rows=normal.jf @ transform,
-            residual=normal.fr @ transform,
-        )
-
-    def shrinkage(self, amplitudes: FloatArray) -> FloatArray:
-        """Return (amplitudes, m): prior variance over one plus what is known, of each turned coefficient."""
-        square = amplitudes[:, None] ** 2
-        return np.asarray(square / (1.0 + square * self.power))
+    def of(cls, normal: NormalEquations, basis: WaveBasis, length_px: float) -> Turned:
+        """Return the sums in the axes of a field of some length in px."""
+        axes = normal.ff.axes(basis, length_px)
+        return cls(axes, normal.jf @ axes.transform, normal.fr @ axes.transform)
 
     def explained(self, shrink: FloatArray) -> FloatArray:
         """Return (p,): what the field takes from the sightings' pull on the parameters."""
@@ -248,6 +206,5 @@ class _Reduced:
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
         """Return (p, p): what the field takes from the sightings' information on the parameters."""
-        flat = np.moveaxis(self.rows, 1, 0) * np.sqrt(shrink)
-        flat = flat.reshape(flat.shape[0], -1)
-        return np.asarray(flat @ flat.T)
+        first, second = (rows * np.sqrt(shrink) for rows in self.rows)
+        return np.asarray(first @ first.T + second @ second.T)

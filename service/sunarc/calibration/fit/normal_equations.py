@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.fit.field_axes import BasisProducts
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit, normal_sums, penalty
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
@@ -24,7 +25,7 @@ class LinearSystem:
     ----------
     observed : (b) one observation a bin, its pixel such that the residual is the bin's mean.
     rows : (b, 2, p); basis_values: (b, m); residual: (b, 2) px; at: (p,) where it was made.
-    basis_products : (m, m) products of the basis functions over the bins, the same for every camera.
+    basis_products : products of the basis functions over the bins, the same for every camera.
     basis : the field's basis functions.
     member : (n,) the bin of every sighting.
     n_air : how many of the unknowns are the refraction's.
@@ -35,7 +36,7 @@ class LinearSystem:
     basis_values: FloatArray
     residual: FloatArray
     at: FloatArray
-    basis_products: FloatArray
+    basis_products: BasisProducts
     basis: WaveBasis
     member: IntArray
     n_air: int
@@ -86,7 +87,7 @@ def linear_system(
         basis_values=basis_values,
         residual=residual,
         at=unknowns,
-        basis_products=basis_values.T @ (basis_values * gathered.information[:, None]),
+        basis_products=BasisProducts(matrix=basis_values.T @ (basis_values * gathered.information[:, None])),
         basis=basis,
         member=bins.member,
         n_air=problem.n_air,

@@ -129,7 +129,7 @@ def fit_robustly(
     plain = np.concatenate([plain, np.zeros(problem.n_air)])
     state, noise, grid = _with_field(problem, observed, plain, grid, course)
     state = _in_assumed_air(problem, observed.weighted(noise.information(observed)), bins, state, grid)
-    unknowns = _as_good_as_least_squares(problem, observed, state.unknowns, sigma=noise.sigma_px)
+    unknowns = _as_good_as_least_squares(problem, observed, bins, state.unknowns, sigma=noise.sigma_px)
     system = linear_system(problem, observed, bins, unknowns, information=noise.information(observed), basis=grid.basis)
     gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
     return RobustFit(
@@ -197,12 +197,12 @@ def _robust_cost(problem: Problem, observed: Observations, unknowns: FloatArray,
 
 
 def _as_good_as_least_squares(
-    problem: Problem, observed: Observations, unknowns: FloatArray, *, sigma: float
+    problem: Problem, observed: Observations, bins: Bins, unknowns: FloatArray, *, sigma: float
 ) -> FloatArray:
     """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
     assumed = replace(problem, n_air=0)
     in_this_air = replace(observed, directions=problem.directions(unknowns, observed))
-    camera = at_least_least_squares(assumed, in_this_air, unknowns[: assumed.size], sigma=sigma)
+    camera = at_least_least_squares(assumed, in_this_air, bins, unknowns[: assumed.size], sigma=sigma)
     return np.concatenate([camera, unknowns[assumed.size :]])
 
 
@@ -245,9 +245,8 @@ def _without_field(problem: Problem, observed: Observations, start: FloatArray, 
     at = best_start(problem, observed, start, precision=precision)
     residuals = problem.residuals(at, observed)
     sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
-    gathered, residual = bins.gathered(observed, residuals, information(residuals, observed, sigma))
-    pixels = gathered.pixels + residual - problem.residuals(at, gathered)
-    deepest = best_of_starts(problem, replace(gathered, pixels=pixels), at, precision=precision)
+    means = bins.observations(observed, problem, at, information=information(residuals, observed, sigma))
+    deepest = best_of_starts(problem, means, at, precision=precision)
     return lowest(problem, observed, [at, deepest], precision=precision)
 
 

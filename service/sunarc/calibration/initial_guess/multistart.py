@@ -22,10 +22,8 @@ from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
 
-_ENOUGH = 6000
-"""Sightings that a start is brought to rest on."""
 _FEW = 600
-"""Sightings that the plain least-squares starts look at."""
+"""Sightings, at least, that the starts are brought to rest on, of more: they only lead into a valley."""
 _THINNED = (1, 2, 3)
 """Every first, second and third of them: subsets in which an episode of outliers weighs differently."""
 _FOCAL_STEPS = (-0.5, 0.5)
@@ -48,10 +46,10 @@ def best_start(problem: Problem, observed: Observations, start: FloatArray, *, p
     start : (p,) unknowns from the coarse search.
     precision : (p,) prior precisions of the unknowns.
     """
-    thin = observed.select(slice(None, None, 1 + len(observed) // _ENOUGH))
-    starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, observed, start)]
-    rested = [at_rest(problem, thin, at, precision=precision) for at in starts]
-    return lowest(problem, thin, rested, precision=precision)
+    few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
+    starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
+    rested = [at_rest(problem, few, at, precision=precision) for at in starts]
+    return lowest(problem, observed, rested, precision=precision)
 
 
 def least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
@@ -126,9 +124,8 @@ def distance_sigmas(problem: Problem, observed: Observations, unknowns: FloatArr
     return np.where(problem.beyond(unknowns, observed), UNSEEN_PX, distance)
 
 
-def _plain_starts(problem: Problem, observed: Observations, start: FloatArray) -> list[FloatArray]:
+def _plain_starts(problem: Problem, few: Observations, start: FloatArray) -> list[FloatArray]:
     """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
-    few = observed.select(slice(None, None, 1 + len(observed) // _FEW))
     plain = undistorted(start)
     found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
     for step in _FOCAL_STEPS:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.robust_loss import UNSEEN_PX
 
 _MOST = 16
 _SECONDS = 360.0
@@ -57,6 +58,18 @@ class Bins:
             refraction_sd=refraction,
         )
         return gathered, mean
+
+    def observations(
+        self, observed: Observations, problem: Problem, unknowns: FloatArray, *, information: FloatArray
+    ) -> Observations:
+        """Return one observation a bin, its pixel such that its residual is the bin's mean one at some unknowns.
+
+        A sighting where the lens sees nothing takes no part.
+        """
+        residuals = problem.residuals(unknowns, observed)
+        shown = np.any(residuals != UNSEEN_PX, axis=-1)
+        gathered, residual = self.gathered(observed, residuals, information * shown)
+        return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
 
     def _sums(self, values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))

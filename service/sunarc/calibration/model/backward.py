@@ -16,6 +16,8 @@ from sunarc.optics.inverse import calibrated
 _ORDERS = np.arange(2, 10)
 _ANGLES = 46
 _AZIMUTHS = 24
+_GAIN = 1e-6
+"""Relative gain of the squares below which it rests: with q1 and q2 next to nothing, q3 to q5 are not determined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,10 +53,15 @@ def fit_backward(camera: Camera) -> BackwardModel:
     def misfit(coefficients: FloatArray) -> FloatArray:
         return np.asarray(focal * (_ideal_point(camera, coefficients, x_hat, y_hat) - target_point)).ravel()
 
+    def slopes(coefficients: FloatArray) -> FloatArray:
+        return np.asarray(focal * _slopes(camera, coefficients, x_hat, y_hat)).reshape(-1, coefficients.size)
+
     from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
 
     # x_scale: radial coefficients are of the order of 1e-3, the ratios q3 to q5 of 0.1
-    found = least_squares(misfit, _first(camera), method="lm", x_scale=np.r_[np.full(10, 1e-3), np.full(3, 0.1)]).x
+    scale = np.r_[np.full(10, 1e-3), np.full(3, 0.1)]
+    fitted = least_squares(misfit, _first(camera), jac=slopes, method="lm", x_scale=scale, ftol=_GAIN)
+    found = fitted.x
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
     radial = found[2:10] / _scale(camera) ** _ORDERS
     return BackwardModel(radial=tuple(map(float, radial)), decentering=_decentering(found), max_error_px=worst)
@@ -89,9 +96,12 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
 
 
 def _first(camera: Camera) -> FloatArray:
-    """Start from the forward model's own decentering, for p3 and p4 have no effect where p1 = p2 = 0."""
-    p1, p2 = camera.decentering[:2]
-    return np.array([p1 or 1e-6, p2 or 1e-6, *([0.0] * 8), 0.0, 0.0, 0.0])
+    """Start from the forward model's own decentering, which is the backward one's to first order.
+
+    It is not let be 0: q3 to q5 have no effect where q1 = q2 = 0.
+    """
+    p1, p2, p3, p4 = camera.decentering
+    return np.array([p1 or 1e-6, p2 or 1e-6, *([0.0] * 8), p3, p4, 0.0])
 
 
 def _decentering(found: FloatArray) -> tuple[float, ...]:
@@ -113,6 +123,33 @@ def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_
     polynomial = np.polynomial.polynomial.polyval(radius / _scale(camera), np.r_[0.0, 0.0, coefficients[2:10]])
     factor = 1.0 - polynomial / np.where(adjusted > 0.0, adjusted, 1.0)
     return np.asarray(point * factor[..., None])
+
+
+def _slopes(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
+    """Return (n, 2, 13): derivatives of `_ideal_point` by the coefficients, for x_hat and y_hat of shape (n,)."""
+    q1, q2, *higher = coefficients[[0, 1, 10, 11, 12]]
+    radius = np.hypot(x_hat, y_hat)
+    safe = np.where(radius > 0.0, radius, 1.0)
+    u, v = x_hat / safe, y_hat / safe
+    square = radius**2
+    # the shift is its profile times a bracket that is linear in q1 and q2
+    first = np.stack([1.0 + 2.0 * u * u, 2.0 * u * v], axis=-1)
+    second = np.stack([2.0 * u * v, 1.0 + 2.0 * v * v], axis=-1)
+    profile = square * np.polynomial.polynomial.polyval(square, np.array([1.0, *higher]))
+    bracket = q1 * first + q2 * second
+    moved = [profile[:, None] * first, profile[:, None] * second]
+    moved += [(square**power)[:, None] * bracket for power in (2, 3, 4)]
+    point = np.stack([x_hat, y_hat], axis=-1) - profile[:, None] * bracket
+    adjusted = np.linalg.norm(point, axis=-1)
+    along = point / np.where(adjusted > 0.0, adjusted, 1.0)[:, None]
+    powers = (radius / _scale(camera))[:, None] ** _ORDERS
+    ratio = (powers @ coefficients[2:10]) / np.where(adjusted > 0.0, adjusted, 1.0)
+    shift = np.stack(moved, axis=-1)
+    # point (1 - P / |point|): its derivative by the point is (1 - P / |point|) I + P / |point| e e'
+    by_shift = -(1.0 - ratio)[:, None, None] * shift
+    by_shift -= ratio[:, None, None] * along[:, :, None] * np.einsum("na,nac->nc", along, shift)[:, None]
+    by_radial = -along[:, :, None] * powers[:, None]
+    return np.concatenate([by_shift[..., :2], by_radial, by_shift[..., 2:]], axis=-1)
 
 
 def _synthetic(camera: Camera) -> tuple[FloatArray, FloatArray]:

@@ -3,54 +3,110 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import PaperOptions
-from sunarc.optics import Camera, ideal_radius
-from sunarc.optics.camera import RADIAL_ORDERS
-from sunarc.optics.forward import decentering_shift, distorted_radius, radius_slope
+from sunarc.optics import Param, Projection, ideal_radius
+from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS
+from sunarc.optics.projections import ideal_slope
 
 _ANGLES = 181
 _AZIMUTHS = 24
 _RIGHT_ANGLE = math.pi / 2
+_ROUND, _FALLING = slice(1, 1 + _AZIMUTHS), slice(1 + _AZIMUTHS, None)
+_U, _V = (of(np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)) for of in (np.cos, np.sin))
 
 
-def penalties(camera: Camera, options: PaperOptions, *, largest_angle: float) -> FloatArray:
-    """Return the penalty vector ε_c of Eq. 26, px.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Penalties:
+    """The penalty vector ε_c of Eq. 26, px, (206,), as a function of the 23 parameters.
 
     c2 is taken as the vector of the radius's deviations over √n, whose square is the paper's and which is smooth at 0.
 
-    Parameters
+    Attributes
     ----------
-    camera : the camera as it stands in the iteration.
     options : weights and the scope of c2.
-    largest_angle : θ_max, radians.
+    edge : θ_max, radians; edge_radius: the ideal radius there.
+    orthogonality (8,): c1 by the radial coefficients.
+    ideal_slope (181,), slope_by_radial (181, 8): the radius's slope over the angles.
     """
-    theta = np.linspace(0.0, largest_angle, _ANGLES)
-    ideal = ideal_radius(camera.projection, theta)
-    powers = (theta / _RIGHT_ANGLE)[:, None] ** np.array(RADIAL_ORDERS)
-    orthogonality = np.trapezoid(ideal[:, None] * powers, theta, axis=0) @ np.array(camera.radial)
-    # c3 is one-sided: a radius that rises costs nothing, however fast
-    falling = np.minimum(radius_slope(camera, theta), 0.0)
-    return np.concatenate(
-        [
-            [options.orthogonality_weight * orthogonality],
-            options.circularity_weight * _out_of_round(camera, options, largest_angle),
-            options.monotony_weight * falling / math.sqrt(_ANGLES),
-        ]
-    )
+
+    options: PaperOptions
+    edge: float
+    edge_radius: float
+    orthogonality: FloatArray
+    ideal_slope: FloatArray
+    slope_by_radial: FloatArray
+
+    @classmethod
+    def of(cls, projection: Projection, options: PaperOptions, *, largest_angle: float) -> Penalties:
+        """Return the penalties of cameras of a projection, looked at up to an angle in radians."""
+        theta = np.linspace(0.0, largest_angle, _ANGLES)
+        orders = np.array(RADIAL_ORDERS)
+        powers = (theta / _RIGHT_ANGLE)[:, None] ** orders
+        ideal = ideal_radius(projection, theta)
+        return cls(
+            options=options,
+            edge=largest_angle,
+            edge_radius=float(ideal[-1]),
+            orthogonality=np.trapezoid(ideal[:, None] * powers, theta, axis=0),
+            ideal_slope=ideal_slope(projection, theta),
+            slope_by_radial=(theta / _RIGHT_ANGLE)[:, None] ** (orders - 1) * orders / _RIGHT_ANGLE,
+        )
+
+    def values(self, vector: FloatArray) -> FloatArray:
+        """Return ε_c of parameters (23,)."""
+        return self.values_and_slopes(vector)[0]
+
+    def values_and_slopes(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ε_c (206,) and its derivatives by the parameters (206, 23)."""
+        radial = vector[RADIAL]
+        slopes = np.zeros((1 + _AZIMUTHS + _ANGLES, len(Param)))
+        slopes[0, RADIAL] = self.options.orthogonality_weight * self.orthogonality
+        distance, by_parameters = self._edge_distance(vector)
+        weight = self.options.circularity_weight / math.sqrt(_AZIMUTHS)
+        slopes[_ROUND] = weight * (by_parameters - by_parameters.mean(axis=0))
+        # c3 is one-sided: a radius that rises costs nothing, however fast
+        slope = self.ideal_slope + self.slope_by_radial @ radial
+        falling = self.options.monotony_weight / math.sqrt(_ANGLES) * (slope < 0.0)
+        slopes[_FALLING, RADIAL] = falling[:, None] * self.slope_by_radial
+        values = [slopes[:1, RADIAL] @ radial, weight * (distance - distance.mean()), falling * slope]
+        return np.concatenate(values), slopes
+
+    def _edge_distance(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far the edge's image lies from the principal point, px (24,), and its slopes (24, 23)."""
+        fx, fy, skew = vector[[Param.FOCAL_LENGTH_X_PX, Param.FOCAL_LENGTH_Y_PX, Param.SKEW_PX]]
+        powers = (self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS)
+        radius = self.edge_radius + float(powers @ vector[RADIAL])
+        # by columns: the radius, then p1 … p4
+        point, by_shape = np.stack([radius * _U, radius * _V]), np.zeros((2, _AZIMUTHS, 5))
+        by_shape[..., 0] = _U, _V
+        if self.options.ellipse_scope == "with_decentering":
+            shift, by_shift = _decentering(vector[DECENTERING], radius)
+            point, by_shape = point + shift, by_shape + by_shift
+        x, y = fx * point[0] + skew * point[1], fy * point[1]
+        distance = np.hypot(x, y)
+        by_x, by_y = x / distance, y / distance
+        result = np.zeros((_AZIMUTHS, len(Param)))
+        result[:, Param.FOCAL_LENGTH_X_PX] = by_x * point[0]
+        result[:, Param.FOCAL_LENGTH_Y_PX] = by_y * point[1]
+        result[:, Param.SKEW_PX] = by_x * point[1]
+        by_shape_px = by_x[:, None] * (fx * by_shape[0] + skew * by_shape[1]) + by_y[:, None] * fy * by_shape[1]
+        result[:, RADIAL] = by_shape_px[:, :1] * powers
+        result[:, DECENTERING] = by_shape_px[:, 1:]
+        return distance, result
 
 
-def _out_of_round(camera: Camera, options: PaperOptions, largest_angle: float) -> FloatArray:
-    azimuth = np.linspace(0.0, 2.0 * math.pi, _AZIMUTHS, endpoint=False)
-    u, v = np.cos(azimuth), np.sin(azimuth)
-    radius = np.full(_AZIMUTHS, float(distorted_radius(camera, largest_angle)))
-    x_hat, y_hat = radius * u, radius * v
-    if options.ellipse_scope == "with_decentering":
-        shift_x, shift_y = decentering_shift(camera.decentering, radius, u, v)
-        x_hat, y_hat = x_hat + shift_x, y_hat + shift_y
-    x = camera.focal_length_px[0] * x_hat + camera.skew_px * y_hat
-    distance = np.hypot(x, camera.focal_length_px[1] * y_hat)
-    return np.asarray((distance - distance.mean()) / math.sqrt(_AZIMUTHS))
+def _decentering(coefficients: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Return the shift of Eq. 12 (2, 24) round the axis, and its slopes by the radius and p1 … p4 (2, 24, 5)."""
+    p1, p2, p3, p4 = coefficients
+    square = radius**2
+    first, second = np.stack([1.0 + 2.0 * _U * _U, 2.0 * _U * _V]), np.stack([2.0 * _U * _V, 1.0 + 2.0 * _V * _V])
+    profile = square * (1.0 + p3 * square + p4 * square**2)
+    rise = radius * (2.0 + 4.0 * p3 * square + 6.0 * p4 * square**2)
+    bracket = p1 * first + p2 * second
+    slopes = [rise * bracket, profile * first, profile * second, square**2 * bracket, square**3 * bracket]
+    return profile * bracket, np.stack(slopes, axis=-1)

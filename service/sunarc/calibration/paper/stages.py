@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import Fitted, no_field
+from sunarc.calibration.least_squares.kernels import FIRST_DAMPING, LARGEST_DAMPING, SMALLEST_DAMPING, damped_step_of
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.paper.constraints import penalties
+from sunarc.calibration.paper.constraints import Penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
 from sunarc.calibration.robust_loss import finite
 from sunarc.optics import PARAMETER_NAMES, Camera, Param, angle_limit, project_with_rows_fast
@@ -20,7 +22,9 @@ from sunarc.optics.camera import TRANSLATION
 
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
-_STEP = 1e-6
+_MOST_STEPS = 400
+_GAIN = 1e-8
+"""Relative gain of the squares below which a stage rests, as MINPACK's `ftol` by default."""
 _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
@@ -84,39 +88,50 @@ def _start(camera: Camera, observed: Observations, options: CalibrationOptions) 
     return posed if options.paper.fit_translation else replace(posed, translation=(0.0, 0.0, 0.0))
 
 
+class _Equations(NamedTuple):
+    """The misfit of Eq. 26 about some parameters: its vector and derivatives, and what the steps are made of."""
+
+    misfit: FloatArray
+    jacobian: FloatArray
+    normal: FloatArray
+    gradient: FloatArray
+    cost: float
+
+
 def _minimised(
     camera: Camera, observed: Observations, moving: IntArray, options: CalibrationOptions
 ) -> tuple[Camera, FloatArray, FloatArray]:
-    """Return the camera at the minimum of Eq. 26, with the Jacobian and the residuals there."""
+    """Return the camera at the minimum of Eq. 26, with the Jacobian (n, f) and the residuals there.
+
+    Levenberg-Marquardt on the normal equations, their columns brought to one size.
+    """
     unlimited = replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
     edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
-
-    def built(values: FloatArray) -> Camera:
-        vector = unlimited.to_vector()
-        vector[moving] = values
-        return unlimited.with_parameters(vector)
-
-    def misfit(values: FloatArray) -> FloatArray:
-        now = built(values)
-        pixels, _ = project_with_rows_fast(now, observed.directions)
-        off = finite(pixels - observed.pixels)
-        return np.concatenate([off.ravel(), penalties(now, options.paper, largest_angle=edge)])
-
-    def slopes(values: FloatArray) -> FloatArray:
-        now = built(values)
-        _, rows = project_with_rows_fast(now, observed.directions)
-        steps = _STEP * np.maximum(np.abs(values), 1e-2)
-        ahead = [penalties(built(values + s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
-        back = [penalties(built(values - s * e), options.paper, largest_angle=edge) for s, e in _axes(steps)]
-        of_penalties = np.stack([(h - b) / (2.0 * s) for h, b, s in zip(ahead, back, steps, strict=True)], axis=-1)
-        return np.concatenate([rows[..., moving].reshape(-1, moving.size), of_penalties])
-
-    first = unlimited.to_vector()[moving]
-    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
-
-    found = least_squares(misfit, first, jac=slopes, method="lm", x_scale="jac", max_nfev=400)
-    return replace(built(found.x), max_angle=camera.max_angle), np.asarray(found.jac), np.asarray(found.fun)
+    penalties = Penalties.of(camera.projection, options.paper, largest_angle=edge)
+    vector = unlimited.to_vector()
+    now = _equations(unlimited, observed, penalties)
+    room, step, damping = np.empty((moving.size, moving.size)), np.empty(moving.size), FIRST_DAMPING
+    for _ in range(_MOST_STEPS):
+        damped_step_of(now.normal, now.gradient, moving, damping, room, step)
+        trial = vector.copy()
+        trial[moving] += step
+        then = _equations(unlimited.with_parameters(trial), observed, penalties)
+        if not then.cost <= now.cost:
+            damping *= 10.0
+            if damping > LARGEST_DAMPING:
+                break
+            continue
+        gain, vector, now = now.cost - then.cost, trial, then
+        damping = max(damping * 0.1, SMALLEST_DAMPING)
+        if gain <= _GAIN * now.cost:
+            break
+    found = replace(unlimited.with_parameters(vector), max_angle=camera.max_angle)
+    return found, now.jacobian[:, moving], now.misfit
 
 
-def _axes(steps: FloatArray) -> list[tuple[float, FloatArray]]:
-    return list(zip(steps.tolist(), np.eye(steps.size), strict=True))
+def _equations(camera: Camera, observed: Observations, penalties: Penalties) -> _Equations:
+    pixels, rows = project_with_rows_fast(camera, observed.directions)
+    values, slopes = penalties.values_and_slopes(camera.to_vector())
+    misfit = np.concatenate([finite(pixels - observed.pixels).ravel(), values])
+    jacobian = np.concatenate([rows.reshape(-1, slopes.shape[1]), slopes])
+    return _Equations(misfit, jacobian, jacobian.T @ jacobian, -(misfit @ jacobian), float(misfit @ misfit))

@@ -1,0 +1,157 @@
+"""The determinants and squares of the evidence under many prior precisions of a few unknowns, as a compiled loop.
+
+Most unknowns have one prior precision; those of the radial distortion and the decentering are tried at many. The former
+are eliminated once (the Schur complement), and each choice costs a factorisation of the few.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.jit import njit
+
+
+@njit(nogil=True)
+def evidence_terms(  # noqa: PLR0917 - compiled functions take positions
+    matrices: FloatArray,
+    vectors: FloatArray,
+    at: FloatArray,
+    fixed: FloatArray,
+    varied: FloatArray,
+    first: int,
+    ridge: float,
+    result: FloatArray,
+) -> None:
+    """Write v' M⁻¹ v - log |M| of M = matrix + precision, v = vector - precision · at; (n, k) of n matrices, k choices.
+
+    Parameters
+    ----------
+    matrices, vectors : (n, p, p), (n, p).
+    at : (p,).
+    fixed : (p,) prior precisions; not looked at where they vary.
+    varied : (k, q) those of unknowns `first` … `first` + q - 1.
+    ridge : share of the diagonal added to it, for the poorest data.
+    """
+    p, q = at.size, varied.shape[1]
+    others = np.array([i for i in range(p) if i < first or i >= first + q])
+    o = others.size
+    room, scale, vector = np.empty((p, p)), np.empty(p), np.empty(p)
+    small, tried, pull = np.empty((q, q)), np.empty((q, q)), np.empty(q)
+    for n in range(matrices.shape[0]):
+        matrix = matrices[n]
+        for i in range(o):
+            precision = fixed[others[i]]
+            scale[i] = 1.0 / math.sqrt(matrix[others[i], others[i]] + precision)
+            vector[i] = scale[i] * (vectors[n, others[i]] - precision * at[others[i]])
+        _write_scaled(matrix, others, scale, first, ridge, room)
+        alone = -factored(room, o, p) + _halved(room, vector, o)
+        for i in range(o):
+            alone += 2.0 * math.log(scale[i])
+        _eliminate(matrix, vectors[n], first, room, vector, small, pull)
+        for choice in range(varied.shape[0]):
+            few = _terms_of_few(small, pull, matrix, at, varied[choice], first, ridge, tried, vector[o:], scale[o:])
+            result[n, choice] = alone + few
+
+
+@njit(nogil=True)
+def _write_scaled(  # noqa: PLR0917 - compiled functions take positions
+    matrix: FloatArray, others: IntArray, scale: FloatArray, first: int, ridge: float, room: FloatArray
+) -> None:
+    """Write the matrix of the others, its diagonal brought to 1, and below it the rows of those that vary."""
+    o = others.size
+    for i in range(o):
+        for j in range(i):
+            room[i, j] = scale[i] * scale[j] * matrix[others[i], others[j]]
+        room[i, i] = 1.0 + ridge
+    for i in range(matrix.shape[0] - o):
+        for j in range(o):
+            room[o + i, j] = matrix[first + i, others[j]] * scale[j]
+
+
+@njit(nogil=True)
+def _eliminate(  # noqa: PLR0917 - compiled functions take positions
+    matrix: FloatArray,
+    vector: FloatArray,
+    first: int,
+    factor: FloatArray,
+    half: FloatArray,
+    small: FloatArray,
+    pull: FloatArray,
+) -> None:
+    """Write the Schur complement (q, q) of those that vary and their pull (q,), from the others' factor and half."""
+    q = pull.size
+    o = matrix.shape[0] - q
+    for i in range(q):
+        pull[i] = vector[first + i]
+        for k in range(o):
+            pull[i] -= factor[o + i, k] * half[k]
+        for j in range(i + 1):
+            small[i, j] = matrix[first + i, first + j]
+            for k in range(o):
+                small[i, j] -= factor[o + i, k] * factor[o + j, k]
+
+
+@njit(nogil=True)
+def _terms_of_few(  # noqa: PLR0917 - compiled functions take positions
+    small: FloatArray,
+    pull: FloatArray,
+    matrix: FloatArray,
+    at: FloatArray,
+    precision: FloatArray,
+    first: int,
+    ridge: float,
+    tried: FloatArray,
+    vector: FloatArray,
+    scale: FloatArray,
+) -> float:
+    """Return the terms of the unknowns whose precision varies, the others eliminated."""
+    q = precision.size
+    for i in range(q):
+        scale[i] = 1.0 / math.sqrt(matrix[first + i, first + i] + precision[i])
+        vector[i] = scale[i] * (pull[i] - precision[i] * at[first + i])
+        for j in range(i + 1):
+            tried[i, j] = scale[i] * scale[j] * small[i, j]
+        tried[i, i] += scale[i] * scale[i] * precision[i] + ridge
+    result = -factored(tried, q, q) + _halved(tried, vector, q)
+    for i in range(q):
+        result += 2.0 * math.log(scale[i])
+    return float(result)
+
+
+@njit(nogil=True)
+def _halved(factor: FloatArray, vector: FloatArray, size: int) -> float:
+    """Replace a vector (size,) by L⁻¹ v, and return the square of that: v' M⁻¹ v."""
+    square = 0.0
+    for i in range(size):
+        total = vector[i]
+        for k in range(i):
+            total -= factor[i, k] * vector[k]
+        vector[i] = total / factor[i, i]
+        square += vector[i] * vector[i]
+    return square
+
+
+@njit(nogil=True)
+def factored(matrix: FloatArray, size: int, rows: int) -> float:
+    """Factor the lower half of a matrix in place (Cholesky), further rows with it; return its log determinant.
+
+    NaN where the matrix is not positive.
+    """
+    determinant = 0.0
+    for j in range(size):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= matrix[j, k] * matrix[j, k]
+        if not total > 0.0:
+            return math.nan
+        matrix[j, j] = math.sqrt(total)
+        determinant += math.log(total)
+        for i in range(j + 1, rows):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = total / matrix[j, j]
+    return float(determinant)

@@ -1,0 +1,275 @@
+"""Levenberg-Marquardt as one compiled loop: residuals, derivatives and normal equations without arrays of rows.
+
+tests/calibration/least_squares/solve_reference.py is the same in numpy, and the tests compare the two. It runs without
+the interpreter's lock (`nogil`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.priors import LENS, N_LENS
+from sunarc.calibration.robust_loss import CUT, UNSEEN_PX
+from sunarc.jit import njit
+from sunarc.optics import Param
+from sunarc.optics.kernels import write_pixel_and_rows, write_rotation
+
+FIRST_DAMPING = 1e-3
+LARGEST_DAMPING = 1e8
+SMALLEST_DAMPING = 1e-12
+"""A floor that keeps the damping of good steps from underflowing."""
+RIDGE = 1e-14
+"""Share of the diagonal that is always added: below the rounding of the sums."""
+_SIZE = len(Param)
+_LENS = np.ascontiguousarray(LENS)
+_POSE = int(Param.ROTATION_X)
+_NATIVE = N_LENS + 3
+_COLUMNS = np.concatenate([_LENS, np.arange(_POSE, _POSE + 3)])
+
+
+class Lens(NamedTuple):
+    """How unknowns become a lens: mean (17,) and basis (17, 17) of the prior, and the kernels' numbers of a camera."""
+
+    mean: FloatArray
+    basis: FloatArray
+    code: int
+    mirror: float
+    max_angle: float
+
+
+class Seen(NamedTuple):
+    """Sightings: directions (n, 3), pixels (n, 2), information (n,), epoch (n,), all contiguous."""
+
+    directions: FloatArray
+    pixels: FloatArray
+    information: FloatArray
+    epoch: IntArray
+
+
+class Goal(NamedTuple):
+    """What is minimised: prior precisions (p,), the loss's sigma in px (0: plain squares), and when to rest."""
+
+    precision: FloatArray
+    sigma: float
+    iterations: int
+    tolerance: float
+
+
+@njit(nogil=True)
+def minimised(lens: Lens, seen: Seen, goal: Goal, start: FloatArray, moving: IntArray) -> tuple[FloatArray, float]:
+    """Return the unknowns (p,) and the cost where the steps come to rest; see `most_probable`.
+
+    `moving` (f,) are the places of the unknowns that may change.
+    """
+    p, f = start.size, moving.size
+    at, trial = start.copy(), start.copy()
+    normal, next_normal = np.empty((p, p)), np.empty((p, p))
+    gradient, next_gradient = np.empty(p), np.empty(p)
+    room, step = np.empty((f, f)), np.empty(f)
+    cost = equations(lens, seen, goal, at, normal, gradient)
+    damping = FIRST_DAMPING
+    for _ in range(goal.iterations):
+        moved, gain = False, 0.0
+        while damping < LARGEST_DAMPING:
+            damped_step_of(normal, gradient, moving, damping, room, step)
+            trial[:] = at
+            for i in range(f):
+                trial[moving[i]] += step[i]
+            gain = cost - equations(lens, seen, goal, trial, next_normal, next_gradient)
+            # equal costs are taken: at the minimum rounding decides, and a refusal would only raise the damping
+            if gain >= 0.0:
+                moved = True
+                break
+            damping *= 10.0
+        if not moved:
+            break
+        damping = max(damping * 0.1, SMALLEST_DAMPING)
+        at[:] = trial
+        normal, next_normal = next_normal, normal
+        gradient, next_gradient = next_gradient, gradient
+        cost -= gain
+        if gain <= goal.tolerance * max(cost, 1e-12):
+            break
+    return at, cost
+
+
+@njit(nogil=True)
+def equations(  # noqa: PLR0917 - compiled functions take positions
+    lens: Lens, seen: Seen, goal: Goal, at: FloatArray, normal: FloatArray, gradient: FloatArray
+) -> float:
+    """Write the normal equations (p, p) and the pull (p,) about some unknowns; return the cost, prior included."""
+    epochs = (at.size - N_LENS) // 3
+    vector = np.zeros(_SIZE)
+    for i in range(N_LENS):
+        value = lens.mean[i]
+        for j in range(N_LENS):
+            value += lens.basis[i, j] * at[j]
+        vector[_LENS[i]] = value
+    rotation, jacobian = np.empty((epochs, 3, 3)), np.empty((epochs, 3, 3))
+    for e in range(epochs):
+        write_rotation(at[N_LENS + 3 * e : N_LENS + 3 * e + 3], rotation[e], jacobian[e])
+    native, pull = np.zeros((epochs, _NATIVE, _NATIVE)), np.zeros((epochs, _NATIVE))
+    cost = _data_sums(lens, seen, goal.sigma, vector, rotation, jacobian, native, pull)
+    _in_unknowns(lens.basis, native, pull, normal, gradient)
+    for i in range(at.size):
+        cost += 0.5 * goal.precision[i] * at[i] * at[i]
+        normal[i, i] += goal.precision[i]
+        gradient[i] -= goal.precision[i] * at[i]
+    # a step to where the projection overflows must lose every comparison
+    return cost if math.isfinite(cost) else math.inf
+
+
+@njit(nogil=True)
+def _data_sums(  # noqa: PLR0917 - compiled functions take positions
+    lens: Lens,
+    seen: Seen,
+    sigma: float,
+    vector: FloatArray,
+    rotation: FloatArray,
+    jacobian: FloatArray,
+    native: FloatArray,
+    pull: FloatArray,
+) -> float:
+    """Add, for each epoch, the products of the derivatives by lens and pose (20, 20) and with the residuals (20,)."""
+    shape, pixel, row = np.empty(11), np.empty(2), np.zeros((2, _SIZE))
+    along, across = np.empty(_NATIVE), np.empty(_NATIVE)
+    cost = 0.0
+    for n in range(seen.directions.shape[0]):
+        e = seen.epoch[n]
+        shown = write_pixel_and_rows(
+            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions[n],
+            shape, pixel, row,
+        )  # fmt: skip
+        dx, dy = seen.pixels[n, 0] - pixel[0], seen.pixels[n, 1] - pixel[1]
+        shown = shown and math.isfinite(dx) and math.isfinite(dy)
+        if not shown:
+            dx, dy = UNSEEN_PX, UNSEEN_PX
+        weight, loss = _weight_and_loss((dx * dx + dy * dy) * seen.information[n], sigma)
+        cost += loss
+        weight *= seen.information[n]
+        if not shown or weight == 0.0:
+            continue
+        for i in range(_NATIVE):
+            along[i], across[i] = row[0, _COLUMNS[i]], row[1, _COLUMNS[i]]
+        for i in range(_NATIVE):
+            wa, wc = weight * along[i], weight * across[i]
+            pull[e, i] += wa * dx + wc * dy
+            for j in range(i + 1):
+                native[e, i, j] += wa * along[j] + wc * across[j]
+    return cost
+
+
+@njit(nogil=True)
+def _weight_and_loss(square: float, sigma: float) -> tuple[float, float]:
+    """Return the weight per information and the loss of a squared distance; `sigma` 0 takes plain squares."""
+    if sigma <= 0.0:
+        return 1.0, 0.5 * square
+    left = 1.0 - min(square / (CUT * sigma) ** 2, 1.0)
+    return left * left / sigma**2, CUT**2 / 6.0 * (1.0 - left**3)
+
+
+@njit(nogil=True)
+def _in_unknowns(
+    basis: FloatArray, native: FloatArray, pull: FloatArray, normal: FloatArray, gradient: FloatArray
+) -> None:
+    """Write the sums by the whitened unknowns of the lens and the poses of all epochs; lower triangles come in."""
+    normal[:] = 0.0
+    gradient[:] = 0.0
+    half = np.empty((_NATIVE, N_LENS))
+    for e in range(native.shape[0]):
+        _fill_upper(native[e])
+        _add_lens(basis, native[e], pull[e], half, normal, gradient)
+        pose = N_LENS + 3 * e
+        for a in range(3):
+            gradient[pose + a] = pull[e, N_LENS + a]
+            for j in range(N_LENS):
+                normal[pose + a, j] = half[N_LENS + a, j]
+            for b in range(a + 1):
+                normal[pose + a, pose + b] = native[e, N_LENS + a, N_LENS + b]
+    _fill_upper(normal)
+
+
+@njit(nogil=True)
+def _add_lens(  # noqa: PLR0917 - compiled functions take positions
+    basis: FloatArray,
+    native: FloatArray,
+    pull: FloatArray,
+    half: FloatArray,
+    normal: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Write one epoch's sums (20, 20) times the basis to `half` (20, 17), and add those of the lens."""
+    for i in range(_NATIVE):
+        for j in range(N_LENS):
+            total = 0.0
+            for k in range(N_LENS):
+                total += native[i, k] * basis[k, j]
+            half[i, j] = total
+    for i in range(N_LENS):
+        for k in range(N_LENS):
+            share = basis[k, i]
+            gradient[i] += share * pull[k]
+            for j in range(i + 1):
+                normal[i, j] += share * half[k, j]
+
+
+@njit(nogil=True)
+def _fill_upper(matrix: FloatArray) -> None:
+    """Copy the lower half of a matrix to the upper one."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
+
+
+@njit(nogil=True)
+def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
+    normal: FloatArray, gradient: FloatArray, moving: IntArray, damping: float, room: FloatArray, step: FloatArray
+) -> None:
+    """Write the Levenberg-Marquardt step (f,), scaled by the diagonal; zeros where the equations cannot be solved."""
+    f = moving.size
+    # focal lengths in px stand beside coefficients of 1e-3: scaled, the damping means the same to all
+    scale = np.empty(f)
+    for i in range(f):
+        scale[i] = 1.0 / math.sqrt(max(normal[moving[i], moving[i]], 1e-300))
+    for i in range(f):
+        step[i] = scale[i] * gradient[moving[i]]
+        for j in range(i + 1):
+            room[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
+        room[i, i] += damping + RIDGE
+    if not _cholesky_solved(room, step):
+        step[:] = 0.0
+        return
+    for i in range(f):
+        step[i] *= scale[i]
+
+
+@njit(nogil=True)
+def _cholesky_solved(matrix: FloatArray, vector: FloatArray) -> bool:
+    """Replace a vector (f,) by the solution; return False where a matrix (f, f; lower half) is not positive."""
+    f = vector.size
+    for j in range(f):
+        for i in range(j, f):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i > j:
+                matrix[i, j] = total / matrix[j, j]
+            elif total > 0.0:
+                matrix[j, j] = math.sqrt(total)
+            else:
+                return False
+    for i in range(f):
+        total = vector[i]
+        for k in range(i):
+            total -= matrix[i, k] * vector[k]
+        vector[i] = total / matrix[i, i]
+    for i in range(f - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, f):
+            total -= matrix[k, i] * vector[k]
+        vector[i] = total / matrix[i, i]
+    return True

@@ -1,0 +1,54 @@
+"""The axes in which the field's own equations are diagonal, against the untransformed ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sunarc.calibration.fit.field_axes import BasisProducts
+from sunarc.calibration.model.residual_field import WaveBasis, wave_basis
+
+FloatArray = NDArray[np.float64]
+
+LENGTH = 260.0
+
+
+@pytest.fixture(scope="module")
+def basis() -> WaveBasis:
+    return wave_basis(width=1000, height=800, shortest_px=250.0, longest_px=400.0)
+
+
+def _waves(basis: WaveBasis, count: int) -> FloatArray:
+    return basis.values(np.random.default_rng(3).uniform(0.0, 800.0, (count, 2)))
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 1.0, 8.0])
+def test_shrunk_in_the_axes_it_is_the_posterior_of_the_coefficients(basis: WaveBasis, amplitude: float) -> None:
+    waves = _waves(basis, 60)
+    axes = BasisProducts(matrix=waves.T @ waves * 100.0).axes(basis, LENGTH)
+    pull = waves.T @ np.random.default_rng(4).standard_normal(60) * 100.0
+    shrink = axes.shrinkage(np.array([amplitude]))[0]
+    found = axes.transform @ (shrink * (axes.transform.T @ pull))
+    prior = amplitude**2 * basis.variances(length_px=LENGTH)
+    # without the inverse of the prior, which is next to nothing for the short waves
+    expected = prior * np.linalg.solve(np.eye(prior.size) + waves.T @ waves * 100.0 * prior, pull)
+    np.testing.assert_allclose(waves @ found, waves @ expected, rtol=1e-6, atol=1e-9 * np.max(np.abs(pull)))
+
+
+def test_what_the_sightings_tell_nothing_of_is_left_out(basis: WaveBasis) -> None:
+    waves = _waves(basis, 10)
+    axes = BasisProducts(matrix=waves.T @ waves).axes(basis, LENGTH)
+    assert axes.transform.shape == (waves.shape[1], 10)
+    diagonal = axes.transform.T @ (waves.T @ waves) @ axes.transform
+    np.testing.assert_allclose(diagonal, np.diag(axes.power), atol=1e-9 * np.max(axes.power))
+    assert np.min(axes.power) > 0.0
+    nothing = BasisProducts(matrix=np.zeros_like(waves.T @ waves)).axes(basis, LENGTH)
+    assert nothing.power.size == 0
+
+
+def test_the_axes_of_a_length_are_made_once(basis: WaveBasis) -> None:
+    waves = _waves(basis, 20)
+    products = BasisProducts(matrix=waves.T @ waves)
+    assert products.axes(basis, LENGTH) is products.axes(basis, LENGTH)
+    assert products.axes(basis, LENGTH) is not products.axes(basis, 300.0)
