@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunarc.archive import Archive, SunPoint, downgrade, image_key, open_archive, upgrade
+from sunarc.archive import Archive, Event, SunPoint, downgrade, image_key, open_archive, upgrade
 from sunarc.errors import InputError
 from sunarc.utc import to_microseconds
 
@@ -33,6 +33,7 @@ FOUND = SunPoint(
     ingest_pass=1,
 )
 REFUSED = replace(FOUND, accepted=False, verdict="hidden", x_px=None, y_px=None, sigma_px=None)
+LEARNED = Event(time=NOON, kind="sigma_learned", severity="info", text="", camera="roof")
 AT_NOON = {to_microseconds(NOON)}
 
 
@@ -86,8 +87,9 @@ def test_sightings_of_version_0_2_get_the_names_of_their_files(archive: Archive)
 def test_a_learned_sigma_changes_one_methods_sightings_of_files_alone(archive: Archive) -> None:
     others = [replace(FOUND, method="disc"), replace(FOUND, file="", time=NOON + timedelta(seconds=9))]
     archive.add_sun_points([FOUND, *others])
-    assert archive.scale_sigma("roof", method="paper", factor=1.5) == 1
+    assert archive.scale_sigma("roof", method="paper", factor=1.5, event=LEARNED) == 1
     assert [p.sigma_px for p in archive.sun_points("roof")] == [3.0, 2.0, 2.0]
+    assert [event.kind for event in archive.events("roof")] == ["sigma_learned"]
 
 
 def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> None:
@@ -97,7 +99,7 @@ def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> No
     )
     archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
     for _ in range(2):
-        archive.scale_sigma("roof", method="paper", factor=2.0)
+        archive.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
         archive.add_calibration(document(f"b{_}"), used=archive.sun_point_columns("roof"))
     given = {name: archive.sightings_of(name).sigma_px.tolist() for name in ("a", "b0", "b1")}
     assert given == {"a": sigma, "b0": [2.0, 4.0, 8.0], "b1": [4.0, 8.0, 16.0]}
@@ -106,7 +108,7 @@ def test_a_calibration_keeps_the_sigma_that_it_was_given(archive: Archive) -> No
 def test_a_moved_sighting_of_a_calibration_is_still_noticed(archive: Archive, path: Path) -> None:
     archive.add_sun_points([FOUND])
     archive.add_calibration(document("a"), used=archive.sun_point_columns("roof"))
-    archive.scale_sigma("roof", method="paper", factor=2.0)
+    archive.scale_sigma("roof", method="paper", factor=2.0, event=LEARNED)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE sun_point SET x_px = x_px + 1")
     with pytest.raises(InputError, match="changed since"):

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
 import numpy as np
 import pytest
+from tests.fixtures.calibration import SGP, small_camera, stated_calibration
+from tests.fixtures.settings import new_settings
 
-from sunarc.offline.learned_sigma import sigma_factor
+from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor
+from sunarc.optics import project
+from sunarc.sky import sun_directions
 
 COUNT = 400
+MORNING = datetime(2013, 5, 13, 14, 0, tzinfo=UTC)
+CAMERA = small_camera()
+TRUTH = stated_calibration(CAMERA)
 
 
 def scattered(sigma_px: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -39,6 +51,70 @@ def test_what_no_detector_is_wrong_by_is_not_learned(true: float) -> None:
     assert sigma_factor(scattered(true), np.ones(COUNT)) is None
 
 
+@pytest.mark.parametrize(
+    ("true", "in_force", "expected"),
+    [(0.5, 1.6, 1.0 / 1.6), (0.7, 3.0, 0.7), (0.5, 1.1, None), (1.0, 3.0, None), (2.0, 2.0, 2.0), (2.0, 2.8, None)],
+)
+def test_a_factor_in_force_is_taken_back_but_not_below_what_is_stated(
+    true: float, in_force: float, expected: float | None
+) -> None:
+    factor = sigma_factor(scattered(true), np.ones(COUNT), in_force=in_force)
+    assert factor == (None if expected is None else pytest.approx(expected, rel=0.1))
+
+
 def test_few_sightings_teach_nothing() -> None:
     assert sigma_factor(scattered(2.0)[:19], np.ones(19)) is None
     assert sigma_factor(np.zeros((0, 2)), np.zeros(0)) is None
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Iterator[Archive]:
+    upgrade(tmp_path / "sunarc.sqlite")
+    with open_archive(tmp_path / "sunarc.sqlite") as made:
+        made.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
+        yield made
+
+
+def store(archive: Archive, numbers: range, *, sigma_px: float, error_px: float) -> None:
+    """Store accepted sightings of a series, so far (1-sigma) from where the camera sees the sun."""
+    rng, times = np.random.default_rng(numbers.start), [MORNING + timedelta(minutes=8 * n) for n in numbers]
+    pixels = project(CAMERA, sun_directions(np.array([time.timestamp() for time in times]), SGP))
+    pixels += rng.normal(0.0, error_px, pixels.shape)
+    archive.add_sun_points(
+        SunPoint(
+            camera="roof",
+            pose_epoch=archive.epoch_at("roof", time, reason="test").id,
+            time=time,
+            method="paper",
+            accepted=True,
+            verdict="clear",
+            x_px=x,
+            y_px=y,
+            sigma_px=sigma_px,
+            file=f"{number}.jpg",
+        )
+        for number, time, (x, y) in zip(numbers, times, pixels.tolist(), strict=True)
+    )
+
+
+def test_what_is_learned_is_in_force_for_later_sightings_and_is_kept(archive: Archive, tmp_path: Path) -> None:
+    settings = new_settings(tmp_path)
+    store(archive, range(60), sigma_px=1.0, error_px=2.0)
+    learn_sigma(archive, settings, [ValidCamera(TRUTH)], now=MORNING)
+    learned = factor_in_force(archive, "roof", "paper")
+    assert learned == pytest.approx(2.0, rel=0.2)
+    assert factor_in_force(archive, "roof", "disc") == 1.0
+    assert {point.sigma_px for point in archive.sun_points("roof")} == {learned}
+    store(archive, range(60, 75), sigma_px=learned, error_px=2.0)
+    learn_sigma(archive, settings, [ValidCamera(TRUTH)], now=MORNING)
+    assert [event.details["factor"] for event in archive.events("roof")] == [learned]  # as stated: nothing is changed
+
+
+def test_each_stretch_is_compared_with_its_own_camera(archive: Archive, tmp_path: Path) -> None:
+    store(archive, range(70), sigma_px=1.0, error_px=2.0)
+    half = (MORNING + timedelta(minutes=8 * 35)).timestamp()
+    moved = ValidCamera(stated_calibration(small_camera(mirrored=True)), until=half)
+    learn_sigma(archive, new_settings(tmp_path), [moved], now=MORNING)
+    assert factor_in_force(archive, "roof", "paper") == 1.0  # the moved camera explains nothing, and 35 are not seen
+    learn_sigma(archive, new_settings(tmp_path), [ValidCamera(TRUTH, since=half)], now=MORNING)
+    assert factor_in_force(archive, "roof", "paper") == pytest.approx(2.0, rel=0.3)

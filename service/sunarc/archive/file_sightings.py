@@ -10,10 +10,11 @@ from typing import NamedTuple
 from sqlalchemy import BigInteger, Connection, and_, select, type_coerce, update
 
 from sunarc.archive.calibration_inputs import keep_sigma
+from sunarc.archive.days_and_events import insert_event
 from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store
 from sunarc.archive.tables import sun_point
-from sunarc.archive.values import SunPoint
+from sunarc.archive.values import Event, SunPoint
 from sunarc.utc import to_microseconds
 
 SUPERSEDED = "another method's sighting of the same image is accepted"
@@ -95,15 +96,17 @@ class FileSightings(Store):
         with self._reading() as connection:
             return tuple(connection.scalars(methods.order_by(c.method)))
 
-    def scale_sigma(self, camera: str, *, method: str, factor: float) -> int:
+    def scale_sigma(self, camera: str, *, method: str, factor: float, event: Event) -> int:
         """Multiply the stated sigma of a method's sightings of image files, and return how many there are.
 
-        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again.
+        Calibrations that rest on them keep the sigma that they were given, so that they can be solved again. The event
+        is stored with it: both are, or neither is.
         """
         c = sun_point.c
         of_series = and_(c.camera == camera, c.method == method, c.file != "", c.sigma_px.is_not(None))
         with self._writing() as connection:
             keep_sigma(connection, camera)
+            insert_event(connection, event)
             return connection.execute(update(sun_point).where(of_series).values(sigma_px=c.sigma_px * factor)).rowcount
 
 

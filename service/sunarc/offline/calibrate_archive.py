@@ -11,7 +11,7 @@ from sunarc.archive import Archive, CameraArchive, Refit, lock_state, open_archi
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera
-from sunarc.offline.learned_sigma import learn_sigma
+from sunarc.offline.learned_sigma import ValidCamera, learn_sigma
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings import Settings
@@ -52,7 +52,7 @@ def calibrate_archive(settings: Settings, *, clock: Clock) -> tuple[Refit, dict[
             if refit.calibration is None:
                 return refit, None
             if refit.state == "accepted":
-                learn_sigma(archive, settings, archive.model(refit.calibration))
+                learn_sigma(archive, settings, [ValidCamera(archive.model(refit.calibration))], now=clock.now())
             return refit, dict(archive.calibration(refit.calibration).document)
 
 

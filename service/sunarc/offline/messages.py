@@ -50,6 +50,10 @@ MESSAGES = Messages(
         "A refit with these settings is refused.",
         'set calibration.mirrored = "{mirrored}"',
     ),
+    sigma_learned=Message(
+        "sigma of sightings in images ({method}): {factor:.2f} times what the detector states, from {n} sightings",
+        "It was set to their scatter about the calibration; later sightings are stored with it.",
+    ),
     file_size_differs=Message(
         "image size {width}x{height} px, the camera's is {camera_width}x{camera_height}",
         _LEFT_OUT,

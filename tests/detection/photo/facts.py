@@ -60,10 +60,12 @@ _UNEVEN_OF_UNIT = 1.9
 """Width of the middle 70 % of a normal distribution's light at 1.7 radii, in its standard deviations."""
 
 
-def sun_photo(facts: Facts, rng: np.random.Generator, *, size: int = 480) -> tuple[Photo, tuple[float, float]]:
-    """Return an image, (size, size, 3), and the place of its sun."""
+def sun_photo(
+    facts: Facts, rng: np.random.Generator, *, size: int = 480, place: tuple[float, float] | None = None
+) -> tuple[Photo, tuple[float, float]]:
+    """Return an image, (size, size, 3), and the place of its sun: the one asked for, or any."""
     angle, apart = rng.uniform(0.0, 2.0 * math.pi), 0.35 * size * math.sqrt(rng.uniform(0.0, 1.0))
-    x, y = 0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle)
+    x, y = place or (0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle))
     radius = max(size * rng.uniform(*facts.radius), 2.5)
     rows, columns = np.mgrid[:size, :size].astype(np.float64)
     far = np.hypot(columns - x, rows - y) / radius

@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import get_args
 
 from sunarc.archive import Archive, FileSighting, ImageKey, SunPoint, open_archive, sun_point_of, upgrade_present
 from sunarc.calibration import Calibration
 from sunarc.detection import Detection, Expectation
+from sunarc.detection import Method as DetectionMethod
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.detect_files import Method
@@ -26,7 +28,8 @@ from sunarc.offline.ingest.moments import Moment, moments_of
 from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.ingest.series_mask import series_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
-from sunarc.offline.learned_sigma import learn_sigma
+from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, with_factor
+from sunarc.runtime.clock import SystemClock
 from sunarc.settings import Settings
 from sunarc.utc import from_microseconds
 
@@ -175,6 +178,13 @@ class Run:
         """What stands still in the images; they are read for it when the first image is to be looked at."""
         return series_mask(self.index.folder, self.index.images, size=self.size, site=self.settings.site)
 
+    @cached_property
+    def factors(self) -> dict[str, float]:
+        """By what each method's stated sigma is multiplied."""
+        return {
+            method: factor_in_force(self.archive, self.settings.name, method) for method in get_args(DetectionMethod)
+        }
+
     def first_pass(self, moments: Sequence[Moment]) -> list[Skipped]:
         """Look at images without a prediction; return those that are left out."""
         return self._detect("detecting", moments, None)
@@ -197,9 +207,7 @@ class Run:
             for waiting in self._unexpected(one.calibration, dict(one.found))
         ]
         self._detect("with prediction", [moment for moment, _ in again], [expected for _, expected in again])
-        cameras = [one.calibration for one in agreed if one.calibration is not None]
-        if cameras:
-            learn_sigma(self.archive, self.settings, cameras[-1])
+        learn_sigma(self.archive, self.settings, _valid_cameras(agreed), now=SystemClock().now())
         return _camera_findings(agreed, self.settings)
 
     def _unexpected(
@@ -259,7 +267,7 @@ class Run:
         time_us, exposure_us, file = image.key
         time = from_microseconds(time_us)
         return sun_point_of(
-            found,
+            with_factor(found, self.factors[found.method]),
             camera=self.settings.name,
             pose_epoch=self.archive.epoch_at(self.settings.name, time, reason="first image").id,
             time=time,
@@ -267,6 +275,16 @@ class Run:
             file=file,
             ingest_pass=ingest_pass,
         )
+
+
+def _valid_cameras(agreed: Sequence[Agreed]) -> list[ValidCamera]:
+    """Return the camera of each stretch, for its images' times."""
+    times = [[image.unix_s for image, _ in one.found] for one in agreed]
+    return [
+        ValidCamera(one.calibration, min(unix_s), max(unix_s) + 1e-6)
+        for one, unix_s in zip(agreed, times, strict=True)
+        if one.calibration is not None
+    ]
 
 
 def _camera_findings(agreed: Sequence[Agreed], settings: Settings) -> tuple[Finding, ...]:
