@@ -36,7 +36,13 @@ def test_degraded_still_serves_and_says_why(made: Made) -> None:
     assert answer.status_code == 200
     assert answer.json()["status"] == "degraded"
     assert answer.json()["reasons"] == [
-        {"code": "drift", "severity": "degraded", "text": "the camera moved", "remedy": "wait for a clear day"}
+        {
+            "code": "drift",
+            "severity": "degraded",
+            "text": "the camera moved",
+            "remedy": "wait for a clear day",
+            "since": "2013-05-13T09:30:00Z",  # the service started then, and its clock stands still
+        }
     ]
     assert answer.json()["findings"] == [{"code": "drift", "data": {"moved_deg": 0.5, "sigma_deg": None}}]
 

@@ -165,7 +165,9 @@ def test_conditions_come_with_code_severity_and_data(imager: Imager, board: Stat
         {"folder": "/var", "free_mb": 812.0, "images_mb": 9e4},
         low.text,
         low.remedy,
+        board.snapshot().reasons[0].since,
     )
+    assert first[5] is not None
     assert (second.code, second.severity, second.data) == (
         "worker_stuck_web",
         "not_ready",
@@ -187,7 +189,7 @@ def test_conditions_of_version_0_2_have_no_data(monkeypatch: pytest.MonkeyPatch)
     reason = {"code": "disk_low", "severity": "degraded", "text": "little room", "remedy": "free some"}
     other = Imager("http://127.0.0.1:9")
     monkeypatch.setattr(other._transport, "ask", lambda *_: (json.dumps({"reasons": [reason]}).encode(), {}))
-    assert other.conditions() == (("disk_low", "degraded", {}, "little room", "free some"),)
+    assert other.conditions() == (("disk_low", "degraded", {}, "little room", "free some", None),)
 
 
 def test_a_verdict_comes_as_codes_with_data(imager: Imager) -> None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
+from datetime import timedelta
 
 from tests.fixtures.board import START
 
@@ -28,14 +30,25 @@ def test_health_is_the_worst_reason(board: StatusRegistry) -> None:
     assert board.snapshot().health == "not_ready"
     board.set_condition(LOST.code, None)
     board.set_condition(LOST.code, None)
-    assert board.snapshot().reasons == (DRIFT,)
+    assert board.snapshot().reasons == (replace(DRIFT, since=START),)
 
 
 def test_a_reason_replaces_the_one_of_its_code(board: StatusRegistry) -> None:
     board.set_condition(DRIFT.code, DRIFT)
     worse = Reason(code=DRIFT.code, severity="not_ready", text="it moved again", remedy="tighten the screws")
     board.set_condition(worse.code, worse)
-    assert board.snapshot().reasons == (worse,)
+    assert board.snapshot().reasons == (replace(worse, since=START),)
+
+
+def test_a_condition_is_dated_when_it_begins_and_anew_after_it_ended(
+    board: StatusRegistry, clock: VirtualClock
+) -> None:
+    since = []
+    for reason in (DRIFT, replace(DRIFT, text="it moved on"), None, DRIFT):
+        clock.advance(10.0)
+        board.set_condition(DRIFT.code, reason)
+        since += [one.since for one in board.snapshot().reasons]
+    assert since == [START + timedelta(seconds=seconds) for seconds in (10.0, 10.0, 40.0)]
 
 
 def test_heartbeats_age_between_writing_and_reading(board: StatusRegistry, clock: VirtualClock) -> None:

@@ -35,6 +35,7 @@ from sunarc.api.routes.cameras import camera_routes
 from sunarc.api.routes.day_air import day_air_routes
 from sunarc.api.routes.days_and_events import record_routes
 from sunarc.api.routes.directions import direction_routes
+from sunarc.api.routes.event_stream import event_stream_routes
 from sunarc.api.routes.geolocation import geolocation_routes
 from sunarc.api.routes.health import health_routes
 from sunarc.api.routes.images import image_routes
@@ -52,6 +53,8 @@ from sunarc.sky import Site
 
 _ENSEMBLES = 4
 """Ensembles that are kept: each of up to 64 draws, 5 MB."""
+_MOST_STREAMS = 64
+"""Streams of events that are open at once: each costs a look at the archive's revision twice a second."""
 _STATIC = FilePath(__file__).parent / "static"
 _WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
 _COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
@@ -73,6 +76,7 @@ def create_app(
     options: ApiOptions,
     images: ImageStore | None = None,
     registry: CollectorRegistry | None = None,
+    stopping: Callable[[], bool] = lambda: False,
 ) -> FastAPI:
     """Return an application that serves one camera's archive.
 
@@ -86,6 +90,7 @@ def create_app(
     options : limits and the token.
     images : the composites; None where there are none.
     registry : where Prometheus's numbers are registered; a new one by default.
+    stopping : returns whether the service is about to stop: streams of events end then.
     """
     context = ApiContext(
         archive=archive,
@@ -111,6 +116,7 @@ def create_app(
         frame_clock=frame_clock,
         latest_image=latest_image,
         images=images,
+        stopping=stopping,
         options=options,
         token=read_token(options.token_file, setting="api.token_file"),
     )
@@ -143,7 +149,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
         compresslevel=_COMPRESSION_LEVEL,
         exclude_content_types=_COMPRESSED_ALREADY,
     )
-    app.add_middleware(ConcurrencyLimit, at_once=options.max_at_once)
+    app.add_middleware(ConcurrencyLimit, at_once=options.max_at_once, streams=_MOST_STREAMS)
     app.add_middleware(
         BodyReader,
         max_body_bytes=options.max_body_bytes,
@@ -182,6 +188,7 @@ def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         sun_routes(context),
         overlay_routes(context),
         record_routes(context),
+        event_stream_routes(context),
         image_routes(context),
         remap_routes(context),
         mask_routes(context),

@@ -135,6 +135,7 @@ class ApiContext:
     sites: DaySites
     ready: SingleFlightCache[CalibrationRecord, Lookup]
     ensembles: SingleFlightCache[Sampling, Ensemble]
+    stopping: Callable[[], bool] = lambda: False
     chosen: str | None = None
 
     def of(self, request: Request) -> ApiContext:

@@ -136,8 +136,9 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
         latest_image=lambda: service.images.newest(kind="hdr.jpg", until=service.frame_time.now()),
         options=options,
         images=service.images,
+        stopping=lambda: server.should_exit,
     )
-    return _Server(
+    server = _Server(
         uvicorn.Config(
             app,
             http=cast("type[asyncio.Protocol]", partial(BoundedConnection, options)),
@@ -153,6 +154,7 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
         on_started=on_started,
         heartbeat=Heartbeat(service.clock.monotonic),
     )
+    return server
 
 
 def _with_credentials(options: ApiOptions) -> ApiOptions:

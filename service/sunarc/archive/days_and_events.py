@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from datetime import date, datetime
 from typing import Any
 
-from sqlalchemy import Connection, insert, select, update
+from sqlalchemy import Connection, func, insert, select, update
 
 from sunarc.archive import tables
 from sunarc.archive.rows import upsert
@@ -123,6 +123,18 @@ class Journal(Store):
         filters += given((c.kind.__eq__, kind))
         statement = select(tables.event).where(*of_camera, *filters).order_by(c.time.desc(), c.id.desc()).limit(limit)
         return self._values(statement, Event)
+
+    def last_event_id(self) -> int:
+        """Return the number of the newest event of all cameras; 0 without one."""
+        with self._reading() as connection:
+            return int(connection.scalar(select(func.max(tables.event.c.id))) or 0)
+
+    def events_after(self, event_id: int, *, camera: str, limit: int) -> tuple[Event, ...]:
+        """Return a camera's events that were stored after another one, the oldest first; of many the newest ones."""
+        c = tables.event.c
+        of_camera = (c.camera == camera) | c.camera.is_(None)
+        newest = select(tables.event).where(of_camera, c.id > event_id).order_by(c.id.desc()).limit(limit)
+        return self._values(newest, Event)[::-1]
 
     def _change_refit(self, refit_id: str, **columns: object) -> Refit:
         self.refit(refit_id)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sunarc.client.events import ImagerEvent, parsed
 from sunarc.client.transport import ImagerError, Transport
 
 FloatArray = NDArray[np.float64]
@@ -88,6 +89,7 @@ class Condition(NamedTuple):
     severity : "degraded" or "not_ready".
     data : its numbers and names.
     text, remedy : the sentence, and what to do ("none": nothing).
+    since : since when; None where the service does not say.
     """
 
     code: str
@@ -95,6 +97,7 @@ class Condition(NamedTuple):
     data: dict[str, Any]
     text: str
     remedy: str
+    since: datetime | None = None
 
 
 class Imager:
@@ -238,9 +241,41 @@ class Imager:
             findings = status.get("findings", ())  # version 0.2 has the reasons alone
             data = {finding["code"]: finding["data"] for finding in findings}
             return tuple(
-                Condition(one["code"], one["severity"], data.get(one["code"], {}), one["text"], one["remedy"])
+                Condition(
+                    one["code"],
+                    one["severity"],
+                    data.get(one["code"], {}),
+                    one["text"],
+                    one["remedy"],
+                    datetime.fromisoformat(one["since"]) if one.get("since") else None,
+                )
                 for one in status["reasons"]
             )
+
+    def events(self, *, after: str | None = None, silent_s: float = 60.0) -> Iterator[ImagerEvent]:
+        """Yield what happens, for as long as it is iterated over; first a "state" that says how things are.
+
+        A connection that ends, or on which nothing came for `silent_s` (the service gives a sign every 15 s), is made
+        again, and goes on where it ended; ImagerError where that fails as often as `retries` says.
+
+        Parameters
+        ----------
+        after : id of an event received before: those after it are yielded.
+        """
+        attempt = 0
+        while True:
+            headers = {} if after is None else {"Last-Event-ID": after}
+            try:
+                with _expected_content():
+                    path = f"{self._prefix}/events/stream"
+                    for event in parsed(self._transport.lines(path, headers=headers, silent_s=silent_s)):
+                        attempt, after = 0, event.id
+                        yield event
+                ended = ImagerError("the stream of events ended", status=None)
+            except ImagerError as error:
+                ended = error
+            self._transport.wait(ended, attempt)
+            attempt += 1
 
     def verdict(self, *, at: datetime | None = None) -> tuple[Finding, ...]:
         """Return the findings of the calibration's verdict. Select by code."""

@@ -8,7 +8,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 _AGAIN = (429, 503)
@@ -76,10 +76,30 @@ class Transport:
             try:
                 return self._answer(request)
             except ImagerError as error:
-                if attempt == self._retries or error.status not in (None, *_AGAIN):
-                    raise
-                time.sleep(_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
+                self.wait(error, attempt)
         raise AssertionError("unreachable")
+
+    def lines(self, path: str, *, headers: Mapping[str, str], silent_s: float) -> Iterator[str]:
+        """Yield the lines of an answer that goes on, until it ends or nothing comes for a time; ImagerError if refused.
+
+        Nothing is asked again.
+        """
+        request = urllib.request.Request(f"{self._address}{path}", headers={**self._headers, **headers})  # noqa: S310
+        try:
+            with self._opener.open(request, timeout=silent_s) as answer:
+                for line in answer:
+                    yield line.decode("utf-8", "replace").rstrip("\r\n")
+        except urllib.error.HTTPError as error:
+            with error:
+                raise _refusal(error) from None
+        except (OSError, http.client.HTTPException) as error:
+            raise ImagerError(f"{self._address} does not answer: {error}", status=None) from error
+
+    def wait(self, error: ImagerError, attempt: int) -> None:
+        """Wait before a request that failed is asked again; raise the error where it would fail again, or often did."""
+        if attempt >= self._retries or error.status not in (None, *_AGAIN):
+            raise error
+        time.sleep(_wait_s(error, attempt))  # noqa: TID251 - it stands outside the service and its clock
 
     def _answer(self, request: urllib.request.Request) -> tuple[bytes, Mapping[str, str]]:
         try:

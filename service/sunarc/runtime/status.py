@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 from pydantic import Field as PydanticField
@@ -44,6 +44,9 @@ class Reason(Returned):
     severity: Annotated[Severity, described("`degraded` still answers, with less; `not_ready` cannot answer.")]
     text: Annotated[str, described("The reason, in a sentence.", "the camera does not answer")]
     remedy: Annotated[str, described("What to do about it.", "check power, cable and address")]
+    since: Annotated[
+        Time | None, described("Since when, of this run of the service, by the host's clock.", EXAMPLE_TIME)
+    ] = None
     data: Annotated[Data, PydanticField(exclude=True)] = field(default_factory=dict)
 
     @staticmethod
@@ -187,6 +190,8 @@ class StatusRegistry:
     def __init__(self, *, version: str, started_at: datetime, monotonic: Callable[[], float]) -> None:
         self._lock = threading.Lock()
         self._monotonic = monotonic
+        self._started_at = started_at
+        self._started_s = monotonic()
         self._noted = StatusSnapshot(version=version, started_at=started_at)
         self._workers: dict[str, tuple[WorkerStatus, float]] = {}
         self._reasons: dict[str, Reason] = {}
@@ -208,7 +213,8 @@ class StatusRegistry:
         with self._lock:
             before = self._reasons.pop(code, None)
             if reason is not None:
-                self._reasons[code] = reason
+                since = self._now() if before is None else before.since
+                self._reasons[code] = replace(reason, since=since)
         # Logged outside the lock: the log's handler may block on the journal's socket.
         if not log or (before is None) == (reason is None):
             return
@@ -222,6 +228,10 @@ class StatusRegistry:
         """Set one condition of several that exclude each other, or none of them (None)."""
         for code in codes:
             self.set_condition(code, reason if reason is not None and reason.code == code else None, log=log)
+
+    def _now(self) -> datetime:
+        """Return the time by the clock that dated the start; a later step of that clock is not followed."""
+        return self._started_at + timedelta(seconds=self._monotonic() - self._started_s)
 
     def note(self, **changes: Unpack[Notes]) -> None:
         """Write down facts, by the names of `StatusSnapshot`: `board.note(last_frame_at=frame.time)`."""

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+_BY_HEAD = "sunarc.head"
+
+
+def asked_by_head(scope: Scope) -> bool:
+    """Return whether a request was HEAD: an endless answer need not begin."""
+    return bool(scope.get(_BY_HEAD))
+
 
 class HeadRequests:
     """Answers HEAD with the status and the headers of GET, and no body (RFC 9110, section 9.3.2).
@@ -25,4 +32,4 @@ class HeadRequests:
         async def without_body(message: Message) -> None:
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
-        await self._app({**scope, "method": "GET"}, receive, without_body)
+        await self._app({**scope, "method": "GET", _BY_HEAD: True}, receive, without_body)

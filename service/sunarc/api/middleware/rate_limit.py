@@ -18,6 +18,8 @@ from sunarc.api.problems import Fault, RefusedError, problem_response
 _MOST_CLIENTS = 4096
 _PRICE_OF_A_WRONG_TOKEN = 20.0
 _ALWAYS_ANSWERED = "/healthz"
+_STREAM = "/events/stream"
+"""The end of the path of a stream of events."""
 
 
 def is_always_answered(scope: Scope) -> bool:
@@ -114,24 +116,28 @@ class RateLimit:
 class ConcurrencyLimit:
     """Refuses what is too much at once (503), or ends the oldest request of an address that has more under way.
 
-    A request is counted from when its body is there to when its answer is written.
+    A request is counted from when its body is there to when its answer is written; streams of events, which have no
+    end, are counted apart.
 
     Parameters
     ----------
     app : what is behind it.
     at_once : requests that are answered at the same time.
+    streams : streams of events that are open at the same time.
     """
 
-    def __init__(self, app: ASGIApp, *, at_once: int) -> None:
+    def __init__(self, app: ASGIApp, *, at_once: int, streams: int = 64) -> None:
         self._app = app
         self._under_way = Holdings(at_once)
+        self._streams = Holdings(streams)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
         if scope["type"] != "http" or is_always_answered(scope):
             await self._app(scope, receive, send)
             return
-        with self._under_way.open(client_network(scope)) as request:
+        counted = self._streams if scope["path"].endswith(_STREAM) else self._under_way
+        with counted.open(client_network(scope)) as request:
             try:
                 request.grow(1)
             except RefusedError:
