@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import math
 from datetime import UTC, datetime
 
 import numpy as np
@@ -86,3 +87,27 @@ def test_air_in_other_units_is_refused(cells: str, column: str) -> None:
     lines = ["time_utc,x_px,y_px,temperature_c,pressure_hpa", f"2013-05-13T12:00:00Z,900.5,871.2,{cells}"]
     with pytest.raises(InputError, match=column):
         read_sightings(lines, name="air.csv")
+
+
+def test_a_stated_direction_overrides_the_body() -> None:
+    header = "time_utc,x_px,y_px,body,zenith_deg,azimuth_deg"
+    rows = ["2013-05-13T06:00:00Z,1,2,star:HIP91262,30,90", "2013-05-13T18:00:00Z,3,4,sun,,"]
+    found = read_sightings([header, *rows], name="points.csv").directions
+    np.testing.assert_allclose(found[0], [0.5, 0.0, math.sqrt(0.75)], atol=1e-12)
+    assert np.all(np.isnan(found[1]))
+
+
+@pytest.mark.parametrize(
+    ("cells", "column"),
+    [
+        ("moon,30,", "azimuth_deg"),
+        ("moon,,90", "zenith_deg"),
+        ("moon,200,90", "zenith_deg"),
+        ("moon,30,400", "azimuth_deg"),
+    ],
+)
+def test_a_direction_in_part_or_out_of_bounds_is_refused(cells: str, column: str) -> None:
+    header = "time_utc,x_px,y_px,body,zenith_deg,azimuth_deg"
+    with pytest.raises(InputError) as refused:
+        read_sightings([header, f"2013-05-13T06:00:00Z,1,2,{cells}"], name="points.csv")
+    assert refused.value.field.endswith(column)

@@ -77,6 +77,14 @@ def test_imported_sightings_come_out_again_and_are_not_doubled(sunarc: Sunarc, w
     assert len(since.out.splitlines()) == 2
 
 
+def test_sightings_of_stated_directions_are_not_imported(sunarc: Sunarc, with_camera: Path, tmp_path: Path) -> None:
+    points = tmp_path / "stars.csv"
+    points.write_text("time_utc,x_px,y_px,zenith_deg,azimuth_deg\n2013-05-13T06:00:00Z,10,20,30,90\n")
+    refused = sunarc("points", "import", str(points), "--config", str(with_camera))
+    assert refused.code == 2
+    assert "stars.csv, zenith_deg" in refused.err
+
+
 def test_the_air_of_imported_sightings_comes_out_again(sunarc: Sunarc, with_camera: Path) -> None:
     rows = (
         "2013-05-13T18:30:00.000000Z,871.500000,883.250000,0.010000,sun,35.250,975.300",

@@ -13,17 +13,19 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
+from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C, direction_from_angles
 from sunarc.utc import parse_time, rfc3339
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
 _REQUIRED = ("time_utc", "x_px", "y_px")
 _AIR_COLUMNS = ("temperature_c", "pressure_hpa")
+_DIRECTION_COLUMNS = ("zenith_deg", "azimuth_deg")
+_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG = (0.0, 180.0), (-360.0, 360.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SightingTable:
-    """Sun sightings of a CSV file.
+    """Sightings of a CSV file, of the sun where no direction is stated.
 
     Attributes
     ----------
@@ -31,6 +33,7 @@ class SightingTable:
     pixels : (n, 2) px.
     sigma_px : (n,) 1-sigma per axis; NaN where the file states none.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where the file states none.
+    directions : (n, 3) apparent ones, east-north-up; NaN where the file states none.
     """
 
     unix_s: FloatArray
@@ -38,12 +41,14 @@ class SightingTable:
     sigma_px: FloatArray
     temperature: FloatArray
     pressure: FloatArray
+    directions: FloatArray
 
 
 def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
-    """Read `time_utc,x_px,y_px[,sigma_px][,body][,temperature_c][,pressure_hpa]`.
+    """Read `time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg][,temperature_c][,pressure_hpa]`.
 
-    Times are ISO 8601 with Z; the header is required, other columns are ignored.
+    Times are ISO 8601 with Z; the header is required, other columns are ignored. A zenith angle and an azimuth
+    (apparent, clockwise from north) override the body; without them the body is the sun.
 
     Parameters
     ----------
@@ -56,9 +61,7 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
     """
     rows: list[tuple[float, ...]] = []
     for where, row in _rows(lines, name=name, required=_REQUIRED):
-        body = row.get("body") or "sun"
-        if body != "sun":
-            raise InputError(field=f"{where}, body", problem=f"{body!r} is not known", remedy="give only sun sightings")
+        direction = _direction(row, where=where)
         rows.append(
             (
                 parse_time(row["time_utc"], where=f"{where}, time_utc").timestamp(),
@@ -67,16 +70,37 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
                 _sigma(row.get("sigma_px"), where=f"{where}, sigma_px"),
                 _between(row.get("temperature_c"), *TEMPERATURE_BOUNDS_C, where=f"{where}, temperature_c"),
                 PA_PER_HPA * _between(row.get("pressure_hpa"), *PRESSURE_BOUNDS_HPA, where=f"{where}, pressure_hpa"),
+                *direction,
             )
         )
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 8)
     return SightingTable(
         unix_s=columns[:, 0],
         pixels=columns[:, 1:3],
         sigma_px=columns[:, 3],
         temperature=columns[:, 4],
         pressure=columns[:, 5],
+        directions=direction_from_angles(zenith_deg=columns[:, 6], azimuth_deg=columns[:, 7]),
     )
+
+
+def _direction(row: dict[str, str], *, where: str) -> tuple[float, float]:
+    """Return the stated zenith angle and azimuth, degrees; NaN for both where the sun is meant."""
+    zenith, azimuth = (
+        _between(row.get(column), *bounds, where=f"{where}, {column}")
+        for column, bounds in zip(_DIRECTION_COLUMNS, (_ZENITH_BOUNDS_DEG, _AZIMUTH_BOUNDS_DEG), strict=True)
+    )
+    if math.isnan(zenith) != math.isnan(azimuth):
+        missing = _DIRECTION_COLUMNS[0] if math.isnan(zenith) else _DIRECTION_COLUMNS[1]
+        raise InputError(field=f"{where}, {missing}", problem="is empty beside the other angle", remedy="give both")
+    body = row.get("body") or "sun"
+    if math.isnan(zenith) and body != "sun":
+        raise InputError(
+            field=f"{where}, body",
+            problem=f"{body!r} is not known",
+            remedy="give its zenith_deg and azimuth_deg, or sun sightings",
+        )
+    return zenith, azimuth
 
 
 def write_sightings(

@@ -27,7 +27,7 @@ from sunarc.calibration.model.metrics import Metrics, measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
-from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints
+from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints, apparent_directions
 from sunarc.calibration.pose import PoseOffset, PriorTolerances, calibrate_with_prior, daily_pose_offset, estimate_pose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
@@ -78,6 +78,7 @@ __all__ = [
     "Verdict",
     "WaveBasis",
     "accept",
+    "apparent_directions",
     "back_project",
     "back_projection_map",
     "calibrate",

@@ -78,7 +78,8 @@ def calibrate_moved(
 
     The calibration is of the last pose; its evidence tells the moves, and its verdict names them. Sightings that are
     of several pose epochs already are fitted as they are, as are those of a fit by the paper's method or of the pose
-    alone. A move within 20 sightings or 75 minutes of an end or of another move is not found: cloud lasts as long.
+    alone, and where directions are stated, which make no track. A move within 20 sightings or 75 minutes of an end or
+    of another move is not found: cloud lasts as long.
 
     Parameters
     ----------
@@ -90,7 +91,8 @@ def calibrate_moved(
         return calibrate(given, site=site, image_size=image_size, options=effective, circle=circle, start=begin)
 
     solved = fit(points, start)
-    if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust":
+    no_track = bool(np.any(np.isfinite(points.directions)))
+    if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
         return Moved(solved, points)
     usable = filter_sightings(points, site=site)
     for _ in range(_MOST):

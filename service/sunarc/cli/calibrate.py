@@ -28,7 +28,9 @@ def calibrate(
     points: Annotated[
         Path | None,
         typer.Argument(
-            help="Sightings: time_utc,x_px,y_px[,sigma_px][,body][,temperature_c][,pressure_hpa].", show_default=False
+            help="Sightings: time_utc,x_px,y_px[,sigma_px][,body][,zenith_deg,azimuth_deg]"
+            "[,temperature_c][,pressure_hpa].",
+            show_default=False,
         ),
     ] = None,
     *,

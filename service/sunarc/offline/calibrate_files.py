@@ -61,6 +61,7 @@ def calibrate_file(
         sigma_px=table.sigma_px,
         temperature=table.temperature,
         pressure=table.pressure,
+        directions=table.directions,
     )
     if start is not None and pose_only:
         known = read_calibration(start)

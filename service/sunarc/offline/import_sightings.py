@@ -51,6 +51,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
+    _require_sun(table, path.name)
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
@@ -103,6 +104,17 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             times, table.pixels, table.sigma_px, table.temperature, table.pressure, strict=True
         )
     ]
+
+
+def _require_sun(table: SightingTable, name: str) -> None:
+    """Raise InputError where a direction is stated: the archive's sightings are of the sun."""
+    stated = int(np.count_nonzero(np.isfinite(table.directions[:, 0])))
+    if stated:
+        raise InputError(
+            field=f"{name}, zenith_deg",
+            problem=f"{stated} sightings state a direction, and the archive has the sun's alone",
+            remedy="fit the file itself with sunarc calibrate, or leave these rows out",
+        )
 
 
 def _finite_or_none(value: float) -> float | None:

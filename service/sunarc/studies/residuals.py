@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration import Calibration, SunPoints
+from sunarc.calibration import Calibration, SunPoints, apparent_directions
 from sunarc.optics import project, unproject
-from sunarc.sky import angles_from_direction, angular_distance, sun_directions
+from sunarc.sky import angles_from_direction, angular_distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,8 +41,7 @@ class Residuals:
 
 def residuals_of(calibration: Calibration, points: SunPoints) -> Residuals:
     """Return the residuals of sightings, each against the pose of its epoch."""
-    times = np.where(np.isfinite(points.unix_s), points.unix_s, 0.0)
-    directions = sun_directions(times, calibration.site)
+    directions = apparent_directions(points, site=calibration.site)
     predicted, detected = np.full((len(points), 2), np.nan), np.full((len(points), 3), np.nan)
     for epoch, pose in enumerate(calibration.poses):
         camera, in_epoch = replace(calibration.camera, rotation_cam_enu=pose), points.epoch == epoch

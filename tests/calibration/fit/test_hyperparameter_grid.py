@@ -14,10 +14,12 @@ from sunarc.calibration.fit.hyperparameter_grid import (
     HyperparameterGrid,
     likely_scales,
     log_evidence,
+    log_odds_of_a_field,
+    log_weights,
+    normalised,
     scale_grid,
-    scale_weights,
 )
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations, log_evidences, normal_sums
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences, normal_sums
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +38,10 @@ def _normal(grid: HyperparameterGrid, *, amplitude_px: float = 0.0, seed: int = 
     field = waves @ (rng.standard_normal((2, sigma.size)) * sigma).T
     residual = field + 0.05 * rng.standard_normal((120, 2))
     return normal_sums(np.zeros((120, 2, 17)), waves, residual, np.full(120, 400.0), at=np.zeros(17))
+
+
+def _likely(normal: NormalEquations, grid: HyperparameterGrid) -> Scales:
+    return likely_scales(normalised(log_weights(normal, grid)), grid)
 
 
 def test_the_grid_reaches_from_the_floor_to_eight_pixels(grid: HyperparameterGrid) -> None:
@@ -98,16 +104,17 @@ def test_weights_are_prior_times_evidence(grid: HyperparameterGrid) -> None:
     evidence = log_evidences(
         normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
     )
-    weight = scale_weights(normal, grid)
+    weight = normalised(log_weights(normal, grid))
     assert weight.sum() == pytest.approx(1.0)
     total = grid.log_prior + evidence
     np.testing.assert_allclose(weight, np.exp(total - logsumexp(total)), rtol=1e-9)
-    assert log_evidence(normal, grid) == pytest.approx(float(logsumexp(total)))
+    assert log_evidence(log_weights(normal, grid)) == pytest.approx(float(logsumexp(total)))
 
 
 def test_the_likely_scales_are_means_under_the_weights(grid: HyperparameterGrid) -> None:
     normal = _normal(grid, amplitude_px=0.4)
-    weight, found = scale_weights(normal, grid), likely_scales(normal, grid)
+    weight = normalised(log_weights(normal, grid))
+    found = likely_scales(weight, grid)
     assert found.amplitude_px == pytest.approx(float(np.sum(weight, axis=(1, 2)) @ grid.amplitudes))
     of_lens = weight.sum(axis=(0, 1))
     assert found.radial_px == pytest.approx(math.exp(float(of_lens @ np.log(grid.lens_scales[:, 0]))))
@@ -120,12 +127,25 @@ def test_the_likely_scales_are_means_under_the_weights(grid: HyperparameterGrid)
 
 @pytest.mark.parametrize(("truth", "low", "high"), [(0.0, 0.0, 0.02), (0.4, 0.2, 0.8)])
 def test_the_amplitude_of_the_data_is_found(grid: HyperparameterGrid, truth: float, low: float, high: float) -> None:
-    found = [likely_scales(_normal(grid, amplitude_px=truth, seed=seed), grid).amplitude_px for seed in range(4)]
+    found = [_likely(_normal(grid, amplitude_px=truth, seed=seed), grid).amplitude_px for seed in range(4)]
     assert low <= np.mean(found) <= high
 
 
 def test_evidence_without_a_large_field_is_lower_where_there_is_one(grid: HyperparameterGrid) -> None:
     normal = _normal(grid, amplitude_px=0.5)
-    assert log_evidence(normal, grid.up_to(0.01)) < log_evidence(normal, grid) - 50.0
+    assert log_evidence(log_weights(normal, grid.up_to(0.01))) < log_evidence(log_weights(normal, grid)) - 50.0
     flat = replace(grid, log_prior=np.zeros_like(grid.log_prior))
-    assert scale_weights(normal, flat).sum() == pytest.approx(1.0)
+    assert normalised(log_weights(normal, flat)).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("truth", "low", "high"), [(0.0, -20.0, 0.0), (0.4, 20.0, 1e6)])
+def test_a_field_is_proven_where_there_is_one(grid: HyperparameterGrid, truth: float, low: float, high: float) -> None:
+    found = [log_odds_of_a_field(log_weights(_normal(grid, amplitude_px=truth, seed=s), grid)) for s in range(4)]
+    assert low < min(found) <= max(found) < high
+
+
+def test_the_odds_are_those_of_the_weights(grid: HyperparameterGrid) -> None:
+    log_weight = log_weights(_normal(grid, amplitude_px=0.02), grid)
+    weight = normalised(log_weight)
+    assert log_odds_of_a_field(log_weight) == pytest.approx(math.log(weight[1:].sum() / weight[0].sum()))
+    assert log_odds_of_a_field(log_weight[:1]) == -math.inf

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, random_covariance, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.fit import hyperparameter_marginalisation as module
-from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_grid, scale_weights
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, log_weights, normalised, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
@@ -58,7 +58,7 @@ def _one_amplitude(grid: HyperparameterGrid) -> HyperparameterGrid:
 
 def _mixture(normal: NormalEquations, grid: HyperparameterGrid, at: FloatArray) -> FloatArray:
     """Return the second moments about `at` of the whole mixture over the grid."""
-    weight = scale_weights(normal, grid)
+    weight = normalised(log_weights(normal, grid))
     total = np.zeros((at.size, at.size))
     for (i, j, k), share in np.ndenumerate(weight):
         scales = Scales(float(grid.amplitudes[i]), float(grid.lengths[j]), *map(float, grid.lens_scales[k]))
@@ -161,7 +161,7 @@ def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: Hyperparam
 def test_the_plausible_choices_hold_nearly_all_probability(
     system: LinearSystem, grid: HyperparameterGrid, at: FloatArray
 ) -> None:
-    weight = scale_weights(system.normal(), grid)
+    weight = normalised(log_weights(system.normal(), grid))
     choices = module._plausible(system.normal(), grid, at)
     kept = len(choices.shift)
     assert kept < weight.size

@@ -84,28 +84,37 @@ def scale_grid(
     )
 
 
-def likely_scales(normal: NormalEquations, grid: HyperparameterGrid) -> Scales:
-    """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others."""
-    weight = scale_weights(normal, grid)
+def log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
+    """Return the log of prior times evidence of each choice of scales, (i, j, k), but for one constant."""
+    return grid.log_prior + log_evidences(
+        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
+    )
+
+
+def log_evidence(log_weight: FloatArray) -> float:
+    """Return the log evidence over all scales together, but for a constant that depends on the sightings alone."""
+    return float(np.logaddexp.reduce(log_weight, axis=None))
+
+
+def normalised(log_weight: FloatArray) -> FloatArray:
+    """Return how probable each choice of scales is, (i, j, k)."""
+    weight = np.exp(log_weight - np.max(log_weight))
+    return np.asarray(weight / weight.sum())
+
+
+def likely_scales(weight: FloatArray, grid: HyperparameterGrid) -> Scales:
+    """Return the scales to fit with: the mean amplitude, and the mean logarithms of the others.
+
+    Parameters
+    ----------
+    weight : (i, j, k), see `normalised`.
+    """
     radial, decentering = np.exp(np.sum(weight, axis=(0, 1)) @ np.log(grid.lens_scales))
     moment = np.sum(weight, axis=2) * grid.amplitudes[:, None]
     length = math.exp(float(np.sum(moment * np.log(grid.lengths)) / moment.sum()))
     return Scales(float(moment.sum()), length, float(radial), float(decentering))
 
 
-def log_evidence(normal: NormalEquations, grid: HyperparameterGrid) -> float:
-    """Return the log evidence over all scales together, but for a constant that depends on the sightings alone."""
-    return float(np.logaddexp.reduce(_log_weights(normal, grid), axis=None))
-
-
-def _log_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
-    return grid.log_prior + log_evidences(
-        normal, grid.basis, amplitudes=grid.amplitudes, lengths=grid.lengths, lens_scales=grid.lens_scales
-    )
-
-
-def scale_weights(normal: NormalEquations, grid: HyperparameterGrid) -> FloatArray:
-    """Return how probable each choice of scales is, (i, j, k)."""
-    log_weight = _log_weights(normal, grid)
-    weight = np.exp(log_weight - np.max(log_weight))
-    return np.asarray(weight / weight.sum())
+def log_odds_of_a_field(log_weight: FloatArray) -> float:
+    """Return the log odds that there is a field larger than the floor; -inf where none larger is tried."""
+    return float(np.logaddexp.reduce(log_weight[1:], axis=None) - np.logaddexp.reduce(log_weight[0], axis=None))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_weights
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, log_weights, normalised
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Turned, posterior_covariances
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
@@ -109,7 +109,7 @@ def marginalised_covariance(
 
 def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
-    weight = scale_weights(normal, grid)
+    weight = normalised(log_weights(normal, grid))
     # large fields of small probability decide the tilt: they must not be cut off beforehand
     tail = weight * grid.amplitudes[:, None, None] ** _TAIL_TILT
     either = (weight + tail / tail.sum()).ravel()

@@ -18,9 +18,17 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
-from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, likely_scales, log_evidence, scale_grid
+from sunarc.calibration.fit.hyperparameter_grid import (
+    HyperparameterGrid,
+    likely_scales,
+    log_evidence,
+    log_odds_of_a_field,
+    log_weights,
+    normalised,
+    scale_grid,
+)
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
-from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
+from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
@@ -31,15 +39,17 @@ from sunarc.calibration.least_squares.solve import information
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_weights
 from sunarc.optics import Camera
 
 _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
 _LOOSE_RADIAL_PX = 16.0
 _LOOSE_DECENTERING_PX = 3.0
-_PROOF_OF_AIR = math.log(20.0)
-"""By how much more probable other air must make the sightings: as 20 to 1, the usual "strong" evidence."""
+_PROOF = math.log(20.0)
+"""By how much more probable other air, or a field, must make the sightings: as 20 to 1, the usual "strong" evidence."""
+_ENOUGH = 20
+"""Sightings of one kind, at least, for a scale of their own."""
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
 _FIELD_SHRINKS = 0.25
@@ -78,28 +88,45 @@ class RobustFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
+    """Where the rounds stand; `proven_field_px` is the field's 1-sigma where the sightings prove one, else 0."""
+
     unknowns: FloatArray
     residuals: FloatArray
     scales: Scales
+    proven_field_px: float = 0.0
 
 
 class _Course(NamedTuple):
-    """How sightings follow one another: bins, runs of one day and pose (n,), neighbours in time (n - 1,)."""
+    """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,)."""
 
     bins: Bins
     run: IntArray
     follows: BoolArray
+    alone: BoolArray
+
+    @classmethod
+    def of(cls, usable: FilteredSightings) -> _Course:
+        run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
+        each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
+        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Noise:
-    sigma_px: float
+    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`."""
+
+    scale: FloatArray
     weight: FloatArray
     inflation: FloatArray
 
+    @property
+    def sigma_px(self) -> float:
+        """The scale of the track, which comes first; without one, of all."""
+        return float(self.scale[0])
+
     def information(self, observed: Observations) -> FloatArray:
         """Return (n,) px⁻²."""
-        variance = self.sigma_px**2 * self.inflation
+        variance = self.scale**2 * self.inflation
         return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
 
 
@@ -122,14 +149,15 @@ def fit_robustly(
     options : floor of the field, and tolerances of the lens.
     """
     grid = _grid(problem.template, options)
-    bins, run = time_bins(usable), usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch
-    course = _Course(bins, run, neighbours(usable.unix_s, run))
+    course = _Course.of(usable)
+    bins = course.bins
     plain = _without_field(problem, observed, start, bins)
     problem = replace(problem, n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_air)])
     state, noise, grid = _with_field(problem, observed, plain, grid, course)
     state = _in_assumed_air(problem, observed.weighted(noise.information(observed)), bins, state, grid)
-    unknowns = _as_good_as_least_squares(problem, observed, bins, state.unknowns, sigma=noise.sigma_px)
+    weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
+    unknowns = _as_good_as_least_squares(problem, weighed, bins, state, sigma=noise.sigma_px)
     system = linear_system(problem, observed, bins, unknowns, information=noise.information(observed), basis=grid.basis)
     gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
     return RobustFit(
@@ -165,10 +193,12 @@ def _with_field(
     the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
     again.
     """
-    allowed = _FIELD_MAY_COST * _robust_cost(problem, observed, plain, plain)
+    distance = distance_sigmas(problem, observed, plain)
+    sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)
     state, noise = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
-        if _robust_cost(problem, observed, state.unknowns, plain) <= allowed:
+        level = allowed_level(distance, sigma=sigma, field_px=state.proven_field_px, cost_ratio=_FIELD_MAY_COST)
+        if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
         state, noise = _rounds(problem, observed, plain, grid, course)
@@ -180,9 +210,9 @@ def _rounds(
 ) -> tuple[_State, _Noise]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), _LOOSE_RADIAL_PX, _LOOSE_DECENTERING_PX)
     state = _State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
-    noise = _noise(state.residuals, observed, course.follows, course.run)
+    noise = _noise(state.residuals, observed, course)
     for number in range(_ROUNDS):
-        noise = _noise(state.residuals, observed, course.follows, course.run)
+        noise = _noise(state.residuals, observed, course)
         system = linear_system(
             problem, observed, course.bins, state.unknowns, information=noise.information(observed), basis=grid.basis
         )
@@ -190,19 +220,15 @@ def _rounds(
     return state, noise
 
 
-def _robust_cost(problem: Problem, observed: Observations, unknowns: FloatArray, plain: FloatArray) -> float:
-    """Return the data part of the robust cost, at the scale of the fit without a field."""
-    sigma = robust_sigma(distance_sigmas(problem, observed, plain), floor=SMALLEST_SIGMA_PX)
-    return float(np.sum(tukey_loss(distance_sigmas(problem, observed, unknowns), sigma=sigma)))
-
-
 def _as_good_as_least_squares(
-    problem: Problem, observed: Observations, bins: Bins, unknowns: FloatArray, *, sigma: float
+    problem: Problem, observed: Observations, bins: Bins, state: _State, *, sigma: float
 ) -> FloatArray:
     """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
-    assumed = replace(problem, n_air=0)
+    assumed, unknowns = replace(problem, n_air=0), state.unknowns
     in_this_air = replace(observed, directions=problem.directions(unknowns, observed))
-    camera = at_least_least_squares(assumed, in_this_air, bins, unknowns[: assumed.size], sigma=sigma)
+    camera = at_least_least_squares(
+        assumed, in_this_air, bins, unknowns[: assumed.size], sigma=sigma, field_px=state.proven_field_px
+    )
     return np.concatenate([camera, unknowns[assumed.size :]])
 
 
@@ -215,10 +241,16 @@ def _judged(problem: Problem, observed: Observations, system: LinearSystem, stat
 
 def _improved(problem: Problem, observed: Observations, system: LinearSystem, grid: HyperparameterGrid) -> _State:
     """Return the state after a solve with the scales that the data speak for."""
-    scales = likely_scales(system.normal(), grid)
+    log_weight = log_weights(system.normal(), grid)
+    scales = likely_scales(normalised(log_weight), grid)
     unknowns, coefficients = irls_converged(problem, system, scales)
     smooth = (system.basis_values @ coefficients.T)[system.member]
-    return _State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed) - smooth, scales=scales)
+    return _State(
+        unknowns=unknowns,
+        residuals=problem.residuals(unknowns, observed) - smooth,
+        scales=scales,
+        proven_field_px=scales.amplitude_px if log_odds_of_a_field(log_weight) > _PROOF else 0.0,
+    )
 
 
 def _in_assumed_air(
@@ -232,9 +264,10 @@ def _in_assumed_air(
         )
         for each in (problem, assumed)
     )
-    if log_evidence(system.normal(), grid) - log_evidence(in_assumed_air.normal(), grid) > _PROOF_OF_AIR:
+    other, usual = (log_weights(each.normal(), grid) for each in (system, in_assumed_air))
+    if log_evidence(other) - log_evidence(usual) > _PROOF:
         return state
-    scales = likely_scales(in_assumed_air.normal(), grid)
+    scales = likely_scales(normalised(usual), grid)
     unknowns, _ = irls_converged(assumed, in_assumed_air, scales)
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
@@ -250,9 +283,14 @@ def _without_field(problem: Problem, observed: Observations, start: FloatArray, 
     return lowest(problem, observed, [at, deepest], precision=precision)
 
 
-def _noise(residuals: FloatArray, observed: Observations, follows: BoolArray, run: IntArray) -> _Noise:
+def _noise(residuals: FloatArray, observed: Observations, course: _Course) -> _Noise:
     """Return the noise as it shows beside model and field."""
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
-    sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)
-    weight = tukey_weights(distance, sigma=sigma)
-    return _Noise(sigma_px=sigma, weight=weight, inflation=inflation(residuals, weight, follows, run))
+    scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
+    for kind in (course.alone, ~course.alone):
+        # sigmas stated with directions and by the sun's detector may be wrong by different factors
+        if np.count_nonzero(kind) >= _ENOUGH:
+            scale[kind] = robust_sigma(distance[kind], floor=SMALLEST_SIGMA_PX)
+    weight = tukey_weights(distance / scale, sigma=1.0)
+    inflated = inflation(residuals, weight, course.follows, course.run)
+    return _Noise(scale=scale, weight=weight, inflation=np.where(course.alone, 1.0, inflated))

@@ -76,14 +76,17 @@ class Bins:
 
 
 def time_bins(usable: FilteredSightings) -> Bins:
-    """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each."""
+    """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each.
+
+    One that is alone has a bin of its own.
+    """
     n = len(usable)
     if n == 0:
         return Bins(member=np.zeros(0, dtype=np.int64), count=0)
-    run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0)]
+    run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0) | np.diff(usable.alone)]
     start_of_run = np.maximum.accumulate(np.where(run, np.arange(n), 0))
     slot = np.floor((usable.unix_s - usable.unix_s[start_of_run]) / _SECONDS).astype(np.int64)
     position = (np.arange(n) - start_of_run) // _MOST
-    fresh = run | np.r_[True, (np.diff(slot) != 0) | (np.diff(position) != 0)]
+    fresh = run | usable.alone | np.r_[True, (np.diff(slot) != 0) | (np.diff(position) != 0)]
     member = np.cumsum(fresh) - 1
     return Bins(member=member, count=int(member[-1]) + 1)

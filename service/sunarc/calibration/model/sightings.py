@@ -19,6 +19,8 @@ _AIR_RUNS = 8
 """Days, or runs of days in a longer record, whose air is taken to differ: the weather's in a short record, the season's
 in a long one, whose daily weather averages out."""
 
+_SMALLEST_SIGMA, _LARGEST_SIGMA = 0.01, 100.0
+"""Bounds of a sigma over the median of all: no sighting is worth ten thousand, whatever is stated with it."""
 MAX_CLOCK_ERROR_S = 2.0
 """Sightings whose clock may be wrong by more are used for nothing: 2 s turn the sky by 0.008 degrees."""
 
@@ -29,6 +31,14 @@ def _unknown() -> FloatArray:
 
 def _zero() -> FloatArray:
     return np.array(0.0)
+
+
+def _of_the_sun() -> FloatArray:
+    return np.full(3, np.nan)
+
+
+def _none_alone() -> BoolArray:
+    return np.array(False)
 
 
 def _first_epoch() -> IntArray:
@@ -48,6 +58,8 @@ class SunPoints:
     epoch : (n,) which pose epoch a sighting belongs to, 0, 1, ….
     clock_error_s : (n,) bound of the clock's error, s; NaN where unknown.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
+    directions : (n, 3) apparent directions, east-north-up, of what is not the sun or is known better; NaN takes the
+        sun's. Such sightings make no track: many may be of one moment, and neighbours say nothing of one another.
     """
 
     unix_s: FloatArray
@@ -57,6 +69,7 @@ class SunPoints:
     clock_error_s: FloatArray = field(default_factory=_zero)
     temperature: FloatArray = field(default_factory=_unknown)
     pressure: FloatArray = field(default_factory=_unknown)
+    directions: FloatArray = field(default_factory=_of_the_sun)
 
     def __post_init__(self) -> None:
         """Refuse columns that do not belong together."""
@@ -80,6 +93,7 @@ class SunPoints:
             object.__setattr__(self, name, _column(name, getattr(self, name), times.size))
         object.__setattr__(self, "epoch", epoch.astype(np.int64))
         object.__setattr__(self, "clock_error_s", _column("clock_error_s", self.clock_error_s, times.size))
+        object.__setattr__(self, "directions", _unit_vectors("directions", self.directions, times.size))
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -102,9 +116,38 @@ def _column(name: str, values: ArrayLike, length: int | None) -> FloatArray:
     return column
 
 
+def _unit_vectors(name: str, values: ArrayLike, length: int) -> FloatArray:
+    """Return (n, 3) of one length; NaN stays."""
+    try:
+        given = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), (length, 3)))
+    except (TypeError, ValueError) as fault:
+        raise InputError(field=name, problem=str(fault), remedy="give east, north, up of each sighting") from fault
+    norm = np.linalg.norm(given, axis=-1, keepdims=True)
+    if np.any(norm == 0.0) or np.any(np.isinf(norm)):
+        raise InputError(field=name, problem="a vector has no direction", remedy="give unit vectors, NaN for the sun's")
+    given /= norm
+    given.flags.writeable = False
+    return given
+
+
+def apparent_directions(points: SunPoints, *, site: Site) -> FloatArray:
+    """Return (n, 3): the directions of sightings, those of the sun by its path; NaN where a time is no time."""
+    directions = points.directions.copy()
+    # times beyond the year 5138 are milliseconds or worse, and the sun's algorithm would fail on them
+    timely = np.abs(np.nan_to_num(points.unix_s, nan=np.inf)) < 1e11
+    of_sun = timely & np.isnan(directions[:, 0])
+    directions[of_sun] = sun_directions(
+        points.unix_s[of_sun], site, temperature=points.temperature[of_sun], pressure=points.pressure[of_sun]
+    )
+    directions[~timely] = np.nan
+    return directions
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilteredSightings:
-    """The sightings that a fit can use, in the order of time, with what the sky says of them.
+    """The sightings that a fit can use, with what the sky says of them.
+
+    In the order of the epochs; in each the sun's track by time, then those of stated directions.
 
     Attributes
     ----------
@@ -115,6 +158,7 @@ class FilteredSightings:
     refraction_sd : (n, k) 1-sigma of the refraction, rad, by k independent causes: the measured air, the assumed one,
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
     dropped : how many were left out, a finding for each cause.
+    alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
     static : positions that do not move with the sun, left out.
     stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where none is stated.
     """
@@ -128,8 +172,13 @@ class FilteredSightings:
     day: IntArray
     refraction_sd: FloatArray
     dropped: tuple[Finding, ...]
+    alone: BoolArray = field(default_factory=_none_alone)
     static: tuple[StaticPosition, ...] = ()
     stated_sigma_px: float = math.nan
+
+    def __post_init__(self) -> None:
+        """Say of every sighting whether it is alone."""
+        object.__setattr__(self, "alone", np.broadcast_to(self.alone, self.unix_s.shape))
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -147,20 +196,18 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     -------
     The usable ones by time; `dropped` says what was left out, and why.
     """
-    finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
-    # times beyond the year 5138 are milliseconds or worse, and the sun's algorithm would fail on them
-    finite &= np.abs(np.where(finite, points.unix_s, 0.0)) < 1e11
-    directions = np.full((len(points), 3), np.nan)
-    directions[finite] = sun_directions(
-        points.unix_s[finite], site, temperature=points.temperature[finite], pressure=points.pressure[finite]
-    )
+    directions = apparent_directions(points, site=site)
+    finite = np.all(np.isfinite(directions), axis=-1) & np.all(np.isfinite(points.pixels), axis=-1)
     above = finite & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
     order = np.flatnonzero(above)
-    # by time within each epoch: bins, neighbours and runs rely on it
-    order = order[np.lexsort((points.unix_s[order], points.epoch[order]))]
-    epoch_and_time = np.stack([points.epoch[order], points.unix_s[order]], axis=-1)
+    alone = np.isfinite(points.directions[:, 0])
+    # the track by time within each epoch: bins, neighbours and runs rely on it
+    stated = np.nan_to_num(points.directions)
+    moment = np.column_stack([points.epoch, alone, points.unix_s, stated])
+    order = order[np.lexsort(moment[order].T[::-1])]
+    moment = moment[order]
     single = np.ones(order.size, dtype=bool)
-    single[1:] = np.any(np.diff(epoch_and_time, axis=0) != 0.0, axis=-1)
+    single[1:] = np.any(np.diff(moment, axis=0) != 0.0, axis=-1)
     retained = order[single]
     day = solar_days(points.unix_s[retained], longitude=site.longitude)
     groups = np.unique(np.stack([points.epoch[retained], day], axis=-1), axis=0, return_inverse=True)[1].ravel()
@@ -174,13 +221,14 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         unix_s=points.unix_s[retained],
         pixels=points.pixels[retained],
         directions=directions[retained],
-        sigma_px=_relative_sigma(points.sigma_px[retained]),
+        sigma_px=_relative_sigma(points.sigma_px[retained], alone[retained]),
+        alone=alone[retained],
         epoch=points.epoch[retained],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
         dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
         static=static,
-        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained]),
+        stated_sigma_px=_stated_sigma_px(points.sigma_px[retained], alone[retained]),
     )
 
 
@@ -194,15 +242,29 @@ def _refraction_sd(measured: BoolArray, directions: FloatArray, day: IntArray, s
     return np.asarray(refraction_rad(directions, site)[:, None] * share)
 
 
-def _stated_sigma_px(sigma_px: FloatArray) -> float:
+def _stated_sigma_px(sigma_px: FloatArray, alone: BoolArray) -> float:
     """Return the root mean square of what is stated, a few exaggerations bounded as in the weights."""
-    stated = sigma_px[np.isfinite(sigma_px) & (sigma_px > 0.0)]
-    return float(np.median(stated) * np.sqrt(np.mean(_relative_sigma(stated) ** 2))) if stated.size else math.nan
+    stated = np.isfinite(sigma_px) & (sigma_px > 0.0)
+    if not np.any(stated):
+        return math.nan
+    relative = _relative_sigma(sigma_px[stated], alone[stated])
+    return float(np.median(sigma_px[stated]) * np.sqrt(np.mean(relative**2)))
 
 
-def _relative_sigma(sigma_px: FloatArray) -> FloatArray:
+def _relative_sigma(sigma_px: FloatArray, alone: BoolArray) -> FloatArray:
+    """Return (n,): stated 1-sigmas over their median, 1 where nothing is stated.
+
+    A detector of the sun states its sigma to a factor, and its ratios are bounded; those stated with a direction are
+    taken as they are.
+    """
     has_sigma = np.isfinite(sigma_px) & (sigma_px > 0.0)
     if not np.any(has_sigma):
         return np.ones(sigma_px.shape)
-    median = float(np.median(sigma_px[has_sigma]))
-    return np.clip(np.where(has_sigma, sigma_px, median) / median, 1.0 / 3.0, 10.0)
+    result = np.ones(sigma_px.shape)
+    for kind, (least, most) in ((alone, (0.0, math.inf)), (~alone, (1.0 / 3.0, 10.0))):
+        stated = kind & has_sigma
+        if np.any(stated):
+            median = float(np.median(sigma_px[stated]))
+            ratio = np.clip(np.where(has_sigma, sigma_px, median)[kind] / median, least, most)
+            result[kind] = ratio * (median / float(np.median(sigma_px[has_sigma])))
+    return np.clip(result, _SMALLEST_SIGMA, _LARGEST_SIGMA)

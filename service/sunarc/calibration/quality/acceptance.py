@@ -10,11 +10,11 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import hemisphere, project_with_covariance
 from sunarc.calibration.model.result import Calibration, Verdict
-from sunarc.calibration.model.sightings import SunPoints
+from sunarc.calibration.model.sightings import SunPoints, apparent_directions
 from sunarc.calibration.quality.pose_drift import fit_direction_sigma_rms_deg
 from sunarc.findings import Finding
 from sunarc.optics import project
-from sunarc.sky import day_of_date, solar_days, sun_directions
+from sunarc.sky import day_of_date, solar_days
 
 _WORSE = 1.15
 """Growth of the stated 1-sigma that still counts as staying."""
@@ -159,8 +159,8 @@ def _met_better(candidate: Calibration, current: Calibration, unseen: SunPoints 
 
 def _chi_square(calibration: Calibration, points: SunPoints, noise_px: float) -> float:
     """Return the sum of squares of sightings about a camera in units of the noise; none counts more than an outlier."""
-    sun = sun_directions(points.unix_s, calibration.site, temperature=points.temperature, pressure=points.pressure)
-    difference = points.pixels - project(calibration.camera, sun)
+    directions = apparent_directions(points, site=calibration.site)
+    difference = points.pixels - project(calibration.camera, directions)
     square = np.sum(difference**2, axis=-1) / noise_px**2
     return float(np.sum(np.minimum(np.nan_to_num(square, nan=np.inf), _OUTLIER)))
 
