@@ -4,6 +4,7 @@ import re
 import shutil
 import socket
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -66,15 +67,15 @@ def test_every_place_that_the_scripts_fill_is_on_the_page(made: Made) -> None:
 
 
 def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
-    asked = set(re.findall(r'ask(?:Image)?\("(/[^"?]+)', code()))
+    asked = set(re.findall(r'(?:ask|askImage|listen)\(["`](/[^"?`]+)', code()))
     assert asked <= set(made.client.get("/openapi.json").json()["paths"])
-    assert asked >= {"/v1/overlay", "/v1/uncertainty", "/v1/image/latest"}
+    assert asked >= {"/v1/overlay", "/v1/uncertainty", "/v1/image/latest", "/v1/events/stream"}
 
 
 @contextmanager
-def serving(made: Made) -> Iterator[str]:
+def serving(made: Made, *, app: Any = None) -> Iterator[str]:  # noqa: ANN401 - an application, or what counts for it
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        server = uvicorn.Server(uvicorn.Config(made.app, log_level="warning"))
+        server = uvicorn.Server(uvicorn.Config(app or made.app, log_level="warning"))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
@@ -127,7 +128,8 @@ MARKER = """() => {
   const frame = image.getBoundingClientRect();
   const x = (box.left + box.width / 2 - frame.left) / frame.width;
   const y = (box.top + box.height / 2 - frame.top) / frame.height;
-  return [x * image.naturalWidth - 0.5, y * image.naturalHeight - 0.5];
+  const size = document.querySelector("#overlay").viewBox.baseVal;
+  return [x * size.width - 0.5, y * size.height - 0.5];
 }"""
 
 
@@ -221,6 +223,54 @@ def can_be_used_by_keyboard(page: Page) -> None:
 def is_accessible(page: Page) -> None:
     found = Axe().run(page).response["violations"]
     assert [(one["impact"], one["id"], one["nodes"][0]["html"]) for one in found] == []
+
+
+class Counting:
+    """An application whose answers are counted, head and body, by path."""
+
+    def __init__(self, app: Any) -> None:  # noqa: ANN401 - an application
+        self._app = app
+        self.bytes: Counter[str] = Counter()
+        self.asked: Counter[str] = Counter()
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401 - ASGI's
+        async def counted(message: Any) -> None:  # noqa: ANN401
+            if message["type"] == "http.response.start":
+                self.asked[scope["path"]] += 1
+                self.bytes[scope["path"]] += 80 + sum(len(name) + len(value) + 4 for name, value in message["headers"])
+            elif message["type"] == "http.response.body":
+                self.bytes[scope["path"]] += len(message.get("body", b"")) + 8
+            await send(message)
+
+        await self._app(scope, receive, counted)
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_an_idle_page_loads_little(pictured: Made) -> None:
+    """Let 10 minutes pass on the page, with a frame every 30 s, and extrapolate: 0.5 MB/h beside the thumbnails."""
+    counting = Counting(pictured.app)
+    with serving(pictured, app=counting) as address, browser() as chromium:
+        context = chromium.new_context(viewport={"width": 1400, "height": 1000})
+        page = context.new_page()
+        page.clock.install()
+        page.goto(address)
+        page.clock.run_for(2000)
+        shown(page)
+        counting.bytes.clear()
+        counting.asked.clear()
+        for step in range(20):
+            pictured.board.note(last_frame_at=NOON + timedelta(seconds=30 * (step + 1)))
+            for _ in range(3):
+                page.clock.run_for(10_000)
+                page.wait_for_timeout(150)
+        for _ in range(20):  # what is asked meanwhile is answered
+            page.wait_for_timeout(50)
+    hourly = {path: 6 * count for path, count in counting.bytes.items()}
+    hourly.pop("/v1/image/latest")  # it is the same all the time, and the browser has it
+    assert {"/v1/status", "/v1/events/stream", "/v1/sun", "/v1/sun-points"} <= set(hourly)
+    assert 50_000 < sum(hourly.values()) < 1_000_000, hourly
+    assert 9 <= counting.asked["/v1/image/latest"] <= 11  # once a minute: 6 MB/h allow for 100 kB each
 
 
 def _rejected(number: int) -> SunPoint:

@@ -14,6 +14,7 @@ from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
 from sunarc.api.routes.day_air import air_out
+from sunarc.api.routes.images import ThumbnailWidth, thumbnail
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.api.schemas.record import Days, DayWithAir, Events
@@ -69,9 +70,9 @@ def record_routes(context: ApiContext) -> APIRouter:
         return Events(events=list(rows), next=next_)
 
     @routes.get("/image/latest", response_class=Response, responses=_IMAGE | answers(404))
-    def latest_image(request: Request, if_none_match: IfNoneMatch = None) -> Response:
-        """Return the newest composite's preview."""
-        return _image(context.of(request), if_none_match)
+    def latest_image(request: Request, width: ThumbnailWidth = None, if_none_match: IfNoneMatch = None) -> Response:
+        """Return the newest composite's preview, or a thumbnail of it."""
+        return _image(context.of(request), if_none_match, width)
 
     return routes
 
@@ -86,15 +87,18 @@ def days_out(context: ApiContext, days: Sequence[Day]) -> list[DayWithAir]:
     return [DayWithAir(**asdict(day) | {"findings": day.findings}, air=air.get(day.date)) for day in days]
 
 
-def _image(context: ApiContext, if_none_match: str | None) -> Response:
+def _image(context: ApiContext, if_none_match: str | None, width: int | None) -> Response:
     path = context.latest_image()
     if path is None:
         raise NotFoundError(field="image", problem="no image was kept yet", remedy="wait for the first cycle")
-    headers = {"etag": f'"{path.stem}"', "cache-control": "no-cache"}
+    tag = path.stem if width is None else f"{path.stem}-{width}"
+    headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}
     if matches(if_none_match, headers["etag"]):
         return Response(status_code=304, headers=headers)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
+    if width is not None:
+        return Response(thumbnail(path, width, "jpeg"), media_type="image/jpeg", headers=headers)
     return Response(content, media_type=_MEDIA_TYPES[path.suffix], headers=headers)

@@ -51,6 +51,9 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
     206: {"description": "The part that Range asks for."},
     304: {"description": "The image is the one that If-None-Match names."},
 }
+ThumbnailWidth = Annotated[
+    int | None, Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a thumbnail, px; never enlarged.")
+]
 Captured = Annotated[Time, InPath(description="Of its first exposure, as /v1/images lists it.")]
 
 
@@ -83,10 +86,7 @@ def image_routes(context: ApiContext) -> APIRouter:
         format_: Annotated[
             Kind | None, Query(alias="format", description="16 bit PNG of linear counts, or JPEG preview.")
         ] = None,
-        width: Annotated[
-            int | None,
-            Query(ge=_WIDTHS[0], le=_WIDTHS[1], description="Of a thumbnail, px; never enlarged."),
-        ] = None,
+        width: ThumbnailWidth = None,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Return a composite: whole, or the range that is asked for."""
@@ -100,7 +100,7 @@ def image_routes(context: ApiContext) -> APIRouter:
         if width is None:
             _require_range(request.headers.get("range"), path)
             return FileResponse(path, media_type=_MEDIA_TYPES[kind], headers=headers)
-        return Response(_thumbnail(path, width, kind), media_type=_MEDIA_TYPES[kind], headers=headers)
+        return Response(thumbnail(path, width, kind), media_type=_MEDIA_TYPES[kind], headers=headers)
 
     return routes
 
@@ -172,7 +172,7 @@ def _require_range(text: str | None, path: Path) -> None:
     raise RefusedError(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, fault, headers=headers)
 
 
-def _thumbnail(path: Path, width: int, kind: Kind) -> bytes:
+def thumbnail(path: Path, width: int, kind: Kind) -> bytes:
     """Return a preview of at most a width in px, 8 bits, as a file of a kind."""
     picture = decoded_preview(path)
     height, whole = picture.shape[:2]

@@ -1,5 +1,5 @@
 // The dashboard: asks the API, draws what it says, and asks again.
-import { ask, keepToken, NeedsToken } from "./ask.js";
+import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
 import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
 import { drawResiduals } from "./residuals.js";
@@ -10,7 +10,13 @@ const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready:
 const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
 const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
-const known = { status: null, points: [], overlay: null, calibration: undefined, date: null };
+const MOST_POINTS = 1000;
+// What the stream of events does not tell: how old heartbeats are, how the sun moved, what was sighted.
+const STATUS_MS = 60000;
+const SKY_MS = 30000;
+const RESIDUALS_MS = 60000;
+const RECORD_MS = 3600000;
+const known = { status: null, points: [], overlay: null, calibration: undefined, residualsBy: undefined, date: null };
 
 function showHealth(health, headline) {
   const [sign, word] = SIGNS[health];
@@ -108,9 +114,14 @@ async function refreshSky() {
 
 const redrawResiduals = () => drawResiduals(known.points, known.overlay, known.status?.image_size, known.status?.calibration?.pose_epoch);
 
+// The newest sightings: all at first and after another calibration, since their residuals are by it; then those that came.
 async function refreshResiduals() {
-  known.points = (await ask("/v1/sun-points?residuals=true&accepted=true&limit=1000")).sun_points;
-  redrawResiduals();
+  const newest = known.points[0]?.time;
+  const since = newest && known.residualsBy === known.calibration ? `&since=${encodeURIComponent(newest)}` : "";
+  const come = (await ask(`/v1/sun-points?residuals=true&accepted=true&limit=${MOST_POINTS}${since}`)).sun_points;
+  known.points = since ? [...come.filter((point) => point.time > newest), ...known.points].slice(0, MOST_POINTS) : come;
+  known.residualsBy = known.calibration;
+  if (come.length > (since ? 1 : 0) || !since) redrawResiduals();
 }
 
 async function refreshRecord() {
@@ -137,12 +148,32 @@ function complain(error) {
   } else showHealth("gone", "the service does not answer");
 }
 
-async function every(milliseconds, refresh) {
+const refreshes = new Map();
+
+// Refresh now, or after the refresh that is under way: several messages at once cost one.
+async function refresh(what) {
+  if (document.hidden) return;
+  if (refreshes.has(what)) { refreshes.set(what, true); return; }
+  refreshes.set(what, false);
+  try { await what(); } catch (error) { if (what === refreshStatus || error instanceof NeedsToken) complain(error); }
+  const again = refreshes.get(what);
+  refreshes.delete(what);
+  if (again) await refresh(what);
+}
+
+// What a message of the stream says is out of date.
+const STALE = {
+  state: [refreshStatus, refreshSky, refreshRecord],
+  calibration: [refreshStatus, refreshSky, refreshResiduals, refreshRecord],
+  bump: [refreshStatus, refreshRecord],
+  day: [refreshStatus, refreshRecord],
+  event: [refreshRecord],
+};
+
+async function every(milliseconds, what) {
   for (;;) {
-    if (!document.hidden) {
-      try { await refresh(); } catch (error) { if (refresh === refreshStatus || error instanceof NeedsToken) complain(error); }
-    }
     await new Promise((done) => { setTimeout(done, milliseconds); });
+    await refresh(what);
   }
 }
 
@@ -150,13 +181,17 @@ $("token-form").addEventListener("submit", (event) => {
   event.preventDefault();
   keepToken($("token").value.trim());
   $("token").value = "";
-  refreshStatus().catch(complain);
+  [refreshStatus, refreshSky, refreshResiduals, refreshRecord].forEach(refresh);
 });
 window.addEventListener("resize", redrawResiduals);
 document.querySelectorAll("input[name=unit]").forEach((input) => input.addEventListener("change", redrawResiduals));
 await refreshStatus().catch(complain);
+await refreshSky().catch(() => {});
 await refreshResiduals().catch(() => {});
-every(2000, refreshStatus);
-every(2500, refreshSky);
-every(5000, refreshResiduals);
-every(5000, refreshRecord);
+refresh(refreshRecord);
+listen("/v1/events/stream", ({ kind }) => (STALE[kind] ?? [refreshStatus]).forEach(refresh));
+every(STATUS_MS, refreshStatus);
+every(SKY_MS, refreshSky);
+every(RESIDUALS_MS, refreshResiduals);
+every(RECORD_MS, refreshRecord);
+document.addEventListener("visibilitychange", () => [refreshStatus, refreshSky, refreshResiduals].forEach(refresh));

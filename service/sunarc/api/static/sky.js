@@ -5,12 +5,18 @@ import { $, element, label, mark, path } from "./draw.js";
 const EXPECTED = "M0-4.4V-2M0 4.4V2M-4.4 0H-2M4.4 0H2M2.7 0A2.7 2.7 0 1 1-2.7 0A2.7 2.7 0 1 1 2.7 0";
 const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
 
+const THUMBNAIL_PX = 640;
+const IMAGE_EVERY_MS = 60000;
+let shownAt = -Infinity;
+
+// The preview as a thumbnail, at most once a minute: it is nearly all that the page loads.
 export async function showImage(status) {
   const stamp = status.last_frame_at ?? "none since the start";
   const image = $("image");
-  if (image.dataset.stamp === stamp) return;
+  if (image.dataset.stamp === stamp || Date.now() - shownAt < IMAGE_EVERY_MS) return;
   image.dataset.stamp = stamp;
-  const address = await askImage("/v1/image/latest");
+  shownAt = Date.now();
+  const address = await askImage(`/v1/image/latest?width=${THUMBNAIL_PX}`);
   if (!address) return;
   const next = new Image();
   next.src = address;
