@@ -14,7 +14,7 @@ from collections.abc import Callable
 import pytest
 import uvicorn
 
-from sunarc.app.serving import _Server, _stop_on_signals
+from sunarc.app.serving import Server, stop_on_signals
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.heartbeats import Heartbeat
 
@@ -63,7 +63,7 @@ def test_a_coroutine_that_blocks_the_loop_leaves_the_heartbeat_to_age_until_it_l
     clock, started = SystemClock(), threading.Event()
     heartbeat = Heartbeat(clock.monotonic)
     config = uvicorn.Config(app, lifespan="off", log_level="warning", timeout_graceful_shutdown=1)
-    server = _Server(config, on_started=started.set, heartbeat=heartbeat)
+    server = Server(config, on_started=started.set, heartbeat=heartbeat)
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         port = listening.getsockname()[1]
@@ -89,10 +89,10 @@ def test_a_coroutine_that_blocks_the_loop_leaves_the_heartbeat_to_age_until_it_l
 def test_a_stop_that_comes_while_the_workers_start_is_not_lost(number: signal.Signals) -> None:
     before = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)}
     config = uvicorn.Config(lambda *_: None, lifespan="off", log_level="warning")
-    server = _Server(config, on_started=lambda: None, heartbeat=Heartbeat(SystemClock().monotonic))
+    server = Server(config, on_started=lambda: None, heartbeat=Heartbeat(SystemClock().monotonic))
     late = threading.Timer(PATIENCE_S, lambda: setattr(server, "force_exit", True))
     try:
-        _stop_on_signals(server)
+        stop_on_signals(server)
         signal.raise_signal(number)
         assert server.should_exit
         late.start()

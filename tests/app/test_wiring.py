@@ -21,7 +21,7 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.app import Service, serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
-from sunarc.app.serving import _monitored, _schedule, _Server, _with_credentials, serve
+from sunarc.app.serving import Server, _monitored, _schedule, serve, with_credentials
 from sunarc.archive import ELSEWHERE, open_archive, upgrade
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.cli import main
@@ -195,15 +195,15 @@ def test_tokens_of_systemd_are_used_where_no_file_is_set(tmp_path: Path, monkeyp
     for name in ("api-token", "api-read-token"):
         (tmp_path / name).write_text("token-of-systemd-0123456789")
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
-    options = _with_credentials(new_settings(tmp_path).api)
+    options = with_credentials(new_settings(tmp_path).api)
     assert (options.token_file, options.read_token_file) == (tmp_path / "api-token", tmp_path / "api-read-token")
     own = replace(options, token_file=tmp_path / "own")
-    assert _with_credentials(own).token_file == tmp_path / "own"
+    assert with_credentials(own).token_file == tmp_path / "own"
 
 
 def test_the_web_servers_loop_and_the_schedule_are_watched(service: Service) -> None:
     config = uvicorn.Config(lambda *_: None, lifespan="off", log_level="warning")
-    server = _Server(config, on_started=lambda: None, heartbeat=Heartbeat(service.clock.monotonic))
+    server = Server(config, on_started=lambda: None, heartbeat=Heartbeat(service.clock.monotonic))
     web, schedule = _monitored(service, server=server, schedule=_schedule(service))
     assert (web.name, web.stale_after_s) == ("web", 30.0)
     assert (schedule.name, schedule.stale_after_s) == ("schedule", service.settings.refit.check_every_s + 600.0)

@@ -12,6 +12,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import URL, Engine, text
+from tests.fixtures.fleet import feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
 from sunarc.archive import Archive, SunPoint, check, head_revision, open_archive, server_url, upgrade_server
@@ -216,7 +217,8 @@ def fleet() -> Iterator[Server]:
 def test_the_feeds_role_stores_what_imagers_send_and_changes_no_table(fleet: Server) -> None:
     with opened(fleet.url("sunarc", user="sunarc_feed")) as archive:
         assert archive.add_sun_points([POINT]) == 1  # makes a partition
-    refused = ["DROP TABLE sun_point", "DELETE FROM sun_point", "DELETE FROM event", "CREATE TABLE mine (x int)"]
+    refused = ["DROP TABLE sun_point", "DELETE FROM calibration", "DELETE FROM event", "CREATE TABLE mine (x int)"]
+    refused += ["UPDATE feed_token SET expires_at = NULL", "INSERT INTO feed_token VALUES ('d', 'roof', 0, NULL)"]
     for statement in refused:
         with pytest.raises(AssertionError, match=r"permission denied|must be owner"):
             fleet.sql("sunarc", statement, user="sunarc_feed")
@@ -227,5 +229,35 @@ def test_the_readers_role_reads_and_writes_nothing(fleet: Server) -> None:
         archive.sun_points("roof")
         with pytest.raises(OutsideError, match="permission denied"):
             archive.save_camera(ROOF)
-    with pytest.raises(AssertionError, match="permission denied"):
-        fleet.sql("sunarc", "SELECT sunarc_require_month(0)", user="sunarc_reader")
+    for statement in ("SELECT sunarc_require_month(0)", "SELECT digest FROM feed_token"):
+        with pytest.raises(AssertionError, match="permission denied"):
+            fleet.sql("sunarc", statement, user="sunarc_reader")
+
+
+def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> None:
+    with new_imager(tmp_path, "mast") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+        imager.add_sun_points([sighting(0, camera="mast")])
+        feed(imager, hub, "mast")
+        assert hub.sun_points("mast") == imager.sun_points("mast")
+        assert "mast" in [camera.camera for camera in hub.fleet()]
+
+
+def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server, tmp_path: Path) -> None:
+    folder = fleet.folder / "copies"
+    owner = fleet.url("sunarc", user="sunarc_owner")
+    with new_imager(tmp_path, "attic") as imager:
+        imager.add_sun_points(sighting(n, camera="attic") for n in range(5))
+        with open_archive(owner) as hub:
+            feed(imager, hub, "attic")
+        options = ("-h", str(fleet.folder), "-U", "sunarc_owner")
+        names = [fleet.carry_out(DEPLOY / "backup", str(folder), "1", *options).strip() for _ in range(2)]
+        assert Path(names[-1]).exists()
+        assert len(list(folder.iterdir())) == 1
+        fleet.sql("postgres", "CREATE DATABASE again OWNER sunarc_owner TEMPLATE template0")
+        fleet.carry_out(DEPLOY / "restore", names[-1], "again", *options)
+        with open_archive(fleet.url("again", user="sunarc_owner")) as hub:
+            assert hub.sun_points("attic") == imager.sun_points("attic")
+            imager.add_sun_points(sighting(n, camera="attic") for n in range(5, 9))
+            feed(imager, hub, "attic")
+            assert hub.sun_points("attic") == imager.sun_points("attic")
+        assert check(fleet.url("again", user="sunarc_owner")).sound

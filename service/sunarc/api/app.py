@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path as FilePath
+from typing import Any
 
 from fastapi import Depends, FastAPI
 from fastapi.responses import FileResponse
@@ -55,7 +56,7 @@ _ENSEMBLES = 4
 """Ensembles that are kept: each of up to 64 draws, 5 MB."""
 _MOST_STREAMS = 64
 """Streams of events that are open at once: each costs a look at the archive's revision twice a second."""
-_STATIC = FilePath(__file__).parent / "static"
+STATIC = FilePath(__file__).parent / "static"
 _WORTH_COMPRESSING_BYTES = 1400  # less fits into one packet as it is
 _COMPRESSION_LEVEL = 4  # of JSON's numbers, higher ones make little more than work
 _COMPRESSED_ALREADY = (
@@ -92,7 +93,33 @@ def create_app(
     registry : where Prometheus's numbers are registered; a new one by default.
     stopping : returns whether the service is about to stop: streams of events end then.
     """
-    context = ApiContext(
+    context = new_context(
+        archive=archive,
+        camera=camera,
+        site=site,
+        status=status,
+        request_refit=request_refit,
+        frame_clock=frame_clock,
+        latest_image=latest_image,
+        options=options,
+        images=images,
+        stopping=stopping,
+        token=read_token(options.token_file, setting="api.token_file"),
+    )
+    numbers = registry or CollectorRegistry()
+    numbers.register(StatusCollector(context))
+    app = new_application("sunarc")
+    add_camera_routes(app, context)
+    app.include_router(camera_routes(context))
+    app.include_router(health_routes(context, numbers))
+    _add_dashboard(app)
+    complete(app, context)
+    return app
+
+
+def new_context(*, archive: Archive, **collaborators: Any) -> ApiContext:  # noqa: ANN401 - the fields of ApiContext
+    """Return the collaborators of an application, with the caches that its routes share."""
+    return ApiContext(
         archive=archive,
         sites=DaySites(archive),
         ready=SingleFlightCache(
@@ -109,35 +136,27 @@ def create_app(
             key=lambda asked: asked.key,
             most=_ENSEMBLES,
         ),
-        camera=camera,
-        site=site,
-        status=status,
-        request_refit=request_refit,
-        frame_clock=frame_clock,
-        latest_image=latest_image,
-        images=images,
-        stopping=stopping,
-        options=options,
-        token=read_token(options.token_file, setting="api.token_file"),
+        **collaborators,
     )
-    numbers = registry or CollectorRegistry()
-    numbers.register(StatusCollector(context))
-    app = FastAPI(
-        title="sunarc",
+
+
+def new_application(title: str) -> FastAPI:
+    """Return an application without routes."""
+    return FastAPI(
+        title=title,
         version=sunarc.__version__,
         docs_url=None,
         redoc_url=None,
         dependencies=[Depends(require_known_names)],
     )
-    _add_camera_routes(app, context)
-    app.include_router(camera_routes(context))
-    app.include_router(health_routes(context, numbers))
-    _add_dashboard(app)
+
+
+def complete(app: FastAPI, context: ApiContext) -> None:
+    """Add what every application has in common: problem documents, its description, and limits."""
     faults = FaultLog()
     add_problem_handlers(app, faults)
     describe(app)
     _add_guards(app, context, faults)
-    return app
 
 
 def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
@@ -176,7 +195,7 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
     app.add_middleware(Boundary, max_body_bytes=options.max_body_bytes, max_array_bytes=options.max_array_bytes)
 
 
-def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
+def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
     """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
     slots = ComputeSlots(context.options.max_large_at_once)
     for of_camera in (
@@ -201,6 +220,6 @@ def _add_camera_routes(app: FastAPI, context: ApiContext) -> None:
 def _add_dashboard(app: FastAPI) -> None:
     @app.get("/", include_in_schema=False)
     def dashboard() -> FileResponse:
-        return FileResponse(_STATIC / "dashboard.html")
+        return FileResponse(STATIC / "dashboard.html")
 
-    app.mount("/static", StaticFiles(directory=_STATIC))
+    app.mount("/static", StaticFiles(directory=STATIC))

@@ -144,6 +144,9 @@ class ApiContext:
         Where the path names no camera it is this service's own.
         """
         name = request.path_params["camera"]
+        if name == self.camera == "":
+            remedy = "name one: /v1/cameras/{camera}/…, see /v1/cameras"
+            raise NotFoundError(field="camera", problem="a hub has no camera of its own", remedy=remedy)
         selected = self if name in ("", self.camera) else self._of_another(name)
         chosen = request.query_params.get(CALIBRATION)
         return selected if chosen is None else replace(selected, chosen=chosen)
@@ -159,7 +162,7 @@ class ApiContext:
         if record is None:
             raise NotFoundError(field="camera", problem=f"there is no camera {name}", remedy="see /v1/cameras")
         return replace(
-            self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=_refuse_refit
+            self, camera=name, site=record.site, latest_image=lambda: None, images=None, request_refit=refuse_refit
         )
 
     def site_at(self, time: datetime) -> Site:
@@ -231,7 +234,8 @@ def _sky_rms_deg(record: CalibrationRecord) -> float:
     return math.inf if value is None else float(value)
 
 
-def _refuse_refit(_reason: str) -> Refit:
+def refuse_refit(_reason: str) -> Refit:
+    """Refuse a refit of a camera that another service drives."""
     raise InputError(
         field="camera", problem="another service solves this camera", remedy="ask the service that drives it"
     )

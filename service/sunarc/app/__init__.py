@@ -1,10 +1,11 @@
 """The composition root: the only room that chooses and joins parts.
 
 `service` the parts of a running imager · `serving` start, run and stop · `status_line` the line of systemctl status ·
-`cameras` the camera that the settings name · `simulating` the simulated imager.
+`hub` a hub · `cameras` the camera that the settings name · `simulating` the simulated imager.
 """
 
 from sunarc.app.cameras import camera_opener, require_stored_site
+from sunarc.app.hub import serve_hub
 from sunarc.app.service import Service
 from sunarc.app.serving import end_process, serve
 from sunarc.app.simulating import simulate
@@ -19,5 +20,6 @@ __all__ = [
     "end_process",
     "require_stored_site",
     "serve",
+    "serve_hub",
     "simulate",
 ]

@@ -31,8 +31,10 @@ from sunarc.workers import (
     DetectWorker,
     DiskWorker,
     DropOldestQueue,
+    FeedWorker,
     FrameTime,
     FrozenFrames,
+    HubConnection,
     OverdueSightings,
     ProvisionalPoseEstimator,
     RefitWorker,
@@ -135,6 +137,7 @@ class Service:
             self._supervised("disk", self.disk_worker),
             self._supervised("database", self.database_worker),
             self._supervised("refit", self.refit_worker),
+            *(() if self.settings.hub.url is None else (self._supervised("feed", self.feed_worker),)),
             self._supervised("watch", lambda: self.watch),
             replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
             self._supervised("compose", self.compose_worker),
@@ -315,6 +318,16 @@ class Service:
                 now=self.frame_time.now,
             ),
             now=self.frame_time.now,
+            board=self.board,
+        )
+
+    def feed_worker(self) -> FeedWorker:
+        """Return the worker that sends the archive's rows to the hub."""
+        hub = self.settings.hub
+        return FeedWorker(
+            camera=self.camera,
+            send=HubConnection(hub, camera=self.settings.name).send,
+            clock=self.clock,
             board=self.board,
         )
 

@@ -17,6 +17,7 @@ from functools import partial
 from typing import NoReturn, cast
 
 import uvicorn
+from fastapi import FastAPI
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
@@ -65,6 +66,8 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         )
     archive = open_archive(settings.archive)
     require_stored_site(archive, settings)
+    if settings.hub.url is None:
+        archive.disable_outbox()  # else it would grow for ever
     service = Service(
         settings,
         archive=archive,
@@ -79,7 +82,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
     server = _web_server(service, on_started=status.ready)
     schedule = _schedule(service)
     first_frame = FirstFrame(service.board)
-    _stop_on_signals(server)
+    stop_on_signals(server)
     with ExitStack() as stack:
         stack.enter_context(listening)
         stack.callback(service.archive.close)
@@ -124,8 +127,8 @@ def _make_room(settings: Settings) -> None:
     Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6)).balance(images.usage().free_bytes)
 
 
-def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
-    options = _with_credentials(service.settings.api)
+def _web_server(service: Service, *, on_started: Callable[[], None]) -> Server:
+    options = with_credentials(service.settings.api)
     app = create_app(
         archive=service.archive,
         camera=service.settings.name,
@@ -138,7 +141,13 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
         images=service.images,
         stopping=lambda: server.should_exit,
     )
-    server = _Server(
+    server = new_server(app, options, on_started=on_started, heartbeat=Heartbeat(service.clock.monotonic))
+    return server
+
+
+def new_server(app: FastAPI, options: ApiOptions, *, on_started: Callable[[], None], heartbeat: Heartbeat) -> Server:
+    """Return a web server of an application, with the limits of its connections."""
+    return Server(
         uvicorn.Config(
             app,
             http=cast("type[asyncio.Protocol]", partial(BoundedConnection, options)),
@@ -152,12 +161,11 @@ def _web_server(service: Service, *, on_started: Callable[[], None]) -> _Server:
             forwarded_allow_ips=["127.0.0.1", "::1"],
         ),
         on_started=on_started,
-        heartbeat=Heartbeat(service.clock.monotonic),
+        heartbeat=heartbeat,
     )
-    return server
 
 
-def _with_credentials(options: ApiOptions) -> ApiOptions:
+def with_credentials(options: ApiOptions) -> ApiOptions:
     """Return the options with the tokens that systemd holds, where no file is set."""
     return replace(
         options,
@@ -166,7 +174,7 @@ def _with_credentials(options: ApiOptions) -> ApiOptions:
     )
 
 
-class _Server(uvicorn.Server):
+class Server(uvicorn.Server):
     """A web server that says when it listens, and whose event loop has a heartbeat.
 
     Parameters
@@ -196,7 +204,7 @@ def _address(settings: Settings) -> str:
     return f"http://{settings.api.host}:{settings.api.port}/"
 
 
-def _stop_on_signals(server: uvicorn.Server) -> None:
+def stop_on_signals(server: uvicorn.Server) -> None:
     """Install handlers of SIGTERM and SIGINT that stop the server, also before it runs."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: _stop_serving(server))
@@ -207,7 +215,7 @@ def _stop_serving(server: uvicorn.Server) -> None:
     server.should_exit = True
 
 
-def _monitored(service: Service, *, server: _Server, schedule: Schedule) -> tuple[Monitored, ...]:
+def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple[Monitored, ...]:
     stale_after_s = min(service.settings.supervisor.stale_after_s, _LOOP_STALE_S)
     return (
         Monitored(name="web", heartbeat=server.heartbeat, stale_after_s=stale_after_s),

@@ -1,9 +1,10 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings` · `values` what goes in and comes out · `tables types` the schema ·
-`engine server store` connections and transactions · `schema migrating` revisions · `backup recovery file lock ownership
-space_reserve` the file on disk · `images` composites · `csv_files` sightings as CSV.
+epoch_closing sighting_revisions file_sightings outbox feeds fleet` · `values feed_values` what goes in and comes out ·
+`tables types` the schema · `engine server store` connections and transactions · `schema migrating` revisions ·
+`outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership space_reserve` the file on
+disk · `images` composites · `csv_files` sightings as CSV.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -17,9 +18,20 @@ from sunarc.archive.csv_files import (
     write_sightings,
 )
 from sunarc.archive.epoch_closing import EPOCH_CLOSED
+from sunarc.archive.feed_values import (
+    FeedBatch,
+    FeedRow,
+    FleetCamera,
+    Quarantined,
+    Reason,
+    Refusal,
+    feed_lines,
+    read_feed_lines,
+)
 from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
+from sunarc.archive.outbox import OutboxPosition
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
 from sunarc.archive.schema import (
     Check,
@@ -71,13 +83,20 @@ __all__ = [
     "DiskUsage",
     "Event",
     "EventSeverity",
+    "FeedBatch",
+    "FeedRow",
     "FileSighting",
+    "FleetCamera",
     "ImageKey",
     "ImageStore",
+    "OutboxPosition",
     "PoseEpoch",
+    "Quarantined",
+    "Reason",
     "Recovery",
     "Refit",
     "RefitState",
+    "Refusal",
     "Reserve",
     "SightingTable",
     "SunPoint",
@@ -86,6 +105,7 @@ __all__ = [
     "backup_into",
     "check",
     "downgrade",
+    "feed_lines",
     "head_revision",
     "image_key",
     "lock_holder",
@@ -94,6 +114,7 @@ __all__ = [
     "open_archive",
     "prepare_database",
     "prepare_folder",
+    "read_feed_lines",
     "read_pairs",
     "read_sightings",
     "require_file",

@@ -14,8 +14,11 @@ from sunarc.archive.day_air import MeasuredAir
 from sunarc.archive.days_and_events import Journal
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.epoch_closing import EpochClosing
+from sunarc.archive.feeds import Feeds
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
+from sunarc.archive.fleet import FleetRegistry
+from sunarc.archive.outbox import Outbox
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import UPGRADE_SERVER, require_file, require_head
 from sunarc.archive.server import create_server_engine, name_of, require_writable
@@ -24,7 +27,18 @@ from sunarc.archive.sightings import Sightings
 from sunarc.errors import OutsideError
 
 
-class Archive(Sightings, FileSightings, SightingRevisions, EpochClosing, UsedSightings, Journal, MeasuredAir):
+class Archive(
+    Sightings,
+    FileSightings,
+    SightingRevisions,
+    EpochClosing,
+    UsedSightings,
+    Journal,
+    MeasuredAir,
+    Outbox,
+    Feeds,
+    FleetRegistry,
+):
     """The database: values in, values out; safe to use from any thread."""
 
     def __init__(self, engine: Engine, file: DatabaseFile | None) -> None:

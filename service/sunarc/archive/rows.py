@@ -35,4 +35,14 @@ def upsert(
     """
     statement = _insert(connection, table).values(row)
     same = None if of is None else table.c[of] == row[of]
-    return connection.execute(statement.on_conflict_do_update(index_elements=key, set_=dict(row), where=same)).rowcount
+    statement = statement.on_conflict_do_update(index_elements=key, set_=dict(row), where=same)
+    return connection.execute(statement.execution_options(preserve_rowcount=True)).rowcount
+
+
+def upsert_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, key: Sequence[str]) -> None:
+    """Insert rows that have the same columns, each over the one of the same key, in their order."""
+    if not rows:
+        return
+    statement = _insert(connection, table)
+    written = {name: statement.excluded[name] for name in rows[0] if name not in key}
+    connection.execute(statement.on_conflict_do_update(index_elements=key, set_=written), list(rows))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import datetime
 from typing import Any, Self, TypeVar
 
@@ -69,12 +69,13 @@ class Store:
             yield connection
 
     @contextmanager
-    def _writing(self) -> Iterator[Connection]:
-        with self._lock:
+    def _writing(self, *, camera: str | None = None) -> Iterator[Connection]:
+        # On PostgreSQL rows of different cameras are written at the same time.
+        with nullcontext() if camera is not None and self._file is None else self._lock:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
             if self._file is not None:
                 self._file.require_in_place()
-            with writing(self._engine) as connection:
+            with writing(self._engine, camera=camera) as connection:
                 yield connection
 
     def _prepare_months(self, times: Sequence[datetime]) -> None:

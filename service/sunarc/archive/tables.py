@@ -197,3 +197,69 @@ event = Table(
     Column("details", JsonObject, nullable=False),
     Index("ix_event_time", "time"),
 )
+
+outbox = Table(
+    "outbox",
+    metadata,
+    Column("seq", Integer, primary_key=True),
+    Column("kind", Text, nullable=False),
+    Column("data", Text, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+outbox_position = Table(
+    "outbox_position",
+    metadata,
+    Column("installation", Text, primary_key=True),
+    Column("committed", BigInteger, nullable=False),
+    Column("sent", BigInteger, nullable=False),
+)
+
+feed_token = Table(
+    "feed_token",
+    metadata,
+    Column("digest", Text, primary_key=True),
+    Column("camera", Text, nullable=False),
+    Column("created_at", UtcTime, nullable=False),
+    Column("expires_at", UtcTime),
+)
+
+feed = Table(
+    "feed",
+    metadata,
+    Column("camera", Text, primary_key=True),
+    Column("installation", Text, primary_key=True),
+    Column("committed", BigInteger, nullable=False),
+    Column("accepted", Boolean, nullable=False),
+    Column("first_at", UtcTime, nullable=False),
+    Column("last_at", UtcTime, nullable=False),
+)
+
+quarantine = Table(
+    "quarantine",
+    metadata,
+    Column("camera", Text, primary_key=True),
+    Column("installation", Text, primary_key=True),
+    Column("reason", Text, primary_key=True),
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),
+    Column("kind", Text, nullable=False),
+    Column("text", Text, nullable=False),
+    Column("data", Text, nullable=False),
+    Column("n", Integer, nullable=False),
+    Column("first_at", UtcTime, nullable=False),
+    Column("last_at", UtcTime, nullable=False),
+    Index("ix_quarantine_last_at", "last_at"),
+)
+
+fleet = Table(
+    "fleet",
+    metadata,
+    Column("camera", Text, primary_key=True),
+    Column("received_at", UtcTime, nullable=False),
+    Column("last_sighting_at", UtcTime),
+    Column("calibration", Text),
+    Column("calibrated_at", UtcTime),
+    Column("sky_rms_deg", Float),
+    Column("status", JsonObject, nullable=False),
+    Column("status_at", UtcTime),
+)

@@ -18,6 +18,7 @@ from sunarc.cli.codes import all_codes, codes_as_markdown
 from sunarc.cli.compare import compare
 from sunarc.cli.database import db_cli, points_cli
 from sunarc.cli.export import export_calibration
+from sunarc.cli.hub import hub_cli
 from sunarc.cli.ingest import ingest
 from sunarc.cli.options import (
     Altitude,
@@ -40,7 +41,7 @@ from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
 from sunarc.offline.project_files import project_csv, unproject_csv
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.log_to_journal import start_log
-from sunarc.settings import all_settings, as_markdown, load_settings
+from sunarc.settings import all_settings, as_markdown, load_hub_settings, load_settings
 from sunarc.sky import Site
 from sunarc.utc import parse_time
 
@@ -55,6 +56,7 @@ cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
 cli.add_typer(calibrations_cli, name="calibrations")
 cli.add_typer(epochs_cli, name="epochs")
+cli.add_typer(hub_cli, name="hub")
 cli.add_typer(study_cli, name="study")
 cli.command()(calibrate)
 cli.command()(ingest)
@@ -96,13 +98,18 @@ def version(*, show: Annotated[bool, typer.Option("--version", help="Print the v
 
 
 @cli.command()
-def serve(config: Config = None) -> None:
+def serve(
+    config: Config = None,
+    *,
+    role: Annotated[str, typer.Option(help="imager; or hub: imagers send it their archives.")] = "imager",
+) -> None:
     """Run the service until SIGTERM or SIGINT.
 
     Example: sunarc serve --config /etc/sunarc/sunarc.toml
     """
+    is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
-    app.end_process(app.serve(load_settings(config)))
+    app.end_process(app.serve_hub(load_hub_settings(config)) if is_hub else app.serve(load_settings(config)))
 
 
 @cli.command("compile")

@@ -8,14 +8,16 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from sunarc.errors import ConfigurationError, InputError
-from sunarc.settings.model import Settings
+from sunarc.settings.model import HubSettings, Settings
 from sunarc.settings.reference import all_settings
 from sunarc.settings.removed import REMOVED
+
+Loaded = TypeVar("Loaded", HubSettings, Settings)
 
 _PREFIX = "SUNARC_"
 _CONFIG_VARIABLE = "SUNARC_CONFIG"
@@ -35,13 +37,22 @@ def load_settings(path: Path | None) -> Settings:
     ------
     ConfigurationError : naming the file, the setting by its dotted path, what was given and what is allowed.
     """
+    return _load(path, Settings)
+
+
+def load_hub_settings(path: Path | None) -> HubSettings:
+    """Return the settings of a hub, as `load_settings` does; those that concern an imager alone are left out."""
+    return _load(path, HubSettings)
+
+
+def _load(path: Path | None, model: type[Loaded]) -> Loaded:
     where = str(path) if path else "settings"
     given = _merged({} if path is None else _read_toml(path), _environment())
     try:
         _refuse_names(given)
         given = _without_removed_sections(given)
         # JSON mode takes lists for tuples and texts for paths, and strict mode no number in quotes and no true for 1.
-        return Settings.model_validate_json(json.dumps(given, default=str), strict=True)
+        return model.model_validate_json(json.dumps(given, default=str), strict=True)
     except ValidationError as error:
         raise ConfigurationError(f"{where}: {_first_problem(error)}") from None
     except InputError as error:

@@ -17,10 +17,42 @@ from sunarc.detection import DiscOptions
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky import Site
-from sunarc.workers import CaptureOptions, ClockOptions, RefitOptions, SensorOptions
+from sunarc.workers import CaptureOptions, ClockOptions, HubOptions, RefitOptions, SensorOptions
 
 
-class Settings(BaseModel):
+class _WithStore(BaseModel):
+    """Settings of a service that has an archive."""
+
+    state: Path = Path("/var/lib/sunarc")
+    store: str | None = None
+
+    @field_validator("store")
+    @classmethod
+    def _check_store(cls, store: str | None) -> str | None:
+        if store is not None:
+            server_url(store)
+        return store
+
+    @property
+    def archive(self) -> Path | URL:
+        """Where the archive is: its file, or the address of its PostgreSQL database."""
+        return self.database if self.store is None else server_url(self.store)
+
+    @property
+    def database(self) -> Path:
+        """The archive's file, where the store is SQLite."""
+        return self.state / "sunarc.sqlite"
+
+
+class HubSettings(_WithStore):
+    """What a hub takes of the settings: where its archive is, and the web server."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    api: ApiOptions = ApiOptions()
+
+
+class Settings(_WithStore):
     """Everything that can be set, by section; fields that `removed.REMOVED` names are for Python only.
 
     Attributes
@@ -39,6 +71,7 @@ class Settings(BaseModel):
     watch : thresholds of a change of the camera.
     disk : how much of the disk images may have.
     api : the web server.
+    hub : where the archive's rows are sent to.
     supervisor : limits of restarts and heartbeats of the workers.
     """
 
@@ -61,29 +94,13 @@ class Settings(BaseModel):
     watch: WatchOptions = WatchOptions()
     disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()
+    hub: HubOptions = HubOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 
     @property
     def dated_by_camera(self) -> bool:
         """Whether frames are dated by the camera's own clock."""
         return self.camera is None or self.camera.timestamps == "camera"
-
-    @field_validator("store")
-    @classmethod
-    def _check_store(cls, store: str | None) -> str | None:
-        if store is not None:
-            server_url(store)
-        return store
-
-    @property
-    def archive(self) -> Path | URL:
-        """Where the archive is: its file, or the address of its PostgreSQL database."""
-        return self.database if self.store is None else server_url(self.store)
-
-    @property
-    def database(self) -> Path:
-        """The archive's file, where the store is SQLite."""
-        return self.state / "sunarc.sqlite"
 
     @property
     def backups(self) -> Path:

@@ -1,4 +1,4 @@
-"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`."""
+"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`, `feeding`."""
 
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge
@@ -11,6 +11,8 @@ from sunarc.workers.capture.replay import ReplayWorker
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.disk_space import DiskWorker
+from sunarc.workers.feeding.feed import FeedWorker
+from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
@@ -34,8 +36,11 @@ __all__ = [
     "DetectWorker",
     "DiskWorker",
     "DropOldestQueue",
+    "FeedWorker",
     "FrameTime",
     "FrozenFrames",
+    "HubConnection",
+    "HubOptions",
     "OverdueSightings",
     "ProvisionalPoseEstimator",
     "RefitOptions",

@@ -85,6 +85,17 @@ MESSAGES = Messages(
     epochs_searched=Message(
         "the record was searched for pose changes: {steps} found", "Pose epochs of sightings before the start."
     ),
+    # hub
+    hub_unreachable=Message(
+        "the hub was not reached for {hours:g} h: {error}",
+        "Rows wait in the outbox, without a limit; measurements go on.",
+        "check the network, the hub, and hub.url",
+    ),
+    hub_refuses=Message(
+        "the hub refuses this imager's rows ({status:g}): {error}",
+        "Rows wait in the outbox, without a limit; measurements go on.",
+        "see the hub's /v1/quarantine; make a token there with `sunarc hub token`, or accept the installation",
+    ),
     # camera and exposures
     camera_lost=Message(
         "{error}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import re
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from pathlib import Path
@@ -20,6 +21,8 @@ from sunarc.errors import ConfigurationError
 _SHORTEST_TOKEN = 16
 _OPEN_PATHS = frozenset({"/", "/healthz", "/readyz"})
 _OPEN_FOLDER = "/static/"
+FEED_PATH = re.compile(r"/v1/cameras/([^/]+)/feed")
+"""A hub's route that imagers send to, each with a token of its own."""
 _CHALLENGE = {"www-authenticate": "Bearer"}
 _NO_TOKEN = Fault(field="authorization", problem="no token, or a wrong one", remedy="send Authorization: Bearer …")
 _bearer = HTTPBearer(auto_error=False, scheme_name="token", description="The token of `api.token_file`.")
@@ -105,7 +108,7 @@ def _is_one_of(given: str, tokens: tuple[bytes, ...]) -> bool:
 
 
 def _is_open(path: str) -> bool:
-    return path in _OPEN_PATHS or path.startswith(_OPEN_FOLDER)
+    return path in _OPEN_PATHS or path.startswith(_OPEN_FOLDER) or FEED_PATH.fullmatch(path) is not None
 
 
 def _same(given: str, token: bytes) -> bool:

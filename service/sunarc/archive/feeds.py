@@ -1,0 +1,281 @@
+"""The hub's part: what imagers send, each row stored once, and what is refused set apart with its reason."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import Connection, and_, delete, insert, select, update
+from sqlalchemy.exc import DataError, IntegrityError
+
+from sunarc.archive.feed_rows import FED, REMOVED, STATUS, problem_of, typed
+from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal
+from sunarc.archive.json_text import json_text
+from sunarc.archive.rows import upsert, upsert_all
+from sunarc.archive.store import Store
+from sunarc.archive.tables import calibration, event, feed, fleet, quarantine
+from sunarc.calibration import SCHEMA
+
+FUTURE = timedelta(minutes=10)
+"""A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
+_DATED = {
+    "pose_epoch": "started_at",
+    "sun_point": "time",
+    "day": "decided_at",
+    "day_air": "set_at",
+    "calibration": "created_at",
+    "refit": "requested_at",
+    "event": "time",
+}
+_OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
+"""Tables whose key is an id: a row of another camera must not be written over."""
+_MOST_UNKNOWN = 100
+_OTHERS = "(others)"
+"""Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
+WHOLE = 0
+"""The `seq` of what was refused as a whole."""
+
+
+class Feeds(Store):
+    """The part of the archive that a hub fills with what imagers send."""
+
+    def take_feed(self, batch: FeedBatch, *, now: datetime) -> int | Refusal:
+        """Store a batch, and return the number up to which the hub has this imager's rows.
+
+        Rows and number are written in one transaction: a batch that comes twice is stored once. A batch that does not
+        begin where the hub stands is left alone; the number that is returned says where to go on.
+
+        Parameters
+        ----------
+        batch : of one camera.
+        now : real time.
+
+        Returns
+        -------
+        The number; or why the batch was refused as a whole, which is also in quarantine.
+        """
+        dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
+        self._prepare_months([time for time in dated if time <= now + FUTURE and time.year >= 1970])
+        with self._writing(camera=batch.camera) as connection:
+            position = _position(connection, batch, now)
+            if isinstance(position, Refusal):
+                _set_apart(connection, batch, position, now=now)
+                return position
+            if batch.after != position:
+                if batch.after > position:
+                    text = f"rows after {batch.after} came, rows after {position} were expected; all are sent again"
+                    _set_apart(connection, batch, Refusal(reason="gap", text=text), now=now)
+                return position
+            _store_batch(connection, batch, now)
+            committed = batch.rows[-1].seq if batch.rows else position
+            this = and_(feed.c.camera == batch.camera, feed.c.installation == batch.installation)
+            connection.execute(update(feed).where(this).values(committed=committed, last_at=now))
+        return committed
+
+    def refuse_feed(self, *, camera: str, installation: str, refusal: Refusal, now: datetime) -> None:
+        """Write into quarantine that something was refused as a whole."""
+        batch = FeedBatch(camera=camera, installation=installation, after=0, rows=())
+        with self._writing(camera=camera) as connection:
+            if refusal.reason == "unknown_camera":
+                batch = replace(batch, camera=_bounded(connection, camera), installation="")
+            _set_apart(connection, batch, refusal, now=now)
+
+
+def _bounded(connection: Connection, name: str) -> str:
+    """Return a name for what came from a camera that nobody registered."""
+    q = quarantine.c
+    known = connection.scalars(select(q.camera).where(q.reason == "unknown_camera")).all()
+    return name if name in known or len(known) < _MOST_UNKNOWN else _OTHERS
+
+
+def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | Refusal:
+    """Return up to which number the hub has an installation's rows; a camera's first installation is taken."""
+    rows = {row.installation: row for row in connection.execute(select(feed).where(feed.c.camera == batch.camera))}
+    found = rows.get(batch.installation)
+    if found is None and any(row.accepted for row in rows.values()):
+        other = next(row for row in rows.values() if row.accepted)
+        text = f"installation {batch.installation} sends as {batch.camera}, which installation {other.installation} is"
+        return Refusal(reason="second_installation", text=text)
+    if found is None:
+        row = {"camera": batch.camera, "installation": batch.installation, "committed": 0, "accepted": True}
+        connection.execute(insert(feed).values(**row, first_at=now, last_at=now))
+        return 0
+    if not found.accepted:
+        return Refusal(reason="second_installation", text=f"installation {batch.installation} was replaced by another")
+    return int(found.committed)
+
+
+def _sighting_time(row: FeedRow) -> datetime | None:
+    if row.kind != "sun_point" or row.data is None or problem_of(row.kind, row.data) is not None:
+        return None
+    try:
+        time: datetime = typed(row.kind, row.data)["time"]
+    except (ValueError, OverflowError):
+        return None
+    return time
+
+
+def _store_batch(connection: Connection, batch: FeedBatch, now: datetime) -> None:
+    """Store the rows in their order; rows that cannot be stored are set apart, and what follows is stored."""
+    for kind, group in groupby(batch.rows, key=lambda row: row.kind):
+        rows = []
+        for row in group:
+            refusal = _refusal(batch.camera, row, now)
+            if refusal is not None:
+                _set_apart(connection, batch, refusal, row=row, now=now)
+            else:
+                rows.append(row)
+        if kind == STATUS or not rows:
+            continue
+        for row, refusal in _stored(connection, batch.camera, kind, rows):
+            _set_apart(connection, batch, refusal, row=row, now=now)
+    _note_in_fleet(connection, batch, now)
+
+
+def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
+    """Return why a row is not stored, as far as it says itself."""
+    kind = row.kind.removesuffix(REMOVED)
+    if row.data is None:
+        return Refusal(reason="body_too_large", text=f"a row of kind {row.kind} was too large to be sent")
+    if kind == STATUS:
+        return None
+    if kind not in FED:
+        return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
+    problem = problem_of(kind, row.data, only_key=row.kind != kind)
+    if problem is not None:
+        return Refusal(reason="malformed", text=problem)
+    named = row.data.get("name" if kind == "camera" else "camera", camera)
+    if named != camera and not (kind == "event" and named is None):
+        return Refusal(reason="other_camera", text=f"the row is of camera {named}")
+    return _refusal_of_value(kind, row.data, now) if row.kind == kind else None
+
+
+def _refusal_of_value(kind: str, data: Mapping[str, Any], now: datetime) -> Refusal | None:
+    try:
+        values = typed(kind, data)
+    except (ValueError, OverflowError) as error:
+        return Refusal(reason="malformed", text=str(error))
+    dated: datetime | None = values.get(_DATED.get(kind, ""))
+    if dated is not None and dated > now + FUTURE:
+        return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
+    if dated is not None and dated.year < 1970:
+        return Refusal(reason="malformed", text=f"dated {dated.isoformat()}, before 1970")
+    return _refusal_of_document(data) if kind == "calibration" else None
+
+
+def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
+    document = data["document"]
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema != SCHEMA:
+        return Refusal(reason="newer_document", text=f"document {data['id']} is {schema}, not {SCHEMA}")
+    if hashlib.sha256(json_text(document).encode()).hexdigest() != data["document_sha256"]:
+        return Refusal(reason="damaged_document", text=f"document {data['id']} does not match its checksum")
+    return None
+
+
+def _stored(
+    connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]
+) -> Iterable[tuple[FeedRow, Refusal]]:
+    """Store rows of one kind together, or one by one where one of them contradicts the others; yield those left out."""
+    try:
+        with connection.begin_nested():
+            _write(connection, camera, kind, rows)
+    except (IntegrityError, DataError):
+        for row in rows:
+            try:
+                with connection.begin_nested():
+                    _write(connection, camera, kind, [row])
+            except (IntegrityError, DataError) as error:
+                text = str(error.orig).strip().partition("\n")[0]
+                yield row, Refusal(reason="contradiction", text=text)
+
+
+def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    table, key = FED[kind.removesuffix(REMOVED)]
+    if kind.endswith(REMOVED):
+        for row in rows:
+            values = typed(kind.removesuffix(REMOVED), row.data or {})
+            connection.execute(delete(table).where(*(table.c[name] == values[name] for name in key)))
+        return
+    values_of_rows = [typed(kind, row.data or {}) for row in rows]
+    if kind == "event":
+        _write_events(connection, camera_name, values_of_rows)
+    elif kind in _OF_ONE_CAMERA:
+        for values in values_of_rows:
+            if kind == "calibration" and values["state"] == "current":
+                _make_room(connection, values)
+            if not upsert(connection, table, values, key=key, of="camera"):
+                raise IntegrityError(None, None, ValueError(f"{kind} {values['id']} is another camera's"))
+    else:
+        upsert_all(connection, table, values_of_rows, key=key)
+
+
+def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
+    """Retire what is current: rows that are sent again come in another order than that of the changes."""
+    c = calibration.c
+    others = (c.camera == values["camera"], c.id != values["id"], c.state == "current")
+    connection.execute(update(calibration).where(*others).values(state="retired"))
+
+
+def _write_events(connection: Connection, camera_name: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Insert events that are not there; what concerns all of an imager concerns at the hub its camera."""
+    c = event.c
+    for row in rows:
+        values = {**row, "camera": row.get("camera") or camera_name}
+        same = [event.c[name] == values[name] for name in ("camera", "time", "kind", "text")]
+        if connection.scalar(select(c.id).where(*same).limit(1)) is None:
+            connection.execute(insert(event).values(values))
+
+
+def _set_apart(
+    connection: Connection, batch: FeedBatch, refusal: Refusal, *, now: datetime, row: FeedRow | None = None
+) -> None:
+    """Write into quarantine, once a row, and once an installation for what was refused as a whole; count."""
+    values = {
+        "camera": batch.camera,
+        "installation": batch.installation,
+        "reason": refusal.reason,
+        "seq": WHOLE if row is None else row.seq,
+        "kind": "" if row is None else row.kind,
+        "text": refusal.text,
+        "data": "" if row is None else json_text(row.data),
+    }
+    q = quarantine.c
+    this = [q[name] == values[name] for name in ("camera", "installation", "reason", "seq")]
+    again = update(quarantine).where(*this).values(n=q.n + 1, last_at=now, text=refusal.text)
+    if not connection.execute(again).rowcount:
+        connection.execute(insert(quarantine).values(**values, n=1, first_at=now, last_at=now))
+
+
+def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> None:
+    """Keep what the fleet page shows of a camera, so that it reads one row of each."""
+    found = connection.execute(select(fleet).where(fleet.c.camera == batch.camera)).mappings().one_or_none()
+    values: dict[str, Any] = dict(found or {"camera": batch.camera, "status": {}}) | {"received_at": now}
+    for row in batch.rows:
+        if row.kind == STATUS and isinstance(row.data, Mapping):
+            values |= {"status": dict(row.data), "status_at": now}
+    times = [time for time in map(_sighting_time, batch.rows) if time is not None and time <= now + FUTURE]
+    values["last_sighting_at"] = max([*times, *_listed(values.get("last_sighting_at"))], default=None)
+    if any(row.kind == "calibration" for row in batch.rows):
+        values |= _served(connection, batch.camera)
+    upsert(connection, fleet, values, key=["camera"])
+
+
+def _listed(time: datetime | None) -> list[datetime]:
+    """Return a list of a time, empty where there is none."""
+    return [] if time is None else [time]
+
+
+def _served(connection: Connection, camera_name: str) -> dict[str, Any]:
+    c = calibration.c
+    current = select(c.id, c.created_at, c.document).where(c.camera == camera_name, c.state == "current")
+    row = connection.execute(current).one_or_none()
+    if row is None:
+        return {"calibration": None, "calibrated_at": None, "sky_rms_deg": None}
+    document = row.document if isinstance(row.document, Mapping) else {}
+    rms = document.get("uncertainty", {}).get("sky_rms_deg")
+    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": rms}

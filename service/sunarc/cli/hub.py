@@ -1,0 +1,95 @@
+"""The commands of `sunarc hub`: parse, call, print."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import timedelta
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from sunarc.api import token_digest
+from sunarc.archive import open_archive
+from sunarc.cli.options import AsJson, Config
+from sunarc.cli.output import print_json, table
+from sunarc.runtime.clock import SystemClock
+from sunarc.settings import load_hub_settings
+from sunarc.utc import rfc3339
+
+hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, and see what was refused.")
+
+Camera = Annotated[str, typer.Argument(metavar="CAMERA", help="Its name, the imager's setting `name`.")]
+Installation = Annotated[str, typer.Argument(metavar="INSTALLATION", help="Its id, see `sunarc hub quarantine`.")]
+
+
+@hub_cli.command()
+def token(
+    camera: Camera,
+    config: Config = None,
+    *,
+    overlap: Annotated[float, typer.Option(help="Hours for which the camera's former tokens stay valid.")] = 168.0,
+) -> None:
+    """Register a camera, or renew its token: print a new one, of which the hub keeps the digest alone.
+
+    Example: sunarc hub token roof --config /etc/sunarc/hub.toml > token
+    """
+    made, now = secrets.token_urlsafe(32), SystemClock().now()
+    with open_archive(load_hub_settings(config).archive) as archive:
+        until = now + timedelta(hours=max(overlap, 0.0))
+        archive.add_feed_token(camera, token_digest(made), now=now, former_until=until)
+    print(made)
+
+
+@hub_cli.command()
+def revoke(camera: Camera, config: Config = None) -> None:
+    """End all tokens of a camera; exit 1 when it had none.
+
+    Example: sunarc hub revoke roof --config /etc/sunarc/hub.toml
+    """
+    with open_archive(load_hub_settings(config).archive) as archive:
+        count = archive.end_feed_tokens(camera, now=SystemClock().now())
+    print(f"{count} tokens of {camera} ended")
+    if not count:
+        raise typer.Exit(1)
+
+
+@hub_cli.command()
+def accept(camera: Camera, installation: Installation, config: Config = None) -> None:
+    """Take what another installation sends under a camera's name, and no more what the former one sends.
+
+    Example: sunarc hub accept roof 5f1d0c --config /etc/sunarc/hub.toml
+    """
+    with open_archive(load_hub_settings(config).archive) as archive:
+        archive.accept_installation(camera, installation, now=SystemClock().now())
+    print(f"installation {installation} sends as {camera} now")
+
+
+@hub_cli.command()
+def resend(camera: Camera, config: Config = None) -> None:
+    """Have an imager send all its rows again, and clear what is in quarantine of its camera.
+
+    Example: sunarc hub resend roof --config /etc/sunarc/hub.toml
+    """
+    with open_archive(load_hub_settings(config).archive) as archive:
+        archive.ask_again(camera)
+    print(f"{camera} is asked for all its rows when it next sends")
+
+
+@hub_cli.command()
+def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
+    """Print what imagers sent and the hub refused or set apart, the newest first; exit 1 when there is something.
+
+    Example: sunarc hub quarantine --config /etc/sunarc/hub.toml
+    """
+    with open_archive(load_hub_settings(config).archive) as archive:
+        found = archive.quarantine()
+    names = ("camera", "installation", "reason", "seq", "kind", "n", "text")
+    rows = [{name: getattr(one, name) for name in names} | {"last_at": rfc3339(one.last_at)} for one in found]
+    if as_json:
+        print_json(rows)
+    else:
+        cells = [[str(cell) for cell in row.values()] for row in rows]
+        Console(soft_wrap=True).print(table((*names, "last"), cells))
+    if rows:
+        raise typer.Exit(1)

@@ -1,0 +1,229 @@
+"""The hub over HTTP: feeds, the fleet, quarantine, and every camera's routes."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from tests.api.conftest import Client
+from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
+
+from sunarc.api import ApiOptions, create_hub_app, token_digest
+from sunarc.api.routes.feed import _MOST_BYTES
+from sunarc.api.routes.fleet import SILENT
+from sunarc.archive import Archive, feed_lines, head_revision, open_archive, upgrade
+
+TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
+METRICS = {
+    f"sunarc_fleet_{name}"
+    for name in (
+        "received_seconds",
+        "last_sighting_seconds",
+        "sky_sigma_degrees",
+        "quarantined",
+        "disk_free_bytes",
+        "clock_error_seconds",
+        "drift_degrees",
+        "state",
+    )
+}
+
+
+@dataclass
+class Hub:
+    archive: Archive
+    client: Client
+    now: list[Any]
+
+    def put(
+        self,
+        body: bytes,
+        *,
+        camera: str = "roof",
+        after: int | str = 0,
+        token: str = TOKEN,
+        installation: str = "here",
+        revision: str | None = None,
+    ) -> httpx.Response:
+        headers = {
+            "authorization": f"Bearer {token}",
+            "sunarc-installation": installation,
+            "sunarc-revision": revision or head_revision(),
+            "content-encoding": "gzip",
+        }
+        return self.client.request("PUT", f"/v1/cameras/{camera}/feed?after={after}", content=body, headers=headers)
+
+    def reasons(self) -> list[str]:
+        return [row["reason"] for row in self.client.get("/v1/quarantine").json()["rows"]]
+
+
+@pytest.fixture
+def hub(tmp_path: Path) -> Iterator[Hub]:
+    yield from made(tmp_path)
+
+
+def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of ApiOptions
+    upgrade(folder / "hub.sqlite")
+    now = [NOW]
+    with open_archive(folder / "hub.sqlite") as archive:
+        archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+        app = create_hub_app(
+            archive=archive, now=lambda: now[0], options=ApiOptions(allowed_hosts=("imager",), **options)
+        )
+        yield Hub(archive, Client(app), now)
+
+
+@pytest.fixture
+def imager(tmp_path: Path) -> Iterator[Archive]:
+    with new_imager(tmp_path) as archive:
+        archive.add_sun_points(sighting(n) for n in range(3))
+        yield archive
+
+
+def body_of(imager: Archive) -> bytes:
+    return gzip.compress(feed_lines(next_batch(imager).rows))
+
+
+def test_rows_are_stored_and_answered_for_their_camera(hub: Hub, imager: Archive) -> None:
+    answer = hub.put(body_of(imager))
+    assert (answer.status_code, answer.json()) == (200, {"committed": 5})
+    assert hub.put(body_of(imager)).json() == {"committed": 5}
+    points = hub.client.get("/v1/cameras/roof/sun-points").json()
+    assert len(points["sun_points"]) == 3
+    assert hub.client.get("/v1/cameras").json()["cameras"][0]["name"] == "roof"
+    for path in ("days", "events", "calibrations", "sun"):
+        assert hub.client.get(f"/v1/cameras/roof/{path}").status_code == 200, path
+    assert hub.client.get("/v1/cameras/mast/days").status_code == 404
+
+
+@pytest.mark.parametrize("path", ["days", "calibration", "sun-points", "events"])
+def test_a_hub_has_no_camera_of_its_own(hub: Hub, path: str) -> None:
+    answer = hub.client.get(f"/v1/{path}")
+    assert answer.status_code == 404
+    assert answer.json()["errors"][0]["field"] == "camera"
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [("POST", "refits"), ("PUT", "days/2026-05-13/air"), ("POST", "calibrations/a/activate")],
+)
+def test_a_hub_changes_nothing_that_an_imager_decides(hub: Hub, imager: Archive, method: str, path: str) -> None:
+    hub.put(body_of(imager))
+    answer = hub.client.request(method, f"/v1/cameras/roof/{path}", json={"reason": "test"})
+    assert answer.status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "reason"),
+    [
+        ({"camera": "mast"}, 404, "unknown_camera"),
+        ({"token": "forged, but long enough"}, 401, "forged_token"),
+        ({"token": ""}, 401, "forged_token"),
+        ({"installation": "another"}, 409, "second_installation"),
+        ({"installation": "no id!"}, 422, "malformed"),
+        ({"revision": "9999"}, 409, "newer_imager"),
+        ({"body": b"no gzip"}, 422, "malformed"),
+        ({"body": gzip.compress(b"{}\n")}, 422, "malformed"),
+        ({"body": gzip.compress(b"x" * 1000)[:-9]}, 422, "malformed"),
+        ({"body": gzip.compress(b"\n" * (_MOST_BYTES + 1))}, 413, "body_too_large"),
+        ({"body": b"x" * 8_000_001}, 413, "body_too_large"),
+        ({"after": 9}, 200, "gap"),
+    ],
+)
+def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
+    hub: Hub, imager: Archive, changes: dict[str, Any], status: int, reason: str
+) -> None:
+    assert hub.put(body_of(imager)).status_code == 200
+    body = changes.pop("body", gzip.compress(b""))
+    for _ in range(2):
+        assert hub.put(body, **{"after": 5, **changes}).status_code == status
+    assert hub.reasons() == [reason]
+    fleet = {one["camera"]: one for one in hub.client.get("/v1/fleet").json()["cameras"]}
+    if reason != "unknown_camera":
+        assert (fleet["roof"]["n_quarantined"], fleet["roof"]["state"]) == (1, "quarantine")
+    imager.acknowledge(5)
+    imager.add_sun_points([sighting(9)])
+    assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
+
+
+@pytest.mark.parametrize("after", ["-2", "x", str(2**63), ""])
+def test_a_number_that_is_none_is_refused(hub: Hub, after: str) -> None:
+    assert hub.put(gzip.compress(b""), after=after).status_code == 422
+
+
+def test_a_token_that_was_replaced_ends_after_the_overlap(hub: Hub, imager: Archive) -> None:
+    later = NOW + timedelta(hours=1)
+    hub.archive.add_feed_token("roof", token_digest("a new one, long enough"), now=NOW, former_until=later)
+    for token, status in ((TOKEN, 200), ("a new one, long enough", 200)):
+        assert hub.put(body_of(imager), token=token).status_code == status
+    hub.now[0] = later
+    assert hub.put(body_of(imager)).status_code == 401
+
+
+def test_the_digest_alone_is_stored(hub: Hub, tmp_path: Path) -> None:
+    assert hub.archive.feed_tokens("roof", now=NOW) == (token_digest(TOKEN),)
+    hub.archive.close()
+    assert TOKEN.encode() not in (tmp_path / "hub.sqlite").read_bytes()
+
+
+def test_reading_with_a_token_leaves_the_feed_to_its_own(tmp_path: Path, imager: Archive) -> None:
+    (tmp_path / "read").write_text("a token for reading\n")
+    for hub in made(tmp_path, read_token_file=tmp_path / "read"):
+        assert hub.client.get("/v1/fleet").status_code == 401
+        assert hub.client.get("/v1/fleet", headers={"authorization": f"Bearer {TOKEN}"}).status_code == 401
+        assert hub.client.get("/v1/fleet", headers={"authorization": "Bearer a token for reading"}).status_code == 200
+        assert hub.put(body_of(imager), token="a token for reading").status_code == 401  # noqa: S106
+        assert hub.put(body_of(imager)).status_code == 200
+
+
+def test_the_fleet_has_the_worst_first(hub: Hub, tmp_path: Path) -> None:
+    healths = {"a": "ready", "b": "degraded", "c": "not_ready"}
+    for name, health in healths.items():
+        hub.archive.add_feed_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)
+        with new_imager(tmp_path, name) as one:
+            one.queue_status({"health": health, "disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25})
+            body = gzip.compress(feed_lines(next_batch(one, name).rows))
+            assert hub.put(body, camera=name, token=TOKEN + name).status_code == 200
+    fleet = hub.client.get("/v1/fleet").json()["cameras"]
+    assert [(one["camera"], one["state"]) for one in fleet] == [
+        ("roof", "silent"),
+        ("c", "not_ready"),
+        ("b", "degraded"),
+        ("a", "uncalibrated"),
+    ]
+    hub.now[0] = NOW + SILENT
+    assert [one["state"] for one in hub.client.get("/v1/fleet").json()["cameras"]][1] == "not_ready"
+    hub.now[0] = NOW + SILENT + timedelta(seconds=1)
+    assert {one["state"] for one in hub.client.get("/v1/fleet").json()["cameras"]} == {"silent"}
+
+
+def test_every_camera_has_its_numbers_and_the_document_names_them(hub: Hub, tmp_path: Path) -> None:
+    with new_imager(tmp_path) as one:
+        one.add_sun_points([sighting(0)])
+        one.queue_status({"disk_free_bytes": 7, "clock_error_s": 0.5, "drift_deg": 0.25, "health": "ready"})
+        hub.put(body_of(one))
+    text = hub.client.get("/metrics").text
+    assert 'sunarc_fleet_disk_free_bytes{camera="roof"} 7.0' in text
+    assert 'sunarc_fleet_state{camera="roof",state="uncalibrated"} 1.0' in text
+    assert {line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")} == METRICS
+    described = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text()
+    assert [name for name in METRICS if f"`{name}`" not in described] == []
+
+
+def test_the_page_and_the_probes_answer(hub: Hub) -> None:
+    assert "fleet.js" in hub.client.get("/").text
+    for path in ("/static/fleet.js", "/static/fleet.css", "/healthz", "/readyz", "/openapi.json"):
+        assert hub.client.get(path).status_code == 200, path
+
+
+def test_the_hubs_document_describes_its_routes(hub: Hub) -> None:
+    paths = hub.client.get("/openapi.json").json()["paths"]
+    for path, method in (("/v1/cameras/{camera}/feed", "put"), ("/v1/fleet", "get"), ("/v1/quarantine", "get")):
+        assert json.dumps(paths[path.replace("{camera}", "", 1) if path not in paths else path][method]["description"])

@@ -1,0 +1,316 @@
+"""What a hub makes of what imagers send: every row once, and what is refused set apart with its reason."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import URL
+from tests.archive.test_calibrations import document
+from tests.fixtures.fleet import NOON, NOW, batch_of, feed, new_imager, next_batch, sighting
+
+from sunarc.archive import Archive, Day, DayAir, Event, FeedBatch, FeedRow, Refit, Refusal, open_archive
+from sunarc.archive.feeds import FUTURE
+from sunarc.errors import NotFoundError
+from sunarc.findings import Finding
+
+from .conftest import ENGINES
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "hub" in metafunc.fixturenames:
+        metafunc.parametrize("engine", ENGINES, indirect=True)
+
+
+@pytest.fixture
+def hub(store: Path | URL) -> Iterator[Archive]:
+    with open_archive(store) as archive:
+        yield archive
+
+
+@pytest.fixture
+def imager(tmp_path: Path) -> Iterator[Archive]:
+    with new_imager(tmp_path) as archive:
+        yield archive
+
+
+def contents(archive: Archive, camera: str = "roof") -> dict[str, Any]:
+    """Return all that is sent of a camera."""
+    return {
+        "camera": archive.camera(camera),
+        "epochs": archive.epochs(camera, include_closed=True),
+        "sightings": archive.sun_points(camera),
+        "days": archive.days(camera),
+        "air": archive.day_air(camera),
+        "calibrations": archive.calibrations(camera),
+        "refits": archive.refits(camera),
+        "events": [replace(event, id=None) for event in archive.events(camera)],
+    }
+
+
+def reasons(hub: Archive) -> list[str]:
+    return [found.reason for found in hub.quarantine()]
+
+
+def live_a_little(imager: Archive) -> None:
+    """Write and change rows of every kind."""
+    imager.add_sun_points(sighting(n) for n in range(20))
+    imager.save_day(
+        Day(
+            camera="roof",
+            date=date(2026, 5, 13),
+            verdict="clear",
+            findings=(Finding("day_share_on_arc", {"share": 0.9}),),
+            n=20,
+            n_possible=21,
+            decided_at=NOON,
+            pose_offset_deg=(0.1, 0.2, 1 / 3),
+        )
+    )
+    imager.set_day_air(DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=3.5, pressure_hpa=None, set_at=NOON))
+    imager.add_calibration(document("a"))
+    imager.activate("a")
+    imager.add_calibration(document("b", day=1), parent="a")
+    imager.activate("b")
+    imager.reinstate("a", at=NOON, reason="better")
+    imager.request_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
+    imager.finish_refit("r", state="accepted", finished_at=NOON, calibration="b", findings=(Finding("x", {"n": 1}),))
+    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof", details={"a": 1.5}))
+    imager.open_epoch("roof", at=NOON + timedelta(seconds=300), reason="bumped")
+    imager.exclude("roof", since=NOON + timedelta(seconds=400), reason="test")
+    imager.widen_clock_errors("roof", since=NOON, until=NOW, error_s=1 / 3)
+
+
+@pytest.mark.parametrize("most", [1, 7, 1000])
+def test_the_hub_has_what_the_imager_has(imager: Archive, hub: Archive, most: int) -> None:
+    live_a_little(imager)
+    feed(imager, hub, most=most)
+    assert contents(hub) == contents(imager)
+    assert hub.quarantine() == ()
+    assert hub.current_calibration("roof") == imager.current_calibration("roof")
+    assert hub.dates_with_points("roof", longitude=-97.5) == (date(2026, 5, 13),)
+
+
+def test_rows_that_are_all_sent_again_change_nothing(imager: Archive, hub: Archive) -> None:
+    live_a_little(imager)
+    feed(imager, hub)
+    imager.send_again(committed=imager.outbox_position().committed)
+    imager.reinstate("b", at=NOON + timedelta(hours=1), reason="no, this one")
+    feed(imager, hub)
+    assert contents(hub) == contents(imager)
+    assert hub.quarantine() == ()
+
+
+def test_a_removed_row_is_removed(imager: Archive, hub: Archive) -> None:
+    live_a_little(imager)
+    feed(imager, hub)
+    imager.set_day_air(
+        DayAir(camera="roof", date=date(2026, 5, 13), temperature_c=None, pressure_hpa=None, set_at=NOON)
+    )
+    imager.name_files("roof", [(int(NOON.timestamp() * 1e6), 47.3, "a.png")])
+    feed(imager, hub)
+    assert contents(hub) == contents(imager)
+    assert hub.day_air("roof") == ()
+
+
+def test_a_batch_that_comes_twice_is_stored_once(imager: Archive, hub: Archive) -> None:
+    imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", camera="roof"))
+    batch = next_batch(imager)
+    assert [hub.take_feed(batch, now=NOW) for _ in range(3)] == [3, 3, 3]
+    assert len(hub.events("roof")) == 1
+
+
+def test_a_late_repetition_of_an_earlier_batch_changes_nothing(imager: Archive, hub: Archive) -> None:
+    imager.add_sun_points([sighting(0)])
+    early = next_batch(imager)
+    feed(imager, hub)
+    imager.exclude("roof", since=NOON, reason="test")
+    feed(imager, hub)
+    assert hub.take_feed(early, now=NOW) == imager.outbox_position().committed
+    assert not hub.sun_points("roof")[0].accepted
+
+
+def test_a_gap_is_seen_and_what_is_missing_is_sent_again(imager: Archive, hub: Archive) -> None:
+    feed(imager, hub)
+    hub.ask_again("roof")  # as a hub that was put back to an earlier copy
+    imager.add_sun_points([sighting(0)])
+    batch = next_batch(imager)
+    assert hub.take_feed(batch, now=NOW) == -1
+    assert reasons(hub) == ["gap"]
+    imager.send_again(committed=-1)
+    feed(imager, hub)
+    assert contents(hub) == contents(imager)
+
+
+def test_a_second_installation_is_set_apart_until_it_is_accepted(imager: Archive, hub: Archive, tmp_path: Path) -> None:
+    feed(imager, hub)
+    (tmp_path / "other").mkdir()
+    with new_imager(tmp_path / "other") as other:
+        other.add_sun_points([sighting(5)])
+        for _ in range(2):
+            refused = hub.take_feed(next_batch(other), now=NOW)
+            assert isinstance(refused, Refusal)
+        (found,) = hub.quarantine("roof")
+        assert (found.reason, found.n, found.installation) == (
+            "second_installation",
+            2,
+            other.outbox_position().installation,
+        )
+        assert hub.sun_points("roof") == ()
+        imager.add_sun_points([sighting(1)])
+        feed(imager, hub)  # nothing else stops
+        hub.accept_installation("roof", other.outbox_position().installation, now=NOW)
+        feed(other, hub)
+        assert len(hub.sun_points("roof")) == 2
+        imager.add_sun_points([sighting(2)])
+        assert isinstance(hub.take_feed(next_batch(imager), now=NOW), Refusal)
+    with pytest.raises(NotFoundError):
+        hub.ask_again("attic")
+
+
+def row_of(number: int = 0, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
+    row: dict[str, Any] = asdict(sighting(number))
+    return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
+
+
+AHEAD = int((NOW + FUTURE).timestamp() * 1e6)
+EVENT = {"camera": "roof", "time": AHEAD, "kind": "k", "severity": "info", "text": "t", "details": {}}
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "reason"),
+    [
+        ("sun_point", row_of(time=AHEAD), None),
+        ("sun_point", row_of(time=AHEAD + 1), "future_clock"),
+        ("sun_point", row_of(time=int(datetime(2099, 1, 1, tzinfo=UTC).timestamp() * 1e6)), "future_clock"),
+        ("sun_point", row_of(time=2**62), "malformed"),
+        ("sun_point", row_of(time=-1), "malformed"),
+        ("sun_point", row_of(time="noon"), "malformed"),
+        ("sun_point", row_of(time=None), "malformed"),
+        ("sun_point", row_of(accepted=1), "malformed"),
+        ("sun_point", row_of(x_px="1"), "malformed"),
+        ("sun_point", row_of(x_px=True), "malformed"),
+        ("sun_point", row_of(reason="\0"), "malformed"),
+        ("sun_point", row_of(a_new_column=1), "malformed"),
+        ("sun_point", row_of(camera="mast"), "other_camera"),
+        ("sun_point", row_of(pose_epoch="roof-9"), "contradiction"),
+        ("sun_point", None, "body_too_large"),
+        ("sun_point.removed", {"camera": "mast"}, "malformed"),
+        ("moon_point", {}, "malformed"),
+        ("event", EVENT, None),
+        ("event", EVENT | {"camera": None}, None),
+        ("event", EVENT | {"time": AHEAD + 1}, "future_clock"),
+        ("day_air", {"camera": "roof", "date": "2026-02-30", "set_at": 0}, "malformed"),
+        ("status", {"anything": [1]}, None),
+    ],
+)
+def test_a_row_that_cannot_be_stored_is_set_apart_and_the_others_are_stored(
+    imager: Archive, hub: Archive, kind: str, data: dict[str, Any] | None, reason: str | None
+) -> None:
+    feed(imager, hub)
+    after = imager.outbox_position().committed
+    installation = imager.outbox_position().installation
+    made = batch_of(("sun_point", row_of(7)), (kind, data), ("sun_point", row_of(8)), after=after)
+    assert hub.take_feed(replace(made, installation=installation), now=NOW) == after + 3
+    assert reasons(hub) == ([] if reason is None else [reason])
+    assert len(hub.sun_points("roof")) == 2 + (reason is None and kind == "sun_point")
+    for found in hub.quarantine():
+        assert (found.seq, found.kind, found.camera) == (after + 2, kind, "roof")
+
+
+def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Archive, hub: Archive) -> None:
+    imager.add_calibration(document("a"))
+    imager.add_calibration(document("b", day=1))
+    batch = next_batch(imager)
+    changed = []
+    for row in batch.rows:
+        data = dict(row.data or {})
+        if data.get("id") == "a":
+            data["document"] = data["document"] | {"schema": "sunarc.calibration/2"}
+        if data.get("id") == "b":
+            data["document"] = data["document"] | {"method": "paper"}
+        changed.append(replace(row, data=data))
+    hub.take_feed(replace(batch, rows=tuple(changed)), now=NOW)
+    assert sorted(reasons(hub)) == ["damaged_document", "newer_document"]
+    assert hub.calibrations("roof") == ()
+
+
+def test_a_row_is_never_written_over_another_cameras(imager: Archive, hub: Archive, tmp_path: Path) -> None:
+    live_a_little(imager)
+    feed(imager, hub)
+    before = contents(hub)
+    with new_imager(tmp_path, "mast") as other:
+        feed(other, hub, "mast")
+        after = other.outbox_position()
+        stolen = {"id": "roof-1", "camera": "mast", "started_at": 1, "ended_at": None, "reason": "mine"}
+        batch = FeedBatch(
+            camera="mast",
+            installation=after.installation,
+            after=after.committed,
+            rows=(FeedRow(seq=after.committed + 1, kind="pose_epoch", data=stolen),),
+        )
+        hub.take_feed(batch, now=NOW)
+    assert reasons(hub) == ["contradiction"]
+    assert contents(hub) == before
+
+
+def test_names_that_nobody_registered_do_not_fill_the_quarantine(hub: Archive) -> None:
+    refusal = Refusal(reason="unknown_camera", text="no token")
+    for n in range(110):
+        hub.refuse_feed(camera=f"c{n}", installation=str(n), refusal=refusal, now=NOW)
+    assert len(hub.quarantine()) == 101
+    assert len(hub.quarantine(limit=7)) == 7
+
+
+def test_tokens_are_kept_as_digests_end_and_overlap_while_one_replaces_another(hub: Archive) -> None:
+    later = NOW + timedelta(days=7)
+    assert hub.feed_tokens("roof", now=NOW) is None
+    hub.add_feed_token("roof", "d1", now=NOW, former_until=later)
+    hub.add_feed_token("roof", "d2", now=NOW, former_until=later)
+    assert set(hub.feed_tokens("roof", now=NOW) or ()) == {"d1", "d2"}
+    assert hub.feed_tokens("roof", now=later) == ("d2",)
+    assert hub.end_feed_tokens("roof", now=NOW) == 2
+    assert hub.feed_tokens("roof", now=NOW) == ()
+
+
+def test_the_fleet_is_every_camera_that_was_registered_or_fed(imager: Archive, hub: Archive) -> None:
+    hub.add_feed_token("attic", "d", now=NOW, former_until=NOW)
+    live_a_little(imager)
+    imager.add_calibration(document("c", day=3) | {"uncertainty": {"sky_rms_deg": 0.0123}})
+    imager.reinstate("c", at=NOW, reason="test")
+    imager.queue_status({"health": "ready", "disk_free_bytes": 5})
+    feed(imager, hub)
+    hub.refuse_feed(camera="roof", installation="x", refusal=Refusal(reason="forged_token", text="t"), now=NOW)
+    attic, roof = hub.fleet()
+    assert (attic.camera, attic.received_at, attic.latitude, attic.n_quarantined) == ("attic", None, None, 0)
+    assert (roof.received_at, roof.last_sighting_at) == (NOW, NOON + timedelta(seconds=19 * 30))
+    assert roof.status == {"health": "ready", "disk_free_bytes": 5}
+    assert (roof.latitude, roof.n_quarantined) == (36.6, 1)
+    current = imager.current_calibration("roof")
+    assert current is not None
+    assert roof.calibration == current.id
+    assert roof.sky_rms_deg == 0.0123
+
+
+def test_feeds_of_many_cameras_at_the_same_time_are_each_complete(hub: Archive, tmp_path: Path) -> None:
+    names = [f"c{n}" for n in range(6)]
+    imagers = [new_imager(tmp_path, name) for name in names]
+    for name, one in zip(names, imagers, strict=True):
+        one.add_sun_points(sighting(n, camera=name) for n in range(100))
+    threads = [
+        threading.Thread(target=feed, args=(one, hub, name), kwargs={"most": 17})
+        for name, one in zip(names, imagers, strict=True)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    for name, one in zip(names, imagers, strict=True):
+        assert contents(hub, name) == contents(one, name)
+        one.close()
+    assert hub.quarantine() == ()

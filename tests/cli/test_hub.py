@@ -1,0 +1,63 @@
+"""`sunarc hub`, and the settings that a hub takes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.fixtures.fleet import NOW
+
+from sunarc.api import token_digest
+from sunarc.archive import Refusal, open_archive, upgrade
+from sunarc.settings import load_hub_settings
+
+if TYPE_CHECKING:
+    from tests.fixtures.command_line import Sunarc
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    upgrade(tmp_path / "sunarc.sqlite")
+    path = tmp_path / "hub.toml"
+    path.write_text(f'state = "{tmp_path}"\n[api]\nport = 8099\n')
+    return path
+
+
+def test_a_token_is_printed_once_and_its_digest_stored(sunarc: Sunarc, config: Path) -> None:
+    options = ("--config", str(config))
+    first = sunarc("hub", "token", "roof", *options).out.strip()
+    second = sunarc("hub", "token", "roof", "--overlap", "0", *options).out.strip()
+    assert len(first) >= 32
+    assert first != second
+    with open_archive(config.parent / "sunarc.sqlite") as archive:
+        tokens = archive.feed_tokens("roof", now=NOW.replace(year=2100))
+    assert tokens == (token_digest(second),)
+    assert [sunarc("hub", "revoke", "roof", *options).code for _ in range(2)] == [0, 1]
+
+
+def test_what_was_refused_is_listed_and_can_be_accepted(sunarc: Sunarc, config: Path) -> None:
+    options = ("--config", str(config))
+    assert sunarc("hub", "quarantine", *options).code == 0
+    with open_archive(config.parent / "sunarc.sqlite") as archive:
+        refusal = Refusal(reason="second_installation", text="two")
+        archive.refuse_feed(camera="roof", installation="abc", refusal=refusal, now=NOW)
+    found = sunarc("hub", "quarantine", "--json", *options)
+    assert found.code == 1
+    (row,) = json.loads(found.out)
+    assert (row["camera"], row["installation"], row["reason"], row["n"]) == ("roof", "abc", "second_installation", 1)
+    assert sunarc("hub", "accept", "roof", "abc", *options).code == 0
+    assert sunarc("hub", "quarantine", *options).code == 0
+    assert sunarc("hub", "resend", "roof", *options).code == 0
+    assert sunarc("hub", "resend", "attic", *options).code == 2
+
+
+def test_a_hub_takes_its_own_settings_and_refuses_unknown_ones(sunarc: Sunarc, config: Path) -> None:
+    settings = load_hub_settings(config)
+    assert (settings.api.port, settings.archive) == (8099, config.parent / "sunarc.sqlite")
+    config.write_text(config.read_text() + "[site]\nlatitude = 1.0\nlongitude = 2.0\n")  # an imager's file
+    assert load_hub_settings(config).api.port == 8099
+    config.write_text("stoer = 1\n")
+    assert sunarc("hub", "quarantine", "--config", str(config)).code == 2
+    assert sunarc("serve", "--role", "satellite").code == 2
