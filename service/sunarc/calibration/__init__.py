@@ -3,8 +3,8 @@
 `calibrate` the entry · `model` values · `selection` of sightings · `initial_guess`, `least_squares`, `fit` the robust
 fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
 comparison of every sighting with the calibration · `ensemble` joint draws of the errors · `pose_change_points`,
-`pose_step_search`, `pose_step_evidence` pose changes within a record · `reproduce` a stored fit again. The maths:
-docs/maths.md.
+`pose_step_search`, `pose_step_evidence` pose changes within a record · `projection_choice` the projection of an unknown
+lens · `reproduce` a stored fit again. The maths: docs/maths.md.
 """
 
 from sunarc.calibration.calibrate import calibrate
@@ -31,6 +31,7 @@ from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints, app
 from sunarc.calibration.pose import PoseOffset, PriorTolerances, calibrate_with_prior, daily_pose_offset, estimate_pose
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
+from sunarc.calibration.projection_choice import calibrate_unknown_lens, choose_projection
 from sunarc.calibration.quality.acceptance import accept, disagreement, distance_px, unseen_points
 from sunarc.calibration.quality.day_quality import (
     DOUBTFUL_CLOCK_SHARE,
@@ -83,8 +84,10 @@ __all__ = [
     "back_projection_map",
     "calibrate",
     "calibrate_moved",
+    "calibrate_unknown_lens",
     "calibrate_with_prior",
     "camera_sees",
+    "choose_projection",
     "daily_pose_offset",
     "days_left_out",
     "decide_day",

@@ -65,10 +65,19 @@ MESSAGES = Messages(
         "the camera was moved between {before} and {after}, by {turn_deg:.3f}°; the pose is the one after it",
         "A pose change within the sightings of the fit.",
     ),
+    projection_chosen=Message(
+        "the sightings make {projection} the lens's projection, 10^{log10_odds:.1f} times as probable as {next}",
+        "No projection was named; the five were compared.",
+    ),
     simulated_camera=Message("the camera of a simulation", "The document states a simulated camera's true parameters."),
     # why a fit refuses itself
     mirroring_ambiguous=Message(
         "a mirrored and an unmirrored camera fit alike", _REFUSED, "give --mirrored no or --mirrored yes"
+    ),
+    projection_ambiguous=Message(
+        "{n} sightings (at least {least} are needed) make {projection} 10^{log10_odds:.1f} times as probable as {next}",
+        _REFUSED,
+        "name it with --projection, or collect sightings of a whole day",
     ),
     rmse_too_large=Message(
         "RMSE of the sightings {rmse_px:.2f} px (at most {limit_px:g} px)",

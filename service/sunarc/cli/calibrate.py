@@ -43,7 +43,9 @@ def calibrate(
     altitude: Altitude = 0.0,
     pressure: Annotated[float | None, typer.Option(help="Pa; from the altitude unless given.")] = None,
     temperature: Annotated[float, typer.Option(help="Annual mean, degrees Celsius.")] = 12.0,
-    projection: Annotated[str, typer.Option(help="The lens's ideal projection.")] = "equisolid",
+    projection: Annotated[
+        str, typer.Option(help="The lens's ideal projection; auto: the one that the sightings make most probable.")
+    ] = "auto",
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
     level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
@@ -116,11 +118,12 @@ def calibrate(
         image_size=parse_image_size(_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
-            projection=projection,  # type: ignore[arg-type]
+            projection=CalibrationOptions().projection if projection == "auto" else projection,  # type: ignore[arg-type]
             mirrored=mirrored,  # type: ignore[arg-type]
             level_within_deg=level_within,
         ),
         clock=SystemClock(),
+        projection_known=projection != "auto",
         circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,

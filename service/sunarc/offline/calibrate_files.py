@@ -16,6 +16,7 @@ from sunarc.calibration import (
     PriorTolerances,
     SunPoints,
     calibrate_moved,
+    calibrate_unknown_lens,
     calibrate_with_prior,
     estimate_pose,
     find_image_circle,
@@ -40,6 +41,7 @@ def calibrate_file(
     image_size: tuple[int, int],
     options: CalibrationOptions,
     clock: Clock,
+    projection_known: bool = True,
     circle: ImageCircle | None = None,
     start: Path | None = None,
     pose_only: bool = False,
@@ -49,7 +51,8 @@ def calibrate_file(
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps the lens of the calibration document `start` and fits its
-    pose alone; `within` makes `start` a prior of these tolerances.
+    pose alone; `within` makes `start` a prior of these tolerances. A projection that is not known comes from `start`,
+    or is chosen by the sightings.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
@@ -70,6 +73,10 @@ def calibrate_file(
     elif start is not None and within is not None:
         prior = _start_camera(start, image_size, options, posed=within.pose_deg is not None)
         solved = calibrate_with_prior(points, prior=prior, tolerances=within, site=site, options=options)
+    elif start is None and not projection_known:
+        solved, points = calibrate_unknown_lens(
+            points, site=site, image_size=image_size, options=options, circle=circle
+        )
     else:
         begin = None if start is None else _start_camera(start, image_size, options)
         solved, points = calibrate_moved(

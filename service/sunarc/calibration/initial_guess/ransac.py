@@ -20,6 +20,8 @@ _MAX_SIGHTINGS = 420
 _ROUNDS = 12
 _SEED = 20160830
 _TRUST_PX = 0.7
+_RIDGE = 1e-12
+"""Share of the diagonal that is added to it."""
 
 
 def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -55,7 +57,7 @@ def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision
     r = residual[picks].reshape(_TRIALS, 2 * _SAMPLE) / _TRUST_PX
     normal = np.swapaxes(j, -1, -2) @ j + np.diag(precision)
     right = np.einsum("kip,ki->kp", j, r) - precision * start
-    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
+    return _solved(normal, right)
 
 
 def _tightened(
@@ -69,8 +71,18 @@ def _tightened(
         weight = 1.0 / (1.0 + (distance / (sigma * (3.0 if number < 4 else 1.5))) ** 2) ** 2 / sigma**2
         doubled = np.repeat(weight, 2)
         normal = (flat * doubled[:, None]).T @ flat + np.diag(precision)
-        step = np.linalg.solve(normal, flat.T @ (doubled * residual.ravel()) - precision * start)
+        step = _solved(normal, flat.T @ (doubled * residual.ravel()) - precision * start)
     return step
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solutions (..., p) of normal equations (..., p, p), also of those that do not determine all of them.
+
+    A camera far from the sightings has derivatives of any size: without the ridge rounding makes a matrix singular.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(right.shape[-1])
+    return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., None])[..., 0])
 
 
 def _disagreement(problem: Problem, observed: Observations, at: FloatArray, close: float) -> float:

@@ -1,0 +1,164 @@
+"""Which of the five projections a lens has, where nobody says: by the evidence of the sightings.
+
+Every projection is fitted, and the fits are compared by their log evidence: over lens and pose (Laplace's
+approximation), over the scales of the residual distortion, and over those of the field. All are looked at with the
+noise and the weights of one fit, that of the lowest robust cost, else each would have a likelihood of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration.fit.hyperparameter_grid import log_evidence, log_weights
+from sunarc.calibration.fit.normal_equations import linear_system
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
+from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
+from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
+from sunarc.calibration.least_squares.problem import Observations, observations
+from sunarc.calibration.least_squares.time_bins import time_bins
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.result import Verdict
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.pose_change_points import Moved, calibrate_moved
+from sunarc.calibration.quality.fit_checks import before_fit
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss
+from sunarc.findings import Finding
+from sunarc.optics import PROJECTIONS, Projection
+from sunarc.sky import Site
+
+_IMPOSSIBLE = -1e4
+"""Log evidence below which the odds are not given any more."""
+_PROOF = math.log(20.0)
+"""Log odds of the best projection to the next, from which on the sightings decide: the usual "strong" evidence."""
+_FEWEST = 60
+"""Usable sightings that a choice needs: of 35, a third of them drawn aside by cloud, a wrong lens was made by far the
+most probable one."""
+
+
+class ProjectionChoice(NamedTuple):
+    """The most probable projection, and the log evidence of each over its: 0 for itself, negative for the others.
+
+    `n` is the number of sightings that were looked at.
+    """
+
+    projection: Projection
+    log_evidence: dict[Projection, float]
+    n: int
+
+    @property
+    def finding(self) -> Finding:
+        """How far the sightings decide: `projection_chosen` or `projection_ambiguous`, with the next best one."""
+        others = {name: value for name, value in self.log_evidence.items() if name != self.projection}
+        name = max(others, key=lambda one: others[one])
+        decided = self.n >= _FEWEST and others[name] < -_PROOF
+        return Finding(
+            "projection_chosen" if decided else "projection_ambiguous",
+            {
+                "projection": self.projection,
+                "next": name,
+                "log10_odds": -max(others[name], _IMPOSSIBLE) / math.log(10.0),
+                "n": self.n,
+                "least": _FEWEST,
+            },
+        )
+
+
+def calibrate_unknown_lens(
+    points: SunPoints,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    circle: ImageCircle | None = None,
+) -> Moved:
+    """Return what `calibrate_moved` does with the most probable projection, and its verdict with the choice.
+
+    Where the sightings do not decide, the fit is refused: two lenses that meet the sun's track alike differ elsewhere.
+
+    Parameters
+    ----------
+    points, site, image_size, options, circle : as `calibrate_moved` takes them; the options' projection has no effect.
+    """
+    choice = choose_projection(points, site=site, image_size=image_size, options=options, circle=circle)
+    finding, options = choice.finding, replace(options, projection=choice.projection)
+    moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle)
+    verdict = moved.calibration.verdict
+    if finding.code == "projection_ambiguous" and verdict.accepted:
+        verdict = Verdict(accepted=False, findings=(finding,))
+    else:
+        verdict = replace(verdict, findings=(*verdict.findings, finding))
+    return moved._replace(calibration=replace(moved.calibration, verdict=verdict))
+
+
+def choose_projection(
+    points: SunPoints,
+    *,
+    site: Site,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    circle: ImageCircle | None = None,
+) -> ProjectionChoice:
+    """Return the projection that the sightings make most probable, all five being as probable before them.
+
+    Parameters
+    ----------
+    points, site, image_size, options, circle : as `calibrate` takes them; the options' projection is what is returned
+        where no fit is possible.
+    """
+    usable = filter_sightings(points, site=site)
+    observed, fits = observations(usable), {}
+    if not before_fit(usable):
+        for projection in PROJECTIONS:
+            fit = _fitted(observed, usable, image_size, replace(options, projection=projection), circle)
+            if fit is not None:
+                fits[projection] = fit
+    evidence = _log_evidences(fits, observed, usable) if fits else {options.projection: 0.0}
+    best = max(evidence, key=lambda name: evidence[name])
+    relative = {name: evidence.get(name, -math.inf) - evidence[best] for name in PROJECTIONS}
+    return ProjectionChoice(best, relative, len(usable))
+
+
+def _fitted(
+    observed: Observations,
+    usable: FilteredSightings,
+    image_size: tuple[int, int],
+    options: CalibrationOptions,
+    circle: ImageCircle | None,
+) -> RobustFit | None:
+    """Return the robust fit of one projection, by the more plausible hand; None where no camera is found."""
+    both: tuple[Mirrored, Mirrored] = ("no", "yes")
+    found = []
+    for hand in both if options.mirrored == "auto" else (options.mirrored,):
+        handed = replace(options, mirrored=hand)
+        cameras, cost = first_cameras(observed, image_size=image_size, options=handed, circle=circle, start=None)
+        found.append((cost, cameras))
+    cost, cameras = min(found, key=lambda one: one[0])
+    if not math.isfinite(cost):
+        return None
+    problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
+    return fit_robustly(problem, observed, usable, problem.unknowns(cameras), options=options)
+
+
+def _log_evidences(
+    fits: dict[Projection, RobustFit], observed: Observations, usable: FilteredSightings
+) -> dict[Projection, float]:
+    """Return the log evidence of each, but for a constant."""
+    distances = {name: distance_sigmas(fit.problem, observed, fit.unknowns) for name, fit in fits.items()}
+    sigma = min(robust_sigma(distance, floor=SMALLEST_SIGMA_PX) for distance in distances.values())
+    costs = {name: float(np.sum(tukey_loss(distance, sigma=sigma))) for name, distance in distances.items()}
+    reference = fits[min(costs, key=lambda name: costs[name])]
+    information: FloatArray = observed.information * reference.weight * INFORMATION_PER_WEIGHT
+    information = information / (reference.sigma_px**2 * reference.inflation)
+    bins = time_bins(usable)
+    systems = {
+        name: linear_system(
+            fit.problem, observed, bins, fit.unknowns, information=information, basis=reference.grid.basis
+        )
+        for name, fit in fits.items()
+    }
+    return {name: log_evidence(log_weights(system.normal(), fits[name].grid)) for name, system in systems.items()}

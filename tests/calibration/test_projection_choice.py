@@ -1,0 +1,83 @@
+"""The projection of a lens that nobody names: found from a day's sightings, and not named where they cannot tell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import population as pop
+import pytest
+from numpy.typing import NDArray
+
+from sunarc.calibration import CalibrationOptions, SunPoints, calibrate_unknown_lens, choose_projection
+from sunarc.calibration.projection_choice import ProjectionChoice
+from sunarc.optics import PROJECTIONS, Camera, Projection, ideal_radius
+
+FloatArray = NDArray[np.float64]
+
+SIZE = (pop.SIZE, pop.SIZE)
+
+
+def _lens(projection: Projection, seed: int) -> Camera:
+    """Return a lens near a projection, its image circle as large as the image."""
+    edge = math.radians(60.0) if projection == "perspective" else math.pi / 2
+    focal = 0.5 * pop.SIZE / float(ideal_radius(projection, edge))
+    base = replace(pop.CASE_3, projection=projection, focal_length_px=(focal, focal))
+    return pop.random_camera(np.random.default_rng(seed), base=base)
+
+
+def _day(camera: Camera, *, cadence_s: float = 360.0, sigma_px: float = 0.4) -> SunPoints:
+    times = pop.sun_track(np.zeros(1), cadence_s=cadence_s)
+    points = pop.sightings(camera, times, pop.white_noise(np.random.default_rng(1), times.size, sigma_px))
+    return points.select(np.all(np.isfinite(points.pixels) & (np.abs(points.pixels - 873.5) < 873.0), axis=-1))
+
+
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_the_true_projection_is_found(projection: Projection) -> None:
+    points = _day(_lens(projection, 11))
+    choice = choose_projection(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions())
+    assert choice.projection == projection
+    assert choice.log_evidence[projection] == 0.0
+    assert choice.finding.code == "projection_chosen"
+    # the two nearest ones, equidistant and equisolid, are told apart by a factor of ten thousand and more
+    assert 3.5 < float(choice.finding.data["log10_odds"]) < 1e4
+    assert choice.n == len(points)
+
+
+def test_the_calibration_is_that_of_the_projection_that_is_found() -> None:
+    points = _day(_lens("stereographic", 3))
+    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
+    assert found.camera.projection == "stereographic"
+    assert found.verdict.accepted
+    assert found.verdict.findings[-1].code == "projection_chosen"
+    assert found.verdict.findings[-1].data["projection"] == "stereographic"
+
+
+def test_few_sightings_do_not_name_a_projection() -> None:
+    points = _day(_lens("equidistant", 4), cadence_s=1200.0, sigma_px=0.05)
+    assert 20 < len(points) < 60
+    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
+    assert not found.verdict.accepted
+    assert "projection_ambiguous" in [one.code for one in found.verdict.findings]
+
+
+def test_too_few_sightings_leave_the_named_one_and_say_so() -> None:
+    points = _day(_lens("equidistant", 4), cadence_s=7200.0)
+    options = CalibrationOptions(projection="orthographic")
+    choice = choose_projection(points, site=pop.SGP, image_size=SIZE, options=options)
+    assert (choice.projection, choice.finding.code) == ("orthographic", "projection_ambiguous")
+    found = calibrate_unknown_lens(points, site=pop.SGP, image_size=SIZE, options=options).calibration
+    assert found.verdict.findings[0].code == "too_few_sightings"
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "n", "code"),
+    [(3.1, 60, "projection_chosen"), (2.9, 60, "projection_ambiguous"), (50.0, 59, "projection_ambiguous")],
+)
+def test_twenty_to_one_and_sixty_sightings_decide(log_odds: float, n: int, code: str) -> None:
+    evidence = dict.fromkeys(PROJECTIONS, -math.inf) | {"equisolid": 0.0, "equidistant": -log_odds}
+    finding = ProjectionChoice("equisolid", evidence, n).finding
+    assert finding.code == code
+    assert finding.data["next"] == "equidistant"
+    assert finding.data["log10_odds"] == pytest.approx(log_odds / math.log(10.0))
