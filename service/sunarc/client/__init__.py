@@ -1,10 +1,28 @@
 """Python client of the HTTP service on numpy alone; imports nothing else of this package.
 
-`imager` the requests · `events` what happens · `transport` retries.
+It is also a distribution of its own, `sunarc-client`, whose package is `sunarc_client`: hence the relative imports.
+`imager` the requests · `asynchronous` the same to be awaited · `local`, `camera` a calibration evaluated without the
+service · `answers` values · `events` what happens · `transport` retries.
 """
 
-from sunarc.client.events import ImagerEvent
-from sunarc.client.imager import BackProjection, Condition, Finding, Imager, Located, Projection
-from sunarc.client.transport import ImagerError
+from .answers import BackProjection, Condition, Finding, Located, Projection
+from .asynchronous import AsyncImager
+from .camera import CameraModel
+from .events import ImagerEvent
+from .imager import Imager
+from .local import LocalImager
+from .transport import ImagerError
 
-__all__ = ["BackProjection", "Condition", "Finding", "Imager", "ImagerError", "ImagerEvent", "Located", "Projection"]
+__all__ = [
+    "AsyncImager",
+    "BackProjection",
+    "CameraModel",
+    "Condition",
+    "Finding",
+    "Imager",
+    "ImagerError",
+    "ImagerEvent",
+    "LocalImager",
+    "Located",
+    "Projection",
+]

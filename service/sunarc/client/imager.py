@@ -1,4 +1,4 @@
-"""What can be asked of an imager: directions of pixels, pixels of directions, clouds and shadows, the map, the sun."""
+"""What can be asked of an imager: every route of its service."""
 
 from __future__ import annotations
 
@@ -8,96 +8,17 @@ import urllib.parse
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
-from typing import Any, NamedTuple
+from datetime import date, datetime
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sunarc.client.events import ImagerEvent, parsed
-from sunarc.client.transport import ImagerError, Transport
-
-FloatArray = NDArray[np.float64]
+from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection
+from .events import ImagerEvent, parsed
+from .transport import ImagerError, Transport
 
 _NPY = "application/x-npy"
-
-
-class BackProjection(NamedTuple):
-    """What pixels look at; NaN outside the camera's field.
-
-    zenith_deg, azimuth_deg : (...) degrees, azimuth clockwise from north.
-    direction : (..., 3) unit vectors, east-north-up.
-    sigma_deg : (...) 1-sigma per axis on the sphere.
-    inside : (...) within the image and the field.
-    calibration : id of the calibration that answered.
-    """
-
-    zenith_deg: FloatArray
-    azimuth_deg: FloatArray
-    direction: FloatArray
-    sigma_deg: FloatArray
-    inside: NDArray[np.bool_]
-    calibration: str
-
-
-class Projection(NamedTuple):
-    """Where directions land; NaN beyond the camera's field.
-
-    pixels : (..., 2) x and y in px.
-    sigma_px : (...) 1-sigma per axis.
-    covariance_px2 : (..., 2, 2).
-    inside : (...) within the image and the field.
-    calibration : id of the calibration that answered.
-    """
-
-    pixels: FloatArray
-    sigma_px: FloatArray
-    covariance_px2: FloatArray
-    inside: NDArray[np.bool_]
-    calibration: str
-
-
-class Located(NamedTuple):
-    """Where clouds, or their shadows, are; NaN where there is no place.
-
-    position_m : (..., 3) metres east, north and up of the camera.
-    latitude, longitude, altitude : (...) degrees and metres.
-    sigma_m : (...) 1-sigma per axis on the ground, by the calibration and the height.
-    covariance_m2 : (..., 2, 2) of east and north.
-    """
-
-    position_m: FloatArray
-    latitude: FloatArray
-    longitude: FloatArray
-    altitude: FloatArray
-    sigma_m: FloatArray
-    covariance_m2: FloatArray
-
-
-class Finding(NamedTuple):
-    """What was found: a code of docs/codes.md, its numbers and names, and the sentence, which is for people only."""
-
-    code: str
-    data: dict[str, Any]
-    text: str
-
-
-class Condition(NamedTuple):
-    """Why the service is degraded or not ready.
-
-    code : of docs/codes.md; of a worker's condition it ends with the worker's name.
-    severity : "degraded" or "not_ready".
-    data : its numbers and names.
-    text, remedy : the sentence, and what to do ("none": nothing).
-    since : since when; None where the service does not say.
-    """
-
-    code: str
-    severity: str
-    data: dict[str, Any]
-    text: str
-    remedy: str
-    since: datetime | None = None
 
 
 class Imager:
@@ -107,6 +28,8 @@ class Imager:
     ----------
     address : as "http://imager:8080".
     camera : of several in one store; the service's own unless given.
+    calibration : id of the calibration to be answered with, or "best": the least uncertain one of the pose epoch; the
+        one that is valid at the time unless given.
     token : where reading needs one.
     timeout_s : of one request.
     retries : how often a request is asked again after 429, 503 or no connection, waiting longer each time.
@@ -117,11 +40,13 @@ class Imager:
         address: str,
         *,
         camera: str | None = None,
+        calibration: str | None = None,
         token: str | None = None,
         timeout_s: float = 30.0,
         retries: int = 4,
     ) -> None:
         self._transport = Transport(address, token=token, timeout_s=timeout_s, retries=retries)
+        self._chosen = calibration
         self._prefix = "/v1" if camera is None else f"/v1/cameras/{urllib.parse.quote(camera, safe='')}"
 
     def back_project(self, pixels: ArrayLike, *, at: datetime | None = None) -> BackProjection:
@@ -196,48 +121,188 @@ class Imager:
         rows, _, shape = self._rows("/geolocate", points, points.shape[-1], at, draws=draws, seed=seed)
         return rows[..., :3].reshape(draws, *shape, 3), rows[..., 6:9].reshape(draws, *shape, 3)
 
-    def calibration(self, *, at: datetime | None = None) -> dict[str, Any]:
-        """Return the calibration document."""
-        return self._json("/calibration", at)
+    def calibration(self, calibration_id: str | None = None, *, at: datetime | None = None) -> dict[str, Any]:
+        """Return a calibration document: the one that answers, or any by its id."""
+        if calibration_id is not None:
+            return self._json(f"/calibrations/{_quoted(calibration_id)}")
+        return self._json("/calibration", at=_time(at), calibration=self._chosen)
+
+    def renewed(self, tag: str | None) -> tuple[dict[str, Any], str] | None:
+        """Return the calibration document that answers now with its ETag; None where that is the one given."""
+        query = {"calibration": self._chosen}
+        answer = self._transport.ask_if_changed(f"{self._prefix}/calibration", query, tag=tag)
+        if answer is None:
+            return None
+        with _expected_content():
+            return dict(json.loads(answer[0])), answer[1].get("ETag", "")
+
+    def calibrations(self, *, state: str | None = None) -> Iterator[dict[str, Any]]:
+        """Yield the history of calibrations, the newest first; of one state alone if asked."""
+        return self._pages("/calibrations", "calibrations", state=state)
+
+    def activate(self, calibration_id: str, *, reason: str) -> dict[str, Any]:
+        """Make a stored calibration current from now on; needs the token of changes."""
+        return self._change(f"/calibrations/{_quoted(calibration_id)}/activate", reason=reason)
+
+    def pin(self, calibration_id: str, *, reason: str) -> dict[str, Any]:
+        """Keep the current calibration whatever a refit finds; needs the token of changes."""
+        return self._change(f"/calibrations/{_quoted(calibration_id)}/pin", reason=reason)
+
+    def unpin(self, calibration_id: str, *, reason: str) -> dict[str, Any]:
+        """Allow refits to replace the current calibration; needs the token of changes."""
+        return self._change(f"/calibrations/{_quoted(calibration_id)}/unpin", reason=reason)
+
+    def close_epoch(self, epoch_id: str, *, reason: str) -> dict[str, Any]:
+        """Close a pose epoch that was begun by mistake; needs the token of changes."""
+        return self._change(f"/epochs/{_quoted(epoch_id)}/close", reason=reason)
+
+    def refits(self) -> Iterator[dict[str, Any]]:
+        """Yield the refits, the newest first."""
+        return self._pages("/refits", "refits")
+
+    def refit(self, refit_id: str) -> dict[str, Any]:
+        """Return one refit."""
+        return self._json(f"/refits/{_quoted(refit_id)}")
+
+    def request_refit(self, *, reason: str = "on request") -> dict[str, Any]:
+        """Ask for a refit, and return it; needs the token of changes."""
+        return self._change("/refits", reason=reason)
 
     def export(self, form: str, *, at: datetime | None = None) -> bytes:
         """Return the calibration as a file: opencv, ocamcalib, asi-core (a zip), mrcal, netcdf or npz."""
-        return self._transport.ask(f"{self._prefix}/calibration", {"format": form, "at": _time(at)})[0]
+        return self._content("/calibration", format=form, at=_time(at), calibration=self._chosen)
 
     def map(self, *, at: datetime | None = None, sun_radius_deg: float | None = None) -> dict[str, NDArray[Any]]:
         """Return what every pixel sees: zenith, azimuth, direction, sigma and others, by name, (height, width, ...)."""
-        radius = None if sun_radius_deg is None else repr(float(sun_radius_deg))
-        query = {"format": "npz", "at": _time(at), "sun_radius_deg": radius}
-        content, _ = self._transport.ask(f"{self._prefix}/back-projection-map", query)
-        with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
+        radius = _number(sun_radius_deg)
+        return self._arrays("/back-projection-map", at=_time(at), sun_radius_deg=radius, calibration=self._chosen)
+
+    def remap(
+        self,
+        *,
+        grid: Literal["sky", "ground"] = "sky",
+        size: int = 1024,
+        height_m: float | None = None,
+        half_width_m: float | None = None,
+        at: datetime | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Return map_x, map_y (size, size) for `cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)`."""
+        return self._arrays("/remap", at=_time(at), **self._grid(grid, size, height_m, half_width_m))
+
+    def rectified(
+        self,
+        time: datetime | str,
+        *,
+        grid: Literal["sky", "ground"] = "sky",
+        size: int = 1024,
+        height_m: float | None = None,
+        half_width_m: float | None = None,
+    ) -> bytes:
+        """Return a composite's preview on a grid of the sky, or of the ground under clouds at a height, as PNG."""
+        path = f"/images/{_quoted(_named(time))}/rectified"
+        return self._content(path, **self._grid(grid, size, height_m, half_width_m))
+
+    def sun_mask(self, *, radius_deg: float = 10.0, at: datetime | None = None) -> bytes:
+        """Return a PNG of the image's size: 255 within a radius of the sun."""
+        return self._content("/masks/sun", radius_deg=_number(radius_deg), at=_time(at), calibration=self._chosen)
+
+    def horizon_mask(self, *, elevation_deg: float = 0.0, at: datetime | None = None) -> bytes:
+        """Return a PNG of the image's size: 255 where it shows the sky above an elevation, and nothing hides it."""
+        return self._content(
+            "/masks/horizon", elevation_deg=_number(elevation_deg), at=_time(at), calibration=self._chosen
+        )
 
     def images(self, *, since: datetime | None = None, until: datetime | None = None) -> Iterator[dict[str, Any]]:
         """Yield the kept composites with since <= time < until, the newest first: time, calibration and bytes."""
-        query = {"since": _time(since), "until": _time(until), "limit": "1000"}
-        path = f"{self._prefix}/images"
-        while path:
-            content, _ = self._transport.ask(path, query)
-            with _expected_content():
-                page = json.loads(content)
-                yield from page["images"]
-                path, _, text = (page["next"] or "").partition("?")
-            query = dict(urllib.parse.parse_qsl(text))
+        return self._pages("/images", "images", since=_time(since), until=_time(until))
 
-    def image(self, time: datetime | str, *, form: str = "png") -> bytes:
-        """Return a composite: png (16 bit linear counts with metadata) or jpeg, by a time that `images` has."""
-        text = time if isinstance(time, str) else _time(time) or ""
-        return self._transport.ask(f"{self._prefix}/images/{urllib.parse.quote(text)}", {"format": form})[0]
+    def image(self, time: datetime | str, *, form: str = "png", width: int | None = None) -> bytes:
+        """Return a composite: png (16 bit linear counts with metadata) or jpeg, by a time that `images` has.
+
+        With a width in px it is a thumbnail of 8 bits.
+        """
+        path = f"/images/{_quoted(_named(time))}"
+        return self._content(path, format=form, width=None if width is None else str(width))
+
+    def latest_image(self, *, width: int | None = None) -> bytes:
+        """Return the newest composite's preview, or a thumbnail of it, as JPEG."""
+        return self._content("/image/latest", width=None if width is None else str(width))
 
     def sun(self, *, at: datetime | None = None) -> dict[str, Any]:
         """Return where the sun is, and on which pixel."""
-        return self._json("/sun", at)
+        return self._json("/sun", at=_time(at), calibration=self._chosen)
+
+    def sun_track(self, *, day: date | None = None, step_s: int | None = None) -> dict[str, Any]:
+        """Return the sun's way over a solar day, today unless given: times, directions and pixels."""
+        step = None if step_s is None else str(step_s)
+        return self._json("/sun/track", date=_day(day), step_s=step, calibration=self._chosen)
+
+    def sun_points(
+        self,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        accepted: bool | None = None,
+        residuals: bool = False,
+    ) -> Iterator[dict[str, Any]]:
+        """Yield the sightings of the sun with since <= time < until, the newest first, with residuals if asked."""
+        query = {"accepted": None if accepted is None else str(accepted).lower(), "residuals": str(residuals).lower()}
+        return self._pages("/sun-points", "sun_points", since=_time(since), until=_time(until), **query)
+
+    def overlay(self, *, at: datetime | None = None) -> dict[str, Any]:
+        """Return lines to draw over the image: zenith circles, azimuths, ways of the sun."""
+        return self._json("/overlay", at=_time(at), calibration=self._chosen)
+
+    def uncertainty(self, *, cells: int | None = None, at: datetime | None = None) -> dict[str, Any]:
+        """Return the 1-sigma on a coarse grid of the image."""
+        given = None if cells is None else str(cells)
+        return self._json("/uncertainty", cells=given, at=_time(at), calibration=self._chosen)
+
+    def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:
+        """Yield the verdicts of the solar days with since <= date < until, the newest first."""
+        return self._pages("/days", "days", since=_day(since), until=_day(until))
+
+    def day_air(self, day: date) -> dict[str, Any]:
+        """Return the air that was measured on a solar day."""
+        return self._json(f"/days/{day.isoformat()}/air")
+
+    def set_day_air(
+        self, day: date, *, temperature_c: float | None = None, pressure_hpa: float | None = None
+    ) -> dict[str, Any]:
+        """Set the air that was measured on a solar day; None: not measured. Needs the token of changes."""
+        air = {"temperature_c": temperature_c, "pressure_hpa": pressure_hpa}
+        return self._change(f"/days/{day.isoformat()}/air", method="PUT", **air)
+
+    def past_events(
+        self, *, since: datetime | None = None, until: datetime | None = None, severity: str | None = None
+    ) -> Iterator[dict[str, Any]]:
+        """Yield the stored events with since <= time < until, the newest first; `events` are those to come."""
+        return self._pages("/events", "events", since=_time(since), until=_time(until), severity=severity)
+
+    def cameras(self) -> dict[str, Any]:
+        """Return the cameras that the archive knows, and the name of the one that is asked by default."""
+        return self._service_json("/v1/cameras")
+
+    def status(self) -> dict[str, Any]:
+        """Return everything at a glance."""
+        return self._service_json("/v1/status")
+
+    def metrics(self) -> str:
+        """Return the numbers for Prometheus, as text."""
+        return self._transport.ask("/metrics", {})[0].decode()
+
+    def alive(self) -> bool:
+        """Return whether the service answers at all."""
+        return self._answers("/healthz")
+
+    def ready(self) -> bool:
+        """Return whether the service is ready or degraded: it can answer."""
+        return self._answers("/readyz")
 
     def conditions(self) -> tuple[Condition, ...]:
         """Return why the service is degraded or not ready; empty when it is ready. Select by code."""
-        content, _ = self._transport.ask("/v1/status", {})
+        status = self._service_json("/v1/status")
         with _expected_content():
-            status = dict(json.loads(content))
             findings = status.get("findings", ())  # version 0.2 has the reasons alone
             data = {finding["code"]: finding["data"] for finding in findings}
             return tuple(
@@ -286,11 +351,50 @@ class Imager:
             pairs = zip(verdict.get("findings", uncoded), verdict["reasons"], strict=True)
             return tuple(Finding(finding["code"], finding["data"], text) for finding, text in pairs)
 
-    def _json(self, path: str, at: datetime | None) -> dict[str, Any]:
-        content, _ = self._transport.ask(f"{self._prefix}{path}", {"at": _time(at)})
+    def _content(self, path: str, **query: str | None) -> bytes:
+        return self._transport.ask(f"{self._prefix}{path}", query)[0]
+
+    def _json(self, path: str, **query: str | None) -> dict[str, Any]:
+        content = self._content(path, **query)
         with _expected_content():
-            columns: dict[str, Any] = json.loads(content)
-        return columns
+            return dict(json.loads(content))
+
+    def _service_json(self, path: str) -> dict[str, Any]:
+        content, _ = self._transport.ask(path, {})
+        with _expected_content():
+            return dict(json.loads(content))
+
+    def _arrays(self, path: str, **query: str | None) -> dict[str, NDArray[Any]]:
+        content = self._content(path, format="npz", **query)
+        with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+
+    def _pages(self, path: str, name: str, **query: str | None) -> Iterator[dict[str, Any]]:
+        """Yield the rows of all pages."""
+        query, path = {**query, "limit": "1000"}, f"{self._prefix}{path}"
+        while path:
+            content, _ = self._transport.ask(path, query)
+            with _expected_content():
+                page = json.loads(content)
+                yield from page[name]
+                path, _, text = (page["next"] or "").partition("?")
+            query = dict(urllib.parse.parse_qsl(text))
+
+    def _change(self, path: str, *, method: str = "POST", **body: object) -> dict[str, Any]:
+        content = self._transport.change(f"{self._prefix}{path}", json.dumps(body).encode(), method=method)
+        with _expected_content():
+            return dict(json.loads(content))
+
+    def _answers(self, path: str) -> bool:
+        try:
+            self._transport.ask(path, {}, again=False)
+        except ImagerError:
+            return False
+        return True
+
+    def _grid(self, grid: str, size: int, height_m: float | None, half_width_m: float | None) -> dict[str, str | None]:
+        sizes = {"size": str(size), "height": _number(height_m), "half_width": _number(half_width_m)}
+        return {"grid": grid, **sizes, "calibration": self._chosen}
 
     def _rows(
         self, path: str, values: ArrayLike, width: int, at: datetime | None, *, draws: int = 0, seed: int = 0
@@ -300,7 +404,9 @@ class Imager:
             raise ValueError(f"shape {array.shape}: the last dimension has to be {width}")
         stream = io.BytesIO()
         np.save(stream, np.ascontiguousarray(array.reshape(-1, width)), allow_pickle=False)
-        query = {"at": _time(at)} | ({"draws": str(draws), "seed": str(seed)} if draws else {})
+        query = {"at": _time(at), "calibration": self._chosen} | (
+            {"draws": str(draws), "seed": str(seed)} if draws else {}
+        )
         content, headers = self._transport.ask(f"{self._prefix}{path}", query, body=stream.getvalue(), media_type=_NPY)
         with _expected_content():
             rows = np.asarray(np.load(io.BytesIO(content), allow_pickle=False), dtype=np.float64)
@@ -342,3 +448,20 @@ def _time(at: datetime | None) -> str | None:
     if at is not None and at.tzinfo is None:
         raise ValueError(f"{at} has no time zone")
     return None if at is None else at.isoformat()
+
+
+def _named(time: datetime | str) -> str:
+    """Return the time of an image as its name."""
+    return time if isinstance(time, str) else _time(time) or ""
+
+
+def _quoted(name: str) -> str:
+    return urllib.parse.quote(name, safe="")
+
+
+def _day(day: date | None) -> str | None:
+    return None if day is None else day.isoformat()
+
+
+def _number(value: float | None) -> str | None:
+    return None if value is None else repr(float(value))

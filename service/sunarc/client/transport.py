@@ -9,6 +9,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator, Mapping
+from http import HTTPStatus
 from typing import Any
 
 _AGAIN = (429, 503)
@@ -65,17 +66,53 @@ class Transport:
         *,
         body: bytes | None = None,
         media_type: str | None = None,
+        again: bool = True,
     ) -> tuple[bytes, Mapping[str, str]]:
-        """Return the content and the headers of an answer; ImagerError where it is a refusal, or there is none."""
+        """Return the content and the headers of an answer; ImagerError where it is a refusal, or there is none.
+
+        `again` says whether a request that failed for the moment is repeated.
+        """
+        headers = {} if media_type is None else {"Content-Type": media_type}
+        return self._repeated(self._request(path, query, headers, body=body), again=again)
+
+    def ask_if_changed(
+        self, path: str, query: Mapping[str, str | None], *, tag: str | None
+    ) -> tuple[bytes, Mapping[str, str]] | None:
+        """Return what `ask` returns; None where the answer still has an ETag."""
+        headers = {} if tag is None else {"If-None-Match": tag}
+        try:
+            return self._repeated(self._request(path, query, headers), again=False)
+        except ImagerError as error:
+            if error.status == HTTPStatus.NOT_MODIFIED:
+                return None
+            raise
+
+    def change(self, path: str, body: bytes, *, method: str) -> bytes:
+        """Return the content of the answer to a change, which is asked for once: it may have been made."""
+        request = self._request(path, {}, {"Content-Type": "application/json"}, body=body, method=method)
+        return self._repeated(request, again=False)[0]
+
+    def _request(
+        self,
+        path: str,
+        query: Mapping[str, str | None],
+        headers: Mapping[str, str],
+        *,
+        body: bytes | None = None,
+        method: str | None = None,
+    ) -> urllib.request.Request:
         given = urllib.parse.urlencode({name: value for name, value in query.items() if value is not None})
-        headers = self._headers | ({} if media_type is None else {"Content-Type": media_type})
-        request = urllib.request.Request(  # noqa: S310 - http and https alone
-            f"{self._address}{path}?{given}", data=body, headers=headers
+        return urllib.request.Request(  # noqa: S310 - http and https alone
+            f"{self._address}{path}?{given}", data=body, headers={**self._headers, **headers}, method=method
         )
+
+    def _repeated(self, request: urllib.request.Request, *, again: bool) -> tuple[bytes, Mapping[str, str]]:
         for attempt in range(self._retries + 1):
             try:
                 return self._answer(request)
             except ImagerError as error:
+                if not again:
+                    raise
                 self.wait(error, attempt)
         raise AssertionError("unreachable")
 

@@ -1,0 +1,89 @@
+"""What a service answers, as values."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class BackProjection(NamedTuple):
+    """What pixels look at; NaN outside the camera's field.
+
+    zenith_deg, azimuth_deg : (...) degrees, azimuth clockwise from north.
+    direction : (..., 3) unit vectors, east-north-up.
+    sigma_deg : (...) 1-sigma per axis on the sphere.
+    inside : (...) within the image and the field.
+    calibration : id of the calibration that answered.
+    """
+
+    zenith_deg: FloatArray
+    azimuth_deg: FloatArray
+    direction: FloatArray
+    sigma_deg: FloatArray
+    inside: NDArray[np.bool_]
+    calibration: str
+
+
+class Projection(NamedTuple):
+    """Where directions land; NaN beyond the camera's field.
+
+    pixels : (..., 2) x and y in px.
+    sigma_px : (...) 1-sigma per axis.
+    covariance_px2 : (..., 2, 2).
+    inside : (...) within the image and the field.
+    calibration : id of the calibration that answered.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    covariance_px2: FloatArray
+    inside: NDArray[np.bool_]
+    calibration: str
+
+
+class Located(NamedTuple):
+    """Where clouds, or their shadows, are; NaN where there is no place.
+
+    position_m : (..., 3) metres east, north and up of the camera.
+    latitude, longitude, altitude : (...) degrees and metres.
+    sigma_m : (...) 1-sigma per axis on the ground, by the calibration and the height.
+    covariance_m2 : (..., 2, 2) of east and north.
+    """
+
+    position_m: FloatArray
+    latitude: FloatArray
+    longitude: FloatArray
+    altitude: FloatArray
+    sigma_m: FloatArray
+    covariance_m2: FloatArray
+
+
+class Finding(NamedTuple):
+    """What was found: a code of docs/codes.md, its numbers and names, and the sentence, which is for people only."""
+
+    code: str
+    data: dict[str, Any]
+    text: str
+
+
+class Condition(NamedTuple):
+    """Why the service is degraded or not ready.
+
+    code : of docs/codes.md; of a worker's condition it ends with the worker's name.
+    severity : "degraded" or "not_ready".
+    data : its numbers and names.
+    text, remedy : the sentence, and what to do ("none": nothing).
+    since : since when; None where the service does not say.
+    """
+
+    code: str
+    severity: str
+    data: dict[str, Any]
+    text: str
+    remedy: str
+    since: datetime | None = None

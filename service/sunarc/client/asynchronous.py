@@ -1,0 +1,91 @@
+"""The same questions for programs that use asyncio: each is asked in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from functools import update_wrapper
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from .imager import Imager
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _in_thread(
+    method: Callable[Concatenate[Imager, P], R],
+) -> Callable[Concatenate[AsyncImager, P], Coroutine[Any, Any, R]]:
+    async def asking(imager: AsyncImager, /, *args: P.args, **how: P.kwargs) -> R:
+        return await asyncio.to_thread(method, imager.imager, *args, **how)
+
+    update_wrapper(asking, method)
+    return asking
+
+
+def _one_by_one(
+    method: Callable[Concatenate[Imager, P], Iterator[R]],
+) -> Callable[Concatenate[AsyncImager, P], AsyncIterator[R]]:
+    async def asking(imager: AsyncImager, /, *args: P.args, **how: P.kwargs) -> AsyncIterator[R]:
+        rows = method(imager.imager, *args, **how)
+        ended: Any = object()
+        while (row := await asyncio.to_thread(next, rows, ended)) is not ended:
+            yield row
+
+    update_wrapper(asking, method)
+    return asking
+
+
+class AsyncImager:
+    """The methods of `Imager`, to be awaited; those that yield, to be iterated over with `async for`.
+
+    Parameters
+    ----------
+    imager : what is asked.
+    """
+
+    def __init__(self, imager: Imager) -> None:
+        self.imager = imager
+
+    back_project = _in_thread(Imager.back_project)
+    project = _in_thread(Imager.project)
+    geolocate = _in_thread(Imager.geolocate)
+    back_project_draws = _in_thread(Imager.back_project_draws)
+    project_draws = _in_thread(Imager.project_draws)
+    geolocate_draws = _in_thread(Imager.geolocate_draws)
+    calibration = _in_thread(Imager.calibration)
+    renewed = _in_thread(Imager.renewed)
+    activate = _in_thread(Imager.activate)
+    pin = _in_thread(Imager.pin)
+    unpin = _in_thread(Imager.unpin)
+    close_epoch = _in_thread(Imager.close_epoch)
+    refit = _in_thread(Imager.refit)
+    request_refit = _in_thread(Imager.request_refit)
+    export = _in_thread(Imager.export)
+    map = _in_thread(Imager.map)
+    remap = _in_thread(Imager.remap)
+    rectified = _in_thread(Imager.rectified)
+    sun_mask = _in_thread(Imager.sun_mask)
+    horizon_mask = _in_thread(Imager.horizon_mask)
+    image = _in_thread(Imager.image)
+    latest_image = _in_thread(Imager.latest_image)
+    sun = _in_thread(Imager.sun)
+    sun_track = _in_thread(Imager.sun_track)
+    overlay = _in_thread(Imager.overlay)
+    uncertainty = _in_thread(Imager.uncertainty)
+    day_air = _in_thread(Imager.day_air)
+    set_day_air = _in_thread(Imager.set_day_air)
+    cameras = _in_thread(Imager.cameras)
+    status = _in_thread(Imager.status)
+    metrics = _in_thread(Imager.metrics)
+    alive = _in_thread(Imager.alive)
+    ready = _in_thread(Imager.ready)
+    conditions = _in_thread(Imager.conditions)
+    verdict = _in_thread(Imager.verdict)
+    calibrations = _one_by_one(Imager.calibrations)
+    refits = _one_by_one(Imager.refits)
+    images = _one_by_one(Imager.images)
+    sun_points = _one_by_one(Imager.sun_points)
+    days = _one_by_one(Imager.days)
+    past_events = _one_by_one(Imager.past_events)
+    events = _one_by_one(Imager.events)
