@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from datetime import date
+from functools import cache
 from typing import Any
 
 from sqlalchemy import JSON, Boolean, Column, Date, Float, Integer, Table, Text, TypeDecorator
@@ -39,9 +40,11 @@ _NUMBERED = frozenset({"sun_point", "event"})
 """Tables whose `id` is the archive's own, and another one at the hub."""
 
 
-def columns_of(kind: str) -> list[Column[Any]]:
-    """Return the columns that are sent of a table."""
-    return [column for column in FED[kind][0].columns if not (kind in _NUMBERED and column.name == "id")]
+@cache
+def columns_of(kind: str) -> Mapping[str, Column[Any]]:
+    """Return the columns that are sent of a table, by their names."""
+    columns = FED[kind][0].columns
+    return {column.name: column for column in columns if not (kind in _NUMBERED and column.name == "id")}
 
 
 def plain_type(column: Column[Any]) -> TypeEngine[Any]:
@@ -85,23 +88,30 @@ _ALLOWED: tuple[tuple[type[TypeEngine[Any]], tuple[type, ...]], ...] = (
 
 def problem_of(kind: str, data: Mapping[str, Any], *, only_key: bool = False) -> str | None:
     """Return what is wrong with the form of a row that was sent; None where nothing is."""
-    columns = [c for c in columns_of(kind) if not only_key or c.name in FED[kind][1]]
-    unknown = data.keys() - {column.name for column in columns}
+    columns = columns_of(kind)
+    if only_key:
+        columns = {name: columns[name] for name in FED[kind][1]}
+    unknown = data.keys() - columns.keys()
     if unknown:
         return f"column {min(unknown)} is unknown"
-    for column in columns:
-        value = data.get(column.name)
+    for name, column in columns.items():
+        value = data.get(name)
         if value is None:
             # an event without a camera concerns all that an imager has: at the hub it is the camera's
             if not column.nullable and column.server_default is None:
-                return f"{column.name} is missing"
+                return f"{name} is missing"
         elif not _is_of(plain_type(column), value):
-            return f"{column.name} is no {type(plain_type(column)).__name__}"
+            return f"{name} is no {type(plain_type(column)).__name__}"
     return None
 
 
+@cache
+def _allowed(kind: TypeEngine[Any]) -> tuple[type, ...]:
+    return next(types for base, types in _ALLOWED if isinstance(kind, base))
+
+
 def _is_of(kind: TypeEngine[Any], value: object) -> bool:
-    allowed = next(types for base, types in _ALLOWED if isinstance(kind, base))
+    allowed = _allowed(kind)
     if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
         return False
     if isinstance(value, str):
@@ -118,7 +128,7 @@ def typed(kind: str, data: Mapping[str, Any]) -> dict[str, Any]:
     ------
     ValueError, OverflowError : a date or a time that there is not.
     """
-    columns = {column.name: column for column in columns_of(kind)}
+    columns = columns_of(kind)
     return {columns[name].key: _typed(columns[name], value) for name, value in data.items()}
 
 

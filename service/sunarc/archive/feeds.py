@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from typing import Any
 
@@ -19,6 +19,7 @@ from sunarc.archive.rows import upsert, upsert_all
 from sunarc.archive.store import Store
 from sunarc.archive.tables import calibration, event, feed, fleet, quarantine
 from sunarc.calibration import SCHEMA
+from sunarc.utc import from_microseconds, to_microseconds
 
 FUTURE = timedelta(minutes=10)
 """A row dated later than now by more than this is set apart: clocks differ by seconds, time zones by hours."""
@@ -36,6 +37,7 @@ _OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
 _MOST_UNKNOWN = 100
 _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
+_LATEST_US = to_microseconds(datetime(2200, 1, 1, tzinfo=UTC))
 WHOLE = 0
 """The `seq` of what was refused as a whole."""
 
@@ -59,7 +61,7 @@ class Feeds(Store):
         The number; or why the batch was refused as a whole, which is also in quarantine.
         """
         dated = [time for time in map(_sighting_time, batch.rows) if time is not None]
-        self._prepare_months([time for time in dated if time <= now + FUTURE and time.year >= 1970])
+        self._prepare_months([time for time in dated if time <= now + FUTURE])
         with self._writing(camera=batch.camera) as connection:
             position = _position(connection, batch, now)
             if isinstance(position, Refusal):
@@ -110,13 +112,9 @@ def _position(connection: Connection, batch: FeedBatch, now: datetime) -> int | 
 
 
 def _sighting_time(row: FeedRow) -> datetime | None:
-    if row.kind != "sun_point" or row.data is None or problem_of(row.kind, row.data) is not None:
-        return None
-    try:
-        time: datetime = typed(row.kind, row.data)["time"]
-    except (ValueError, OverflowError):
-        return None
-    return time
+    """Return the time of a sighting; None of another row, and where there is none in its place."""
+    time = row.data.get("time") if row.kind == "sun_point" and row.data is not None else None
+    return from_microseconds(time) if type(time) is int and 0 <= time < _LATEST_US else None
 
 
 def _store_batch(connection: Connection, batch: FeedBatch, now: datetime) -> None:

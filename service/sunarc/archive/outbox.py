@@ -156,7 +156,7 @@ def _queue_all(connection: Connection) -> None:
 
 def _triggers() -> Iterator[tuple[str, str]]:
     for kind, (_, key) in FED.items():
-        changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind))
+        changed = " OR ".join(f'OLD."{column.name}" IS NOT NEW."{column.name}"' for column in columns_of(kind).values())
         moved = " OR ".join(f'OLD."{name}" IS NOT NEW."{name}"' for name in key)
         stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
         removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
@@ -171,7 +171,7 @@ def _triggers() -> Iterator[tuple[str, str]]:
 
 def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:
     """Return the expression of a row's JSON object."""
-    columns = [column for column in columns_of(kind) if only is None or column.name in only]
+    columns = [column for column in columns_of(kind).values() if only is None or column.name in only]
     pairs = chain.from_iterable((f"'{column.name}'", _expression(column, f'"{row}"')) for column in columns)
     return f"json_object({', '.join(pairs)})"
 
