@@ -52,7 +52,8 @@ def command(address: str, options: argparse.Namespace) -> list[str]:
         *(sys.executable, "-m", "schemathesis.cli", "--config-file", str(CONFIG), "run", f"{address}openapi.json"),
         *("--header", f"Authorization: Bearer {TOKEN}", "--checks", "all", "--continue-on-failure"),
         *("--max-examples", str(options.examples), "--seed", str(options.seed), "--warnings", "off", *only),
-        *("--request-timeout", "120"),  # s; the largest remap takes 10 s of a busy host
+        # the largest remap takes 20 s of a busy host
+        *("--request-timeout", "120", "--max-response-time", "120"),
     ]
 
 

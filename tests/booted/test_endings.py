@@ -28,12 +28,12 @@ import runpy, sys, time
 sys.path.insert(0, "/usr/lib/sunarc/site")
 if __name__ == "__main__":
     import sunarc.app.serving as serving
-    on_tick = serving._Server.on_tick
+    on_tick = serving.Server.on_tick
     async def hang(self, counter):
         if counter == 50:
             time.sleep(9e6)
         return await on_tick(self, counter)
-    serving._Server.on_tick = hang
+    serving.Server.on_tick = hang
     runpy.run_path("/usr/lib/sunarc/launch.py", run_name="__main__")
 """
 

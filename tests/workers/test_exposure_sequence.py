@@ -43,7 +43,13 @@ def lit(camera: FakeCamera) -> LitCamera:
     return LitCamera(camera)
 
 
-def taken(lit: LitCamera, board: StatusRegistry, *factors: float, order: tuple[float, ...]) -> list[float]:
+def taken(
+    lit: LitCamera,
+    board: StatusRegistry,
+    *factors: float,
+    order: tuple[float, ...],
+    before: frozenset[float] = frozenset(),
+) -> list[float]:
     """Return which exposures of a bracket are kept, their true lengths being these times the stated ones."""
     normal = lit.expose(NORMAL_US)
     lit.factors = list(factors)
@@ -53,7 +59,9 @@ def taken(lit: LitCamera, board: StatusRegistry, *factors: float, order: tuple[f
         report=CaptureReport(board, name="capture"),
         received=lambda _: None,
     )
-    return [frame.exposure_us for frame in sequence.take_bracket(order, [normal])]
+    frames, refused = sequence.take_bracket(order, [normal], refused_before_us=before)
+    assert refused <= set(order)
+    return [frame.exposure_us for frame in frames]
 
 
 @pytest.mark.parametrize("order", [(SHORT_US, TELLING_US), (TELLING_US, SHORT_US)])
@@ -78,3 +86,24 @@ def test_nothing_of_a_bracket_is_kept_whose_exposures_stay_wrong(
 
 def test_what_comes_after_a_second_attempt_that_agrees_is_kept(lit: LitCamera, board: StatusRegistry) -> None:
     assert taken(lit, board, 4.0, 1.0, 1.0, order=(TELLING_US, SHORT_US)) == [TELLING_US, SHORT_US]
+
+
+LONGER_US = 1200.0
+
+
+@pytest.mark.parametrize("order", [(TELLING_US, LONGER_US), (LONGER_US, TELLING_US)])
+def test_a_doubt_about_a_shorter_frame_leaves_the_longer_ones(
+    order: tuple[float, ...], lit: LitCamera, board: StatusRegistry
+) -> None:
+    factors = [f for e in order for f in ([1.0] if e == LONGER_US else [4.0, 4.0])]
+    assert taken(lit, board, *factors, order=order) == [LONGER_US]
+    assert lit.distrusted == 2
+
+
+@pytest.mark.parametrize("order", [(SHORT_US, TELLING_US), (TELLING_US, SHORT_US)])
+def test_an_exposure_that_is_always_refused_does_not_take_the_others_with_it(
+    order: tuple[float, ...], lit: LitCamera, board: StatusRegistry
+) -> None:
+    always = frozenset({TELLING_US})
+    factors = [f for e in order for f in ([1.0] if e == SHORT_US else [4.0, 4.0])]
+    assert taken(lit, board, *factors, order=order, before=always) == [SHORT_US]

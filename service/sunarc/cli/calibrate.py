@@ -130,6 +130,11 @@ def calibrate(
         within=within,
         plots=plots,
     )
+    _print_result(document, plots, as_json=as_json)
+
+
+def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool) -> None:
+    """Print a calibration; exit 1 where it is refused."""
     if as_json:
         print_json(document)
     else:

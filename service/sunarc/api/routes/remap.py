@@ -120,8 +120,7 @@ def remap_routes(context: ApiContext) -> APIRouter:
         """Return float32 tables that take an image to the grid: cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR)."""
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, at)
-        headers = {"etag": asked.tag(record.id, format_)}
-        tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        tagged = _tagged(request, if_none_match, asked.tag(record.id, format_))
         content = partial(_tables, selected, record, asked, format_)
         stated = partial(_stated, selected, record, asked)
         return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, MEDIA_TYPES[format_]))
@@ -146,13 +145,16 @@ def remap_routes(context: ApiContext) -> APIRouter:
         asked = _Asked(grid=grid, size=size, height_m=height, half_width_m=half_width)
         selected, record = await run_in_threadpool(context.answering, request, time)
         path = await run_in_threadpool(composite_file, selected, time, "jpeg")
-        headers = {"etag": asked.tag(record.id, path.stem)}
-        tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        tagged = _tagged(request, if_none_match, asked.tag(record.id, path.stem))
         content = partial(_picture, selected, record, asked, path)
         stated = partial(_stated, selected, record, asked)
         return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, "image/png"))
 
     return routes
+
+
+def _tagged(request: Request, if_none_match: str | None, tag: str) -> Tagged:
+    return Tagged(request=request, headers={"etag": tag}, if_none_match=if_none_match)
 
 
 def _answer(

@@ -119,6 +119,7 @@ class CaptureWorker:
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
         self._consistency = CycleConsistencyFilter(cadence_s=options.cadence_s)
+        self._refused_us: frozenset[float] = frozenset()
         self._last_slot_at_s: float | None = None
         self._missed_before = 0
 
@@ -231,7 +232,7 @@ class CaptureWorker:
         if self._apparent_zenith() >= self._options.sun_zenith_deg:
             return []
         selected = self._sun_exposures.choose(camera.info)
-        taken = exposer.take_bracket(selected, normal[:1])
+        taken, self._refused_us = exposer.take_bracket(selected, normal[:1], refused_before_us=self._refused_us)
         self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
 

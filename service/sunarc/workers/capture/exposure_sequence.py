@@ -92,17 +92,28 @@ class ExposureSequence:
             self._mark_suspect(inconsistency)
         raise CameraLostError(f"frame brightness inconsistent with exposure times: {inconsistency}")
 
-    def take_bracket(self, exposures_us: Sequence[float], references: Sequence[Frame]) -> list[Frame]:
-        """Return the frames whose brightness agrees with that of other exposures.
+    def take_bracket(
+        self,
+        exposures_us: Sequence[float],
+        references: Sequence[Frame],
+        *,
+        refused_before_us: frozenset[float] = frozenset(),
+    ) -> tuple[list[Frame], frozenset[float]]:
+        """Return the frames whose brightness agrees with that of other exposures, and the exposures that never did.
 
-        A frame may be too dark to be compared. Where another of the bracket contradicts its stated exposure, the dark
-        one may have had the same wrong exposure: frames before it are dropped, and all where no attempt agrees.
+        A shorter frame may be too dark to be compared. Where a longer one of the bracket contradicts its stated
+        exposure, the shorter ones before it may have had the same wrong exposure and are dropped; where no attempt
+        agrees, those after it too. An exposure that was refused in the slot before as well says nothing of others: a
+        camera whose frames of this length can never be compared loses these alone.
         """
         taken: list[Frame] = []
+        refused_us: set[float] = set()
         for exposure_us in exposures_us:
+            if any(exposure_us < one for one in refused_us - refused_before_us):
+                continue
             for attempt in range(_ATTEMPTS):
                 if not self.has_time():
-                    return taken
+                    return taken, frozenset(refused_us)
                 self.report.add(retries=int(attempt > 0))
                 frame = self.take(exposure_us)
                 inconsistency = None if frame is None else _contradiction_of_any(references, frame)
@@ -110,11 +121,12 @@ class ExposureSequence:
                     taken += [] if frame is None else [frame]
                     break
                 self._mark_suspect(inconsistency)
-                taken.clear()
+                if exposure_us not in refused_before_us:
+                    taken = [one for one in taken if one.exposure_us > exposure_us]
             else:
                 self.report.add(failures=1)
-                return []
-        return taken
+                refused_us.add(exposure_us)
+        return taken, frozenset(refused_us)
 
     def _mark_suspect(self, inconsistency: str) -> None:
         _log.warning("suspect frame: %s", inconsistency)
