@@ -33,10 +33,13 @@ if TYPE_CHECKING:
     from tests.api.conftest import Made
 
 STATIC = Path(__file__).parents[2] / "service" / "sunarc" / "api" / "static"
-SCRIPTS = sorted(path.name for path in STATIC.glob("*.js"))
-FILES = {"/": "text/html", "/static/dashboard.css": "text/css"} | {
-    f"/static/{name}": "text/javascript" for name in SCRIPTS
-}
+SCRIPTS = sorted(path.name for path in STATIC.glob("*.js") if path.name != "fleet.js")  # of the hub's page
+FILES = {
+    "/": "text/html",
+    "/docs": "text/html",
+    "/static/docs/docs.js": "text/javascript",
+    "/static/dashboard.css": "text/css",
+} | {f"/static/{name}": "text/javascript" for name in SCRIPTS}
 CHROMIUM = shutil.which("chromium")
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 
@@ -122,6 +125,8 @@ def shown(page: Page) -> None:
         page.wait_for_selector(selector, timeout=30_000, state="attached")
 
 
+CUT_OFF = """() => [...document.querySelectorAll("main td, main p, main dd")]
+  .filter((one) => one.getBoundingClientRect().right > innerWidth).map((one) => one.textContent)"""
 MARKER = """() => {
   const box = document.querySelector("#overlay path.expected").getBoundingClientRect();
   const image = document.querySelector("#image");
@@ -157,6 +162,7 @@ def pictured(make: Any, made: Made, picture: Path) -> Made:  # noqa: ANN401 - a 
 @in_a_browser
 def test_the_dashboard_in_a_browser(pictured: Made) -> None:
     sun = project(LENS, sun_directions(NOON.timestamp(), SITE))
+    n_operations = sum(map(len, pictured.client.get("/openapi.json").json()["paths"].values()))
     with serving(pictured) as address, browser() as chromium:
         desktop = opened(chromium, address)
         shown(desktop.page)
@@ -165,13 +171,21 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         assert desktop.page.inner_text(f"#calibrations [data-code={REFUSED.code}]") == text_of(REFUSED)
         shows_conditions_by_their_codes(desktop.page, pictured)
         updates_live(desktop.page, pictured)
+        has_a_history(desktop.page)
         can_be_used_by_keyboard(desktop.page)
         is_accessible(desktop.page)
         phone = opened(chromium, address, width=360, height=740, dark=True)
         shown(phone.page)
         assert phone.page.evaluate("document.documentElement.scrollWidth") <= 360
+        assert phone.page.evaluate(CUT_OFF) == []
         is_accessible(phone.page)
-        for one in (desktop, phone):
+        docs = opened(chromium, f"{address}docs", width=360, height=740)
+        docs.page.wait_for_selector("#back_project", timeout=30_000)
+        assert len(docs.page.query_selector_all(".operation")) == n_operations
+        assert "zenith_deg" in docs.page.inner_text("#back_project")
+        assert docs.page.evaluate("document.documentElement.scrollWidth") <= 360
+        is_accessible(docs.page)
+        for one in (desktop, phone, docs):
             assert one.complaints == []
             assert {url.split("/")[2] for url in one.asked if not url.startswith("blob:")} == {address.split("/")[2]}
 
@@ -182,6 +196,7 @@ def shows_conditions_by_their_codes(page: Page, made: Made) -> None:
     made.board.set_condition("no_frame_yet", Reason.of(Finding("not_mirrored"), MESSAGES, code="no_frame_yet"))
     unreadable = "#reasons li[data-code=images_unreadable][data-severity=degraded]"
     page.wait_for_selector(f"{unreadable} .action", timeout=10_000)
+    assert "since 2013-05-13 09:30" in page.inner_text(f"{unreadable} small")
     assert page.inner_text(f"{unreadable} code") == "images_unreadable"
     page.wait_for_selector("#reasons li[data-code=no_frame_yet]", timeout=10_000)
     assert page.query_selector("#reasons li[data-code=no_frame_yet] .action") is None  # its action is "none"
@@ -198,6 +213,14 @@ def updates_live(page: Page, made: Made) -> None:
     made.board.note(last_frame_at=NOON + timedelta(seconds=30))
     page.wait_for_selector("#workers >> text=the cable is cut", timeout=10_000)
     page.wait_for_selector("#facts >> text=18:30:30", timeout=10_000)
+
+
+def has_a_history(page: Page) -> None:
+    """Check that the accepted calibrations are drawn, and only those within the span that is chosen."""
+    assert len(page.query_selector_all("#history-sigma .x-mark")) == 2  # of three, one was refused
+    page.select_option("#history-span", "7")
+    assert len(page.query_selector_all("#history-sigma .x-mark")) == 1  # made eight days after the other
+    assert page.inner_text("#history-sum").startswith("1 accepted")
 
 
 def can_be_used_by_keyboard(page: Page) -> None:

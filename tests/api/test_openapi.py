@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,24 @@ def test_every_route_is_described(made: Made) -> None:
         for method, operation in operations.items():
             assert operation["description"].strip(), (method, path)
             assert operation["tags"], (method, path)
+
+
+def test_operations_have_short_names_and_known_tags(made: Made) -> None:
+    document = made.client.get("/openapi.json").json()
+    operations = [one for path in document["paths"].values() for one in path.values()]
+    names = [one["operationId"] for one in operations]
+    assert len(set(names)) == len(names)
+    assert [name for name in names if not re.fullmatch(r"[a-z]+(_[a-z]+)*", name)] == []
+    assert {"back_project", "sun_mask", "calibration_by_id", "event_stream", "request_refit"} <= set(names)
+    tags = {tag["name"] for tag in document["tags"]}
+    assert {tag for one in operations for tag in one["tags"]} == tags
+
+
+def test_every_answer_has_a_schema(made: Made) -> None:
+    for path, operations in made.client.get("/openapi.json").json()["paths"].items():
+        for operation in operations.values():
+            for status, answer in operation["responses"].items():
+                assert all(content.get("schema") for content in answer.get("content", {}).values()), (path, status)
 
 
 def test_every_field_says_what_it_is_and_gives_an_example(made: Made) -> None:

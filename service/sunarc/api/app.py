@@ -147,6 +147,7 @@ def new_application(title: str) -> FastAPI:
         version=sunarc.__version__,
         docs_url=None,
         redoc_url=None,
+        generate_unique_id_function=lambda route: route.name,
         dependencies=[Depends(require_known_names)],
     )
 
@@ -221,5 +222,9 @@ def _add_dashboard(app: FastAPI) -> None:
     @app.get("/", include_in_schema=False)
     def dashboard() -> FileResponse:
         return FileResponse(STATIC / "dashboard.html")
+
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> FileResponse:
+        return FileResponse(STATIC / "docs" / "docs.html")
 
     app.mount("/static", StaticFiles(directory=STATIC))

@@ -30,6 +30,21 @@ _OTHERS: tuple[tuple[type[BaseModel], JsonSchemaMode], ...] = (
     (GeolocateRequest, "validation"),
 )
 """Shapes that no route's signature names."""
+_TAGS = {
+    "health": "whether the service answers, how it is, and its numbers",
+    "cameras": "what the archive knows",
+    "calibrations": "the one that answers, the history, and decisions by hand",
+    "directions": "pixels to directions and back, clouds and shadows",
+    "sun": "where it is, and where it was seen",
+    "images": "composites, maps of them, masks and tables for OpenCV",
+    "record": "days, events as they were and as they happen, the latest image",
+    "refits": "asked for, under way and done",
+    "epochs": "intervals in which the camera did not move",
+    "fleet": "what a hub holds of its cameras, and takes from them",
+    "drawing": "lines and shades to draw over the image",
+}
+_TEXTS = {"text/plain": "string", "application/yaml": "object"}
+"""Type of the content of the media types that are no bytes; YAML is what a reader of it makes of it."""
 
 
 def describe(app: FastAPI) -> None:
@@ -54,9 +69,20 @@ def _document(app: FastAPI) -> dict[str, Any]:
     document["paths"] = {path.replace("{camera}", "", 1): one for path, one in document["paths"].items()}
     for path in document["paths"].values():
         for operation in path.values():
-            operation["operationId"] = operation["operationId"].replace("_v1_camera_", "_v1", 1)
             _only_problems(operation["responses"])
+            _describe_bytes(operation["responses"])
+    used = {tag for path in document["paths"].values() for one in path.values() for tag in one.get("tags", ())}
+    document["tags"] = [{"name": name, "description": _TAGS[name]} for name in sorted(used)]
     return document
+
+
+def _describe_bytes(responses: dict[str, Any]) -> None:
+    """Give a schema to every content that has none: files and texts."""
+    for answer in responses.values():
+        for media_type, content in answer.get("content", {}).items():
+            of_text = _TEXTS.get(media_type)
+            described = {"type": of_text} if of_text else {"type": "string", "format": "binary"}
+            content.setdefault("schema", described)
 
 
 def _only_problems(responses: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from sunarc.api.problems import Fault, RefusedError, problem_response
 from sunarc.errors import ConfigurationError
 
 _SHORTEST_TOKEN = 16
-_OPEN_PATHS = frozenset({"/", "/healthz", "/readyz"})
+_OPEN_PATHS = frozenset({"/", "/docs", "/healthz", "/readyz"})
 _OPEN_FOLDER = "/static/"
 FEED_PATH = re.compile(r"/v1/cameras/([^/]+)/feed")
 """A hub's route that imagers send to, each with a token of its own."""

@@ -50,7 +50,7 @@ def decision_routes(context: ApiContext) -> APIRouter:
         return decide(context.archive.unpin, request, calibration_id, decision)
 
     @routes.post("/epochs/{epoch_id}/close", tags=["epochs"])
-    def close(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
+    def close_epoch(request: Request, epoch_id: EpochId, decision: Decision) -> ClosedEpoch:
         """Undo a pose epoch begun by mistake: the one before continues, and its calibration is current again."""
         selected = context.of(request)
         if epoch_id not in {epoch.id for epoch in selected.archive.epochs(selected.camera)}:

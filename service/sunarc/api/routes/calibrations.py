@@ -79,7 +79,9 @@ def calibration_routes(context: ApiContext) -> APIRouter:
         return Calibrations(calibrations=[summary(record) for record in rows], next=next_)
 
     @routes.get("/calibrations/{calibration_id}", responses=_DOCUMENT | answers(404))
-    def one(request: Request, calibration_id: CalibrationId, if_none_match: IfNoneMatch = None) -> Response:
+    def calibration_by_id(
+        request: Request, calibration_id: CalibrationId, if_none_match: IfNoneMatch = None
+    ) -> Response:
         """Return one calibration's document, with its evidence."""
         return tagged(_text(context.of(request).calibration(calibration_id)), if_none_match)
 

@@ -153,7 +153,7 @@ def event_stream_routes(context: ApiContext) -> APIRouter:
     routes = APIRouter(tags=["record"])
 
     @routes.get("/events/stream", response_class=Response, responses=_STREAM | answers(404, 422))
-    async def stream(
+    async def event_stream(
         request: Request,
         last_event_id: Annotated[
             str | None,

@@ -69,7 +69,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
         return await made_in_slot(slots, asked, made)
 
     @routes.get("/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422))
-    async def sun(
+    async def sun_mask(
         request: Request, at: At = None, radius_deg: _RADIUS = 10.0, if_none_match: IfNoneMatch = None
     ) -> Response:
         """Return where the image looks within a radius of the sun, now or at the moment `at`."""
@@ -78,7 +78,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
     @routes.get(
         "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422)
     )
-    async def horizon(
+    async def horizon_mask(
         request: Request, at: At = None, elevation_deg: _ELEVATION = 0.0, if_none_match: IfNoneMatch = None
     ) -> Response:
         """Return where the image shows the sky above an elevation, and no obstruction of `api.obstruction_mask`."""

@@ -28,7 +28,7 @@ def refit_routes(context: ApiContext) -> APIRouter:
         dependencies=[Depends(require_write_token(context.token))],
         responses=answers(400, 403, 408, 413, 415, 422),
     )
-    def ask(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
+    def request_refit(request: Request, response: Response, asked: RefitRequest | None = None) -> Refit:
         """Ask for a refit with all sightings; the answer says where to follow it. One that waits already is joined."""
         refit = context.of(request).request_refit((asked or RefitRequest()).reason)
         response.headers["location"] = f"/v1/refits/{refit.id}"
@@ -43,7 +43,7 @@ def refit_routes(context: ApiContext) -> APIRouter:
         return Refits(refits=list(rows), next=next_)
 
     @routes.get("/refits/{refit_id}", responses=answers(404))
-    def one(request: Request, refit_id: RefitId) -> Refit:
+    def refit(request: Request, refit_id: RefitId) -> Refit:
         """Tell how a refit goes, or went."""
         refit = context.archive.refit(refit_id)
         if refit.camera != context.of(request).camera:

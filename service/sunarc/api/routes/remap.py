@@ -51,11 +51,14 @@ _HALF_WIDTH = Annotated[
 ]
 _HEADERS: dict[str, Any] = {
     "Sunarc-Calibration": {"description": "Id of the calibration.", "schema": {"type": "string"}},
-    "Sunarc-Sigma-Deg": {"description": "1-sigma of the directions, RMS over the grid.", "schema": {"type": "string"}},
-    "Sunarc-Height-M": {"description": "Of the layer of a ground grid, metres.", "schema": {"type": "string"}},
+    "Sunarc-Sigma-Deg": {
+        "description": "1-sigma of the directions, RMS over the grid, degrees.",
+        "schema": {"type": "number"},
+    },
+    "Sunarc-Height-M": {"description": "Of the layer of a ground grid, metres.", "schema": {"type": "number"}},
     "Sunarc-Sigma-M": {
         "description": "The same on the ground grid, m, by the calibration.",
-        "schema": {"type": "string"},
+        "schema": {"type": "number"},
     },
     "ETag": {"description": "Changes with the calibration and the grid.", "schema": {"type": "string"}},
 }
@@ -194,15 +197,16 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> di
     directions = np.ascontiguousarray(directions[np.isfinite(directions[:, 0])])
     covariance = ready.direction_covariance(directions)
     headers = {"sunarc-calibration": record.id}
-    headers["sunarc-sigma-deg"] = _root_mean(np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
+    headers |= _root_mean("sunarc-sigma-deg", np.degrees(1.0) ** 2 * 0.5 * np.trace(covariance, axis1=1, axis2=2))
     if asked.grid == "ground":
         site = context.archive.model(record.id).site
         place = clouds(directions, height_m=asked.height_m, covariance=covariance, site=site).covariance_m2
         headers["sunarc-height-m"] = f"{asked.height_m:g}"
-        headers["sunarc-sigma-m"] = _root_mean(0.5 * (place[:, 0, 0] + place[:, 1, 1]))
+        headers |= _root_mean("sunarc-sigma-m", 0.5 * (place[:, 0, 0] + place[:, 1, 1]))
     return headers
 
 
-def _root_mean(squares: FloatArray) -> str:
+def _root_mean(name: str, squares: FloatArray) -> dict[str, str]:
+    """Return the header of a root mean square; none where the camera sees nothing of the grid."""
     finite = squares[np.isfinite(squares)]
-    return f"{math.sqrt(float(np.mean(finite))):.4g}" if finite.size else "nan"
+    return {name: f"{math.sqrt(float(np.mean(finite))):.4g}"} if finite.size else {}

@@ -37,7 +37,7 @@ def sun_routes(context: ApiContext) -> APIRouter:
         return _sun(context.of(request), at or context.frame_clock(), past=at)
 
     @routes.get("/sun/track", dependencies=BY_CALIBRATION, responses=answers(404, 422))
-    def track(
+    def sun_track(
         *,
         request: Request,
         date: Annotated[

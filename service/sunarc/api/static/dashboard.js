@@ -2,6 +2,7 @@
 import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
 import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
+import { drawHistory } from "./history.js";
 import { drawResiduals } from "./residuals.js";
 import { drawSigma } from "./sigma.js";
 import { drawSky, showImage } from "./sky.js";
@@ -11,12 +12,13 @@ const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_nam
 const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
 const MOST_POINTS = 1000;
+const MOST_ROWS = 50; // of the table of calibrations; the plot has more
 // What the stream of events does not tell: how old heartbeats are, how the sun moved, what was sighted.
 const STATUS_MS = 60000;
 const SKY_MS = 30000;
 const RESIDUALS_MS = 60000;
 const RECORD_MS = 3600000;
-const known = { status: null, points: [], overlay: null, calibration: undefined, residualsBy: undefined, date: null };
+const known = { status: null, points: [], calibrations: [], overlay: null, calibration: undefined, residualsBy: undefined, date: null };
 
 function showHealth(health, headline) {
   const [sign, word] = SIGNS[health];
@@ -46,12 +48,13 @@ async function refreshStatus() {
 }
 
 // A condition: what is the case, what to do where there is something to do, and the code under which it is documented.
-function condition({ code, severity, text, remedy }) {
+function condition({ code, severity, text, remedy, since }) {
   const item = node("li");
   item.dataset.code = code;
   item.dataset.severity = severity;
   item.append(node("b", `${CONDITION_SIGNS[severity]} ${text}.`));
   if (remedy !== NO_ACTION) item.append(node("span", `What to do: ${remedy}. `, "action"));
+  if (since) item.append(node("small", `since ${moment(since)} `));
   item.append(node("code", code));
   return item;
 }
@@ -125,9 +128,11 @@ async function refreshResiduals() {
 }
 
 async function refreshRecord() {
-  const [days, calibrations, events] = await Promise.all([ask("/v1/days?limit=182"), ask("/v1/calibrations?limit=50"), ask("/v1/events?limit=50")]);
+  const [days, calibrations, events] = await Promise.all([ask("/v1/days?limit=182"), ask("/v1/calibrations?limit=1000"), ask("/v1/events?limit=50")]);
   drawCalendar(days.days, known.status?.frame_time);
-  fillRows("calibrations", calibrations.calibrations.map((c) => [
+  known.calibrations = calibrations.calibrations;
+  drawHistory(known.calibrations);
+  fillRows("calibrations", known.calibrations.slice(0, MOST_ROWS).map((c) => [
     judged(c.state), moment(c.created_at), telling(c.rmse_px, " px"), telling(c.sky_rms_deg, "°"), moment(c.valid_from), findingsOf(c),
   ]), "None yet: the first one follows the first clear day.");
   fillRows("events", events.events.map((event) => [moment(event.time), judged(event.severity), sentences([event.text], event.findings)]), "No events yet.");
@@ -183,7 +188,8 @@ $("token-form").addEventListener("submit", (event) => {
   $("token").value = "";
   [refreshStatus, refreshSky, refreshResiduals, refreshRecord].forEach(refresh);
 });
-window.addEventListener("resize", redrawResiduals);
+window.addEventListener("resize", () => { redrawResiduals(); drawHistory(known.calibrations); });
+$("history-span").addEventListener("change", () => drawHistory(known.calibrations));
 document.querySelectorAll("input[name=unit]").forEach((input) => input.addEventListener("change", redrawResiduals));
 await refreshStatus().catch(complain);
 await refreshSky().catch(() => {});

@@ -57,13 +57,15 @@ export function sentences(texts, findings) {
 
 export function fillRows(id, rows, empty) {
   const body = $(id).tBodies[0];
+  const titles = [...$(id).tHead.rows[0].cells].map((cell) => cell.textContent);
   body.replaceChildren(...rows.map((cells) => {
     const row = document.createElement("tr");
-    for (const cell of cells) {
+    cells.forEach((cell, k) => {
       const td = document.createElement("td");
+      td.dataset.title = titles[k]; // shown beside it where the screen is narrow
       td.append(cell);
       row.append(td);
-    }
+    });
     return row;
   }));
   if (rows.length) return;
