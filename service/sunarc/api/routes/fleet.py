@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
 from pathlib import Path as FilePath
 from typing import Annotated, Literal, get_args
@@ -100,7 +100,11 @@ def fleet_page(folder: FilePath) -> APIRouter:
 
 def members(cameras: tuple[FleetCamera, ...], now: datetime) -> list[FleetMember]:
     """Return cameras with their states, the worst first; of one state, the most uncertain first."""
-    found = [FleetMember(**asdict(camera), state=state_of(camera, now)) for camera in cameras]
+    names = [one.name for one in fields(FleetCamera)]
+    found = [
+        FleetMember(**{name: getattr(camera, name) for name in names}, state=state_of(camera, now))
+        for camera in cameras
+    ]
     order = get_args(State)
     return sorted(found, key=lambda one: (order.index(one.state), -(one.sky_rms_deg or 0.0), one.camera))
 
