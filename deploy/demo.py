@@ -65,6 +65,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--lens-seed", type=int, default=0, metavar="N", help="draw another true camera")
     parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
+    parser.add_argument("--archive", action="store_true", help="make a small archive of images and analyse it instead")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
     if options.days < 1 or not 1.0 <= options.speed <= 2000.0 or not 0 < options.port < 65536:
@@ -75,6 +76,8 @@ def parse_arguments() -> argparse.Namespace:
 def run(options: argparse.Namespace) -> int:
     """Start the imager and the service, follow them, and leave the results in the state folder."""
     state = prepare_state(options.state)
+    if options.archive:
+        return analyse_archive(state)
     require_free_camera_port()
     allow_whole_frames()
     config = write_config(state, options)
@@ -91,6 +94,28 @@ def run(options: argparse.Namespace) -> int:
             print(f"demo: goes on serving at {url}/ until Ctrl-C")
             signal.pause()
     return code
+
+
+def analyse_archive(state: Path) -> int:
+    """Make an archive of four cameras in the state folder, analyse it, and say where the report is."""
+    from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive  # noqa: PLC0415 - slow to load
+
+    made = MadeArchive(cameras=FOUR_CAMERAS, per_day=24, size=320)
+    print(f"demo: making {made.days * made.per_day * len(made.cameras)} images of four cameras in {state / 'archive'}")
+    cameras = write_archive(made, state / "archive")
+    site = [f"--{name}={value}" for name, value in SITE.items()]
+    command = [
+        sys.executable,
+        "-m",
+        "sunarc",
+        "reanalyse",
+        f"--cameras={cameras}",
+        *site,
+        f"--output={state / 'result'}",
+        "--yes",
+    ]
+    print(f"demo: {' '.join(command)}", flush=True)
+    return subprocess.run(command, check=False).returncode
 
 
 def prepare_state(folder: Path | None) -> Path:

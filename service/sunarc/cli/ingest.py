@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sunarc.cli.calibrate import calibrate_stored
 from sunarc.cli.database import note_running_service
 from sunarc.cli.options import AsJson, Config, DetectionMethod, choice_of
 from sunarc.cli.output import print_json, table
+from sunarc.cli.progress import progress_bars
 from sunarc.errors import InputError
 from sunarc.offline.detect_files import METHODS
 from sunarc.offline.ingest.image_times import Naming
-from sunarc.offline.ingest.run import IngestOptions, ReportProgress, ingest_folder, usable_processors
+from sunarc.offline.ingest.run import IngestOptions, ingest_folder, usable_processors
 from sunarc.offline.ingest.summary import Summary, sentence_of
 from sunarc.settings import load_settings
 
@@ -67,7 +64,7 @@ def ingest(
         processes=workers or usable_processors(),
         contact_sheet=contact_sheet,
     )
-    with _progress() as progress:
+    with progress_bars() as progress:
         summary = ingest_folder(settings, folder, options=options, progress=progress)
     note_running_service(settings.state)
     if as_json:
@@ -78,22 +75,6 @@ def ingest(
         calibrate_stored(settings, as_json=False)
     else:
         print(_next_command(summary, config))
-
-
-@contextmanager
-def _progress() -> Iterator[ReportProgress]:
-    """Give the function that draws a progress bar; it draws none where standard error is no terminal."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True, soft_wrap=True)
-    with Progress(*columns, console=console, disable=not sys.stderr.isatty()) as bars:
-        tasks = {}
-
-        def update(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield update
 
 
 def _next_command(summary: Summary, config: Path | None) -> str:

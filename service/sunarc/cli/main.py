@@ -31,6 +31,7 @@ from sunarc.cli.options import (
     choice_of,
 )
 from sunarc.cli.output import print_json, table
+from sunarc.cli.reanalyse import reanalyse_archive
 from sunarc.cli.rectify import rectify
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
@@ -63,6 +64,7 @@ cli.command()(ingest)
 cli.command("export")(export_calibration)
 cli.command()(compare)
 cli.command()(rectify)
+cli.command("reanalyse")(reanalyse_archive)
 
 _out = Console(soft_wrap=True)
 

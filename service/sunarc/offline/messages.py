@@ -44,6 +44,50 @@ MESSAGES = Messages(
     file_at_night=Message(
         "the sun was at {zenith_deg:.1f} degrees from the zenith", _LEFT_OUT, "none; or correct --utc-offset"
     ),
+    file_too_large=Message("{bytes} bytes, at most {most} are read", _LEFT_OUT, "give images"),
+    image_failed=Message("the detector failed: {error}", _LEFT_OUT, "report it with the image"),
+    image_kills_workers=Message(
+        "{deaths} workers died that looked at it", _LEFT_OUT, "open it in another program; give workers more memory"
+    ),
+    camera_kills_workers=Message(
+        "{deaths} workers died that fitted it", "The camera has no epochs.", "give workers more memory"
+    ),
+    camera_without_images=Message("no image can be read", "The camera was left out.", "see the reasons of its files"),
+    camera_at_night=Message(
+        "the sun was below the horizon in all of its {images} images (median {zenith_deg:.0f} degrees from the zenith)",
+        "The camera was left out.",
+        "correct latitude, longitude (east is positive) or --utc-offset, or give images of the day",
+    ),
+    cameras_mixed=Message(
+        "{copies} of its {images} images have the name and time of another one ({file}, {other})",
+        "The camera was left out: these are the images of two.",
+        "give --cameras FILE with a table for each, and their own sources",
+    ),
+    camera_mirrored=Message(
+        "the sightings fit mirrored = {mirrored!r} only",
+        "Its calibrations are refused.",
+        "give --mirrored {mirrored}; or correct the latitude's sign",
+    ),
+    camera_tilted=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees",
+        "Its calibrations are refused.",
+        "check site and times; nothing simple makes it level",
+    ),
+    camera_tilted_by_clock=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees; with clocks {hours:g} h ahead it is level",
+        "Its calibrations are refused where the tilt is not real.",
+        "add {hours:g} to --utc-offset where it is not",
+    ),
+    camera_tilted_by_latitude=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees; at a latitude of {latitude:.1f} it is level",
+        "Its calibrations are refused where the tilt is not real.",
+        "correct --latitude (its sign: north is positive) where it is not",
+    ),
+    sightings_disagree=Message(
+        "{share:.2f} of the sightings agree on a camera, {least:.2f} have to",
+        "The camera has no epochs.",
+        "look at the images: are they those of one camera that sees the sun?",
+    ),
     worker_died=Message("the process that read it died: {error}", _LEFT_OUT, "open it in another program"),
     mirrored_setting_differs=Message(
         "the sightings fit a camera with mirrored = {mirrored!r}, and calibration.mirrored is not that",

@@ -1,0 +1,176 @@
+"""The command `sunarc reanalyse`: parse, ask, call, print."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from sunarc.calibration import CalibrationOptions
+from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of
+from sunarc.cli.output import print_json, table
+from sunarc.cli.progress import progress_bars
+from sunarc.errors import InputError
+from sunarc.offline.cameras import parse_image_size
+from sunarc.offline.detect_files import METHODS
+from sunarc.offline.ingest.run import usable_processors
+from sunarc.offline.reanalysis.cameras_file import read_cameras
+from sunarc.offline.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
+from sunarc.offline.reanalysis.index import Indexed, index_archive
+from sunarc.offline.reanalysis.plan import CameraPlan, Selector
+from sunarc.offline.reanalysis.results import Summary, sentence_of
+from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
+from sunarc.offline.sources.times import TimeRules
+from sunarc.runtime.clock import SystemClock
+from sunarc.sky import Site
+
+_LISTED = 10
+"""Files that are named with the reason why they are left out; failures.csv has all."""
+
+
+def reanalyse_archive(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Folders, zip or tar archives, or addresses of fsspec; each is a camera.", show_default=False
+        ),
+    ] = None,
+    *,
+    target: Annotated[Path, typer.Option("--output", "-o", help="Folder of the results; a run goes on where it was.")],
+    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
+    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
+    altitude: Annotated[float, typer.Option(help="Metres above sea level.", rich_help_panel=SITE)] = 0.0,
+    image_size: Annotated[str | None, typer.Option(help="W,H in px; what most images have unless given.")] = None,
+    cameras: Annotated[
+        Path | None, typer.Option(help="TOML: whose each file is, where each camera stands, how its times are read.")
+    ] = None,
+    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    utc_offset: Annotated[
+        float | None, typer.Option(help="Hours that times without a zone are ahead of UTC; 0 for UTC.")
+    ] = None,
+    method: DetectionMethod = "auto",
+    mirrored: Annotated[str, typer.Option(help="Whether the images are mirror images: no, yes, auto.")] = "no",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://….")] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; one for each processor unless given.", min=1)
+    ] = None,
+    store: Annotated[
+        str | None, typer.Option(help="Address of the ledger; ledger.sqlite in the folder unless given.")
+    ] = None,
+    exports: Annotated[bool, typer.Option(help="Write the calibrations in all formats, too.")] = True,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether the times are right.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find every sun in an archive of images, the epochs of its cameras, and a calibration for each.
+
+    Example: sunarc reanalyse images/ --latitude 36.6 --longitude -97.5 --altitude 318 --utc-offset 0 -o result
+    """
+    common = CameraPlan(
+        name="camera",
+        site=_site(latitude, longitude, altitude, cameras),
+        selector=Selector(tuple(sources or ())),
+        rules=TimeRules(time_pattern, None if utc_offset is None else timedelta(hours=utc_offset)),
+        image_size=None if image_size is None else parse_image_size(image_size),
+        method=choice_of("--method", method, METHODS),
+        options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),
+    )
+    plans = _plans(common) if cameras is None else read_cameras(cameras, common=common)
+    indexed = index_archive(plans)
+    _confirm(indexed, yes=yes)
+    options = ReanalysisOptions(
+        target=target, store=store, workers=Workers(scheduler, workers or usable_processors()), exports=exports
+    )
+    with progress_bars() as progress:
+        summary = reanalyse(indexed, options, clock=SystemClock(), opened=_report_cluster, progress=progress)
+    if as_json:
+        print_json(summary.report)
+    else:
+        _print(summary, target)
+    if not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"]):
+        raise typer.Exit(1)
+
+
+def _site(latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None) -> Site:
+    if (latitude is None or longitude is None) and cameras is None:
+        missing = "--latitude" if latitude is None else "--longitude"
+        raise InputError(field=missing, problem="missing", remedy="give it, or --cameras FILE that has it")
+    return Site(latitude=latitude or 0.0, longitude=longitude or 0.0, altitude=altitude)
+
+
+def _plans(common: CameraPlan) -> list[CameraPlan]:
+    """Return one camera for each source, by the source's name."""
+    if not common.selector.sources:
+        raise InputError(field="SOURCE", problem="missing", remedy="name a folder or archive, or give --cameras FILE")
+    plans: dict[str, CameraPlan] = {}
+    for address in common.selector.sources:
+        name = Path(address.rstrip("/")).name.partition(".")[0] or "camera"
+        while name in plans:
+            name += "-2"
+        plans[name] = replace(common, name=name, selector=Selector((address,)))
+    return list(plans.values())
+
+
+def _confirm(indexed: Indexed, *, yes: bool) -> None:
+    """Show whose the images are and how their times were read, and ask whether that is right.
+
+    Raises
+    ------
+    InputError : the answer is no, or nobody can be asked.
+    """
+    for one in indexed.cameras:
+        width, height = one.size
+        seen = f"{len(one.images)} images of {width}x{height} px; times by {one.family}"
+        print(f"camera {one.plan.name}: {seen}: {one.example[0]} is {one.example[1]}", file=sys.stderr)
+    for failure in (*indexed.refused, *indexed.failures[:_LISTED]):
+        print(f"left out {failure.file}: {sentence_of(failure.finding)}", file=sys.stderr)
+    if len(indexed.failures) > _LISTED:
+        print(f"… and {len(indexed.failures) - _LISTED} more", file=sys.stderr)
+    if yes or not indexed.cameras:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(
+            field="--yes", problem="missing, and nobody can be asked whether the times are right", remedy="give it"
+        )
+    if not typer.confirm("Are cameras and times right?", err=True):
+        raise InputError(
+            field="times", problem="are not right", remedy="give --utc-offset, --time-pattern or --cameras"
+        )
+
+
+def _report_cluster(cluster: Cluster) -> None:
+    place = cluster.workers.scheduler or f"{cluster.workers.n} processes, each ended at {WORKER_BYTES >> 20} MiB"
+    print(f"workers: {place}; Dask's dashboard: {cluster.dashboard}", file=sys.stderr)
+
+
+def _print(summary: Summary, target: Path) -> None:
+    rows: list[Sequence[object]] = []
+    for one in summary.report["cameras"]:
+        for finding in one["findings"]:
+            print(f"{one['camera']}: {finding['reason']}")
+        rows += [
+            (
+                one["camera"],
+                epoch["epoch"],
+                epoch["cause"],
+                epoch["start"][:16],
+                epoch["end"][:16],
+                f"{epoch['clock_offset_s']:+.0f}",
+                epoch["sightings"],
+                epoch["rmse_px"],
+                epoch["sky_rms_deg"],
+                "yes" if epoch["accepted"] else "no",
+            )
+            for epoch in one["epochs"]
+        ]
+    header = ("camera", "epoch", "cause", "from", "to", "clock, s", "suns", "RMSE, px", "sky, °", "accepted")
+    Console(soft_wrap=True).print(table(header, rows))
+    images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
+    left_out = sum(summary.report["failures"].values())
+    print(f"{images} images, {suns} suns, {left_out} files left out, {summary.report['seconds']:.0f} s")
+    print(f"report: {target / 'report.html'}")

@@ -1,0 +1,158 @@
+"""A calibration for each epoch: the lens from all sightings of its lens, the pose from those of its own."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import sunarc
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration import (
+    Calibration,
+    SunPoints,
+    calibrate,
+    estimate_pose,
+    find_pose_steps,
+    select_sightings,
+    to_document,
+)
+from sunarc.findings import Finding
+from sunarc.offline.reanalysis.epochs import Epoch, joined
+from sunarc.offline.reanalysis.look import key_of
+from sunarc.offline.reanalysis.states import Camera, State
+from sunarc.optics import rotation_matrix
+from sunarc.utc import utc_time
+
+_FEWEST_FOR_STEPS = 150
+"""Sightings of a pose in which small steps are searched for: a step that few show is as large as a state of its own."""
+_TILTED_DEG, _LEVEL_DEG = 8.0, 5.0
+_TURN_DEG_PER_H = 15.0
+_LARGEST_ZONE_H = 14.0
+
+
+class Fitted(NamedTuple):
+    """A calibration of a pose, and the rows of the sightings that it was given."""
+
+    calibration: Calibration
+    rows: IntArray
+
+
+def with_small_steps(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
+    """Return states with those of small steps of the pose, which no single sighting shows."""
+    together = joined(points, path, states)
+    refined = list(states)
+    for pose in np.unique(together.epoch).tolist():
+        rows = np.flatnonzero(together.epoch == pose)
+        if rows.size < _FEWEST_FOR_STEPS:
+            continue
+        of_pose = replace(together.select(rows), epoch=np.zeros(rows.size, dtype=np.int64))
+        number, state = next((n, one) for n, one in enumerate(states) if one.pose == pose)
+        steps = find_pose_steps(
+            of_pose, site=camera.site, image_size=camera.size, options=camera.loosely(), lens=state.calibration
+        )
+        if steps:
+            bounds = [-math.inf, *(0.5 * (step.before_unix_s + step.after_unix_s) for step in steps), math.inf]
+            parts = [(of_pose.unix_s >= low) & (of_pose.unix_s < high) for low, high in itertools.pairwise(bounds)]
+            posed = [_posed(state, of_pose.select(part), camera) for part in parts]
+            refined[number] = posed[0]._replace(pose=pose)
+            free = 1 + max(one.pose for one in refined)
+            refined += [one._replace(pose=free + k) for k, one in enumerate(posed[1:])]
+    return refined
+
+
+def _posed(state: State, points: SunPoints, camera: Camera) -> State:
+    posed = estimate_pose(points, start=state.calibration, site=camera.site, options=camera.loosely())
+    return state._replace(calibration=posed)
+
+
+def fit_poses(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> dict[int, Fitted]:
+    """Return the calibration of each pose that has sightings, by its number."""
+    together = joined(points, path, states)
+    lens_of = {state.pose: state.lens for state in states}
+    lenses = np.array([lens_of[int(pose)] for pose in together.epoch], dtype=np.int64)
+    fitted = {}
+    for pose in np.unique(together.epoch).tolist():
+        rows = np.flatnonzero(lenses == lens_of[pose])
+        of_lens = together.select(rows)
+        # the calibration is of the last epoch: this pose goes last, the others before it in any order
+        order = [*(one for one in np.unique(of_lens.epoch).tolist() if one != pose), pose]
+        number = {one: place for place, one in enumerate(order)}
+        ordered = replace(of_lens, epoch=np.array([number[one] for one in of_lens.epoch.tolist()], dtype=np.int64))
+        selection = select_sightings(ordered, site=camera.site, slot_s=1.0)
+        selected = ordered.select(selection.index)
+        solved = calibrate(selected, site=camera.site, image_size=camera.size, options=camera.options)
+        evidence = replace(solved.evidence, selection=selection.counts())
+        fitted[int(pose)] = Fitted(replace(solved, evidence=evidence), rows[selection.index])
+    return fitted
+
+
+def document_of(
+    fitted: Fitted, points: SunPoints, epoch: Epoch, *, camera: str, name: str, evidence: Mapping[str, object]
+) -> dict[str, Any]:
+    """Return the calibration document of an epoch, valid from its first to its last sighting.
+
+    Its id is made of the sightings, so that the same archive gives the same one.
+    """
+    solved, offset = fitted.calibration, points
+    rows = fitted.rows
+    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes()))
+    selection = {**solved.evidence.selection, **evidence}
+    last = utc_time(epoch.end_unix_s)
+    return to_document(
+        replace(solved, evidence=replace(solved.evidence, selection=selection)),
+        id=identity,
+        camera=camera,
+        state="candidate" if solved.verdict.accepted else "refused",
+        created_at=last,
+        valid_from=utc_time(epoch.start_unix_s),
+        valid_until=last,
+        pose_epoch=name,
+        software_version=sunarc.__version__,
+    )
+
+
+def doubts(calibration: Calibration, camera: Camera) -> tuple[Finding, ...]:
+    """Return what a camera's first fit says against the site or the times that were given."""
+    found = []
+    wanted = camera.options.mirrored
+    if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
+        found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
+    tilted = _tilted(calibration, camera)
+    return (*found, tilted) if tilted is not None else tuple(found)
+
+
+def _tilted(calibration: Calibration, camera: Camera) -> Finding | None:
+    """Return that a camera is tilted, and with which clock or latitude it were level; None where it nearly is.
+
+    A wrong zone turns the sky about its pole, a wrong latitude about the east, and the fit turns the camera with it.
+    """
+    axis = rotation_matrix(calibration.camera.rotation_cam_enu)[2]
+    tilt_deg = _zenith_deg(axis)
+    if tilt_deg <= _TILTED_DEG:
+        return None
+    latitude = math.radians(camera.site.latitude)
+    pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
+    hours = np.arange(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 0.25, 0.5)
+    tilts = [_zenith_deg(_turned(axis, pole, math.radians(_TURN_DEG_PER_H * hour))) for hour in hours.tolist()]
+    best = int(np.argmin(tilts))
+    if tilts[best] < _LEVEL_DEG:
+        return Finding("camera_tilted_by_clock", {"tilt_deg": tilt_deg, "hours": float(hours[best])})
+    level_at = camera.site.latitude + math.degrees(math.atan2(axis[1], axis[2]))
+    if math.degrees(math.asin(abs(float(axis[0])))) < _LEVEL_DEG and abs(level_at) <= 90.0:
+        return Finding("camera_tilted_by_latitude", {"tilt_deg": tilt_deg, "latitude": level_at})
+    return Finding("camera_tilted", {"tilt_deg": tilt_deg})
+
+
+def _turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
+    """Return a vector turned about an axis (Rodrigues' formula)."""
+    across, along = np.cross(axis, vector), axis * float(axis @ vector)
+    return np.asarray(along + (vector - along) * math.cos(angle) + across * math.sin(angle))
+
+
+def _zenith_deg(direction: FloatArray) -> float:
+    return math.degrees(math.acos(min(max(float(direction[2]), -1.0), 1.0)))

@@ -1,0 +1,102 @@
+"""What a worker does with a chunk of images: read, check, look for the sun; it keeps nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import cv2
+
+from sunarc.array_types import BoolArray, Image
+from sunarc.detection import Detection, Expectation, static_mask
+from sunarc.findings import Finding
+from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method
+from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
+from sunarc.offline.sources.frames import images_in
+from sunarc.offline.sources.opening import open_source
+
+
+class Item(NamedTuple):
+    """An image of a chunk.
+
+    expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
+    """
+
+    file: str
+    number: int
+    exposure_us: float | None
+    expectation: Expectation | None = None
+    outside: bool = False
+
+
+class Chunk(NamedTuple):
+    """A unit of work: some images of a camera, in one source, in the order of their files and numbers."""
+
+    camera: str
+    address: str
+    method: Method
+    size: tuple[int, int]
+    items: tuple[Item, ...]
+    static: PackedMask | None = None
+
+
+class Answer(NamedTuple):
+    """What came of an image: a detection, with or without a sun, or the finding why it is left out."""
+
+    file: str
+    number: int
+    found: Detection | Finding
+
+
+def look_at(chunk: Chunk) -> list[Answer]:
+    """Return an answer for each image of a chunk."""
+    cv2.setNumThreads(1)
+    static = None if chunk.static is None else chunk.static.unpacked()
+    by_key = {(item.file, item.number): item for item in chunk.items}
+    return [
+        Answer(file, number, image if isinstance(image, Finding) else _look(image, by_key[file, number], chunk, static))
+        for file, number, image in _images(chunk)
+    ]
+
+
+def still_parts(chunk: Chunk) -> PackedMask | None:
+    """Return what stands still in the images of a chunk that spans hours; None where nothing does."""
+    cv2.setNumThreads(1)
+    images = (image for _, _, image in _images(chunk) if not isinstance(image, Finding))
+    first = next(images, None)
+    if first is None:
+        return None
+    like_first = (one for one in images if (one.shape, one.dtype) == (first.shape, first.dtype))
+    mask = static_mask(itertools.chain([first], like_first), full_scale=full_scale_of(first))
+    return None if mask is None or not mask.any() else pack_mask(mask)
+
+
+def _images(chunk: Chunk) -> Iterator[tuple[str, int, Image | Finding]]:
+    source = open_source(chunk.address)
+    for file, items in itertools.groupby(chunk.items, key=lambda item: item.file):
+        numbers = [item.number for item in items]
+        for number, image in images_in(source, file, numbers, size=chunk.size):
+            yield file, number, image
+
+
+def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> Detection | Finding:
+    if item.outside:
+        method = selected_method(image, chunk.method, full_scale=full_scale_of(image))
+        return Detection(method=method, accepted=False, verdict="hidden", findings=(Finding("sun_outside_image"),))
+    try:
+        return detect_in_image(
+            image,
+            method=chunk.method,
+            expectation=item.expectation,
+            static=static,
+            exposure_us=item.exposure_us,
+        )
+    except Exception as error:  # noqa: BLE001 - whatever an image does to a detector, the others go on
+        return Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
+
+
+def key_of(parts: Iterable[object]) -> str:
+    """Return a hash of what decides a result."""
+    return hashlib.blake2b(repr(tuple(parts)).encode(), digest_size=12).hexdigest()

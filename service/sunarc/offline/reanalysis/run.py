@@ -1,0 +1,117 @@
+"""An archive analysed again: index, both passes, epochs, calibrations, and what is written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
+from sunarc.offline.messages import MESSAGES
+from sunarc.offline.reanalysis.analysis import Final, Rough, Sightings, final_analysis, first_analysis
+from sunarc.offline.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
+from sunarc.offline.reanalysis.horizon import learn_horizon
+from sunarc.offline.reanalysis.index import Indexed
+from sunarc.offline.reanalysis.ledger import Ledger
+from sunarc.offline.reanalysis.passes import Looked, Passes, ReportProgress, predictions
+from sunarc.offline.reanalysis.plan import CameraImages
+from sunarc.offline.reanalysis.report import write_report
+from sunarc.offline.reanalysis.results import CameraResult, Summary, write_results
+from sunarc.offline.reanalysis.states import Camera
+from sunarc.runtime.clock import Clock
+
+_DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReanalysisOptions:
+    """How an archive is analysed.
+
+    Attributes
+    ----------
+    target : folder of the results.
+    store : address of the ledger (SQLAlchemy); None for `ledger.sqlite` in the folder.
+    workers : where the images are looked at.
+    exports : whether the calibrations are written in all formats, too.
+    """
+
+    target: Path
+    store: str | None = None
+    workers: Workers = field(default_factory=Workers)
+    exports: bool = True
+
+
+def reanalyse(
+    indexed: Indexed,
+    options: ReanalysisOptions,
+    *,
+    clock: Clock,
+    opened: Callable[[Cluster], None] = lambda _: None,
+    progress: ReportProgress = lambda *_: None,
+) -> Summary:
+    """Find every sun of an archive, the epochs of its cameras, and a calibration for each; write it all into a folder.
+
+    What is done already by this version of the software stands in the ledger, and is not done again.
+
+    Parameters
+    ----------
+    indexed : the cameras and their images.
+    options : how.
+    clock : for waits, and for the time that it took.
+    opened : called with the cluster once it is there.
+    progress : called after every chunk.
+
+    Raises
+    ------
+    InputError : there is no camera with images.
+    OutsideError : the folder cannot be written, or no worker answers.
+    """
+    if not indexed.cameras:
+        seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
+        raise InputError(field="SOURCE", problem=f"has no image to look at ({'; '.join(seen)})", remedy="see above")
+    began = clock.monotonic()
+    try:
+        options.target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutsideError(f"{options.target} cannot be made: {error.strerror}") from error
+    store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
+    with Ledger(store) as ledger, open_cluster(options.workers, clock=clock) as cluster:
+        opened(cluster)
+        results = _results(indexed.cameras, Passes(ledger, cluster, progress))
+        summary = write_results(options.target, results, indexed, each=cluster.each if options.exports else None)
+    summary = summary.timed(clock.monotonic() - began)
+    write_report(options.target, summary, results)
+    return summary
+
+
+def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResult]:
+    masks = passes.masks(cameras)
+    searched = passes.search(cameras, masks)
+    given = [Sightings(looked.points()[0], _known(one)) for one, looked in zip(cameras, searched, strict=True)]
+    passes.progress("epochs", 0, len(cameras))
+    rough = [one or Rough(findings=(_DIED,)) for one in passes.cluster.each(first_analysis, given)]
+    passes.progress("epochs", len(cameras), len(cameras))
+    found = [n for n, one in enumerate(rough) if one.states]
+    expected = [predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found]
+    waiting = [(cameras[n], searched[n], one) for n, one in zip(found, expected, strict=True)]
+    looked = dict(zip(found, passes.predict(waiting, [masks[n] for n in found]), strict=True))
+    again = [Sightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
+    passes.progress("calibrations", 0, len(found))
+    final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
+    passes.progress("calibrations", len(found), len(found))
+    return [
+        _result(camera, searched[n], looked.get(n, searched[n]), rough[n], final.get(n))
+        for n, camera in enumerate(cameras)
+    ]
+
+
+def _known(camera: CameraImages) -> Camera:
+    return Camera(camera.plan.site, camera.size, camera.plan.options)
+
+
+def _result(camera: CameraImages, searched: Looked, looked: Looked, rough: Rough, final: Final | None) -> CameraResult:
+    horizon = None
+    if final is not None and final.epochs:
+        horizon = learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)
+    return CameraResult(camera=camera, searched=searched, looked=looked, rough=rough, final=final, horizon=horizon)

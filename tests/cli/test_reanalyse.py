@@ -1,0 +1,63 @@
+"""`sunarc reanalyse`: what it asks for, what it shows, and what it exits with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.fixtures.command_line import Sunarc, sunarc
+from tests.offline.reanalysis.in_process import InProcess, use
+from tests.offline.sources.archives import GREY, encoded, folder_of
+
+__all__ = ["sunarc"]
+
+SITE = ("--latitude", "36.6", "--longitude", "-97.5")
+IMAGES = {f"20130513T18{minute:02d}00Z.png": encoded(GREY, ".png") for minute in range(5)}
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    return folder_of(IMAGES, tmp_path / "roof")
+
+
+def test_a_folder_without_suns_has_no_calibration_and_exits_1(
+    sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(InProcess(), monkeypatch)
+    answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
+    assert answer.code == 1
+    (camera,) = json.loads(answer.out)["cameras"]
+    assert (camera["camera"], camera["images"], camera["accepted"]) == ("roof", 5, 0)
+    assert [one["code"] for one in camera["findings"]] == ["too_few_sightings"]
+    assert "2013-05-13T18:00:00Z" in answer.err
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"report.html", "report.json", "ledger.sqlite"}
+
+
+def test_times_are_confirmed_or_the_command_ends(sunarc: Sunarc, images: Path, tmp_path: Path) -> None:
+    answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"))
+    assert answer.code == 2
+    assert "--yes" in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ((), "SOURCE"),
+        (("IMAGES",), "--latitude"),
+        (("IMAGES", "--latitude", "36.6"), "--longitude"),
+        (("/nowhere", *SITE), "/nowhere"),
+        (("IMAGES", *SITE, "--image-size", "wide"), "--image-size"),
+        (("IMAGES", *SITE, "--mirrored", "perhaps"), "--mirrored"),
+        (("--cameras", "/nowhere.toml"), "/nowhere.toml"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_named(
+    sunarc: Sunarc, images: Path, tmp_path: Path, arguments: tuple[str, ...], field: str
+) -> None:
+    given = [str(images) if one == "IMAGES" else one for one in arguments]
+    if not arguments:
+        given = list(SITE)
+    answer = sunarc("reanalyse", *given, "-o", str(tmp_path / "out"), "--yes")
+    assert (answer.code, answer.err.splitlines()[-1].startswith(f"sunarc: {field}: ")) == (2, True)

@@ -1,0 +1,46 @@
+"""What a cluster does, in the test's own process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from sunarc.offline.reanalysis.cluster import Done, Workers
+from sunarc.offline.reanalysis.look import Chunk, look_at, still_parts
+
+
+class InProcess:
+    """Chunks are looked at one after the other; counts them, and ends the run after some."""
+
+    dashboard = ""
+
+    def __init__(self, *, most: int | None = None) -> None:
+        self.workers = Workers()
+        self.chunks: list[Chunk] = []
+        self._most = most
+
+    def masks(self, chunks: Sequence[Chunk]) -> list[Any]:
+        return [still_parts(chunk) for chunk in chunks]
+
+    def each(self, run: Callable[[Any], Any], given: Sequence[Any]) -> list[Any]:
+        return [run(one) for one in given]
+
+    def look(self, chunks: Sequence[Chunk], done: Done) -> None:
+        for chunk in chunks:
+            if self._most is not None and len(self.chunks) >= self._most:
+                raise KeyboardInterrupt
+            self.chunks.append(chunk)
+            done(chunk, look_at(chunk))
+
+
+def use(cluster: InProcess, patch: pytest.MonkeyPatch) -> None:
+    """Have runs use a cluster."""
+
+    @contextmanager
+    def opened(*_: object, **__: object) -> Iterator[InProcess]:
+        yield cluster
+
+    patch.setattr("sunarc.offline.reanalysis.run.open_cluster", opened)

@@ -1,0 +1,46 @@
+"""A small made archive, analysed in the test's own process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.offline.reanalysis.in_process import InProcess, use
+
+from sunarc.offline.reanalysis.cameras_file import read_cameras
+from sunarc.offline.reanalysis.index import Indexed, index_archive
+from sunarc.offline.reanalysis.plan import CameraPlan, Selector
+from sunarc.offline.reanalysis.results import Summary
+from sunarc.offline.reanalysis.run import ReanalysisOptions, reanalyse
+from sunarc.runtime.clock import SystemClock
+from sunarc.simulation import SGP
+from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_archive
+
+MADE = MadeArchive(cameras=FOUR_CAMERAS[:2], days=6, per_day=14, cloudy_share=0.15)
+"""Of a bumped camera in a folder, and one in a zip file whose clock is an hour ahead on two days."""
+TABLES = ("sightings.csv", "epochs.json", "failures.csv")
+
+
+def indexed_in(folder: Path, made: MadeArchive = MADE) -> Indexed:
+    """Return the index of the archive in a folder, which is made where it is not there."""
+    path = folder / "cameras.toml"
+    if not path.exists():
+        write_archive(made, folder)
+    return index_archive(read_cameras(path, common=CameraPlan(name="all", site=SGP, selector=Selector(()))))
+
+
+def analysed(
+    indexed: Indexed, target: Path, patch: pytest.MonkeyPatch, *, exports: bool = False, most: int | None = None
+) -> tuple[Summary | None, InProcess]:
+    """Return what a run comes to, and what it had looked at; None where it was ended after some chunks."""
+    cluster = InProcess(most=most)
+    use(cluster, patch)
+    try:
+        summary = reanalyse(indexed, ReanalysisOptions(target=target, exports=exports), clock=SystemClock())
+    except KeyboardInterrupt:
+        return None, cluster
+    return summary, cluster
+
+
+def tables_in(target: Path) -> dict[str, bytes]:
+    return {name: (target / name).read_bytes() for name in TABLES}

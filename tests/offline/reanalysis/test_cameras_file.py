@@ -1,0 +1,79 @@
+"""The file of --cameras: what it has goes before the command line; what it cannot have is refused by name."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from sunarc.errors import InputError
+from sunarc.offline.reanalysis.cameras_file import read_cameras
+from sunarc.offline.reanalysis.plan import CameraPlan, Selector
+from sunarc.offline.sources.times import TimeRules
+from sunarc.simulation import SGP
+
+COMMON = CameraPlan(
+    name="all",
+    site=SGP,
+    selector=Selector(("common.zip",)),
+    rules=TimeRules("%Y", timedelta(hours=1)),
+    image_size=(9, 9),
+)
+
+
+def read(text: str, folder: Path) -> list[CameraPlan]:
+    path = folder / "cameras.toml"
+    path.write_text(text)
+    return read_cameras(path, common=COMMON)
+
+
+def test_what_a_camera_leaves_out_is_that_of_the_command_line(tmp_path: Path) -> None:
+    (plan,) = read("[cameras.roof]\n", tmp_path)
+    assert (plan.name, plan.site, plan.selector, plan.rules) == ("roof", SGP, COMMON.selector, COMMON.rules)
+    assert (plan.image_size, plan.options, plan.method) == ((9, 9), COMMON.options, "auto")
+
+
+def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
+    text = """
+        [cameras.roof]
+        sources = ["a.zip", "s3://bucket/b"]
+        files = "ccd1_*"
+        utc_offset = -5.5
+        time_pattern = "%H"
+        latitude = -10
+        image_size = [640, 480]
+        mirrored = "yes"
+        method = "paper"
+        [cameras.mast]
+        altitude = 5.0
+    """
+    roof, mast = read(text, tmp_path)
+    assert roof.selector == Selector((str(tmp_path / "a.zip"), "s3://bucket/b"), "ccd1_*")
+    assert roof.rules == TimeRules("%H", timedelta(hours=-5.5))
+    assert (roof.site.latitude, roof.site.longitude) == (-10.0, SGP.longitude)
+    assert (roof.image_size, roof.options.mirrored, roof.method) == ((640, 480), "yes", "paper")
+    assert (mast.site.altitude, mast.image_size) == (5.0, (9, 9))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "cameras = 3",
+        "[cameras]\nroof = 3",
+        "[cameras.roof]\nlattitude = 3",
+        "[cameras.roof]\nlatitude = 95",
+        '[cameras.roof]\nlatitude = "north"',
+        '[cameras.roof]\nutc_offset = "MST"',
+        "[cameras.roof]\nimage_size = [640]",
+        '[cameras.roof]\nsources = "a.zip"',
+        "[cameras.roof]\nsources = []",
+        '[cameras.roof]\nmirrored = "maybe"',
+        '[cameras."../roof"]\n',
+        "[cameras.roof",
+    ],
+)
+def test_a_file_that_is_wrong_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        read(text, tmp_path)

@@ -1,0 +1,93 @@
+"""The ledger gives back what it was given, to the last digit, and replaces what is done again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sunarc.detection import Detection
+from sunarc.errors import OutsideError
+from sunarc.findings import Finding
+from sunarc.offline.ingest.packed_mask import pack_mask
+from sunarc.offline.reanalysis.ledger import ImageId, KeptMask, Known, Ledger
+
+ONE, OTHER = ImageId("a.zip", "1.jpg", 0), ImageId("a.zip", "2.jpg", 7)
+SUN = Detection(
+    method="paper",
+    accepted=True,
+    verdict="clear",
+    findings=(Finding("blob_found", {"n": 3, "share": 0.1}),),
+    x_px=1.0 / 3.0,
+    y_px=float(np.float64(2.0) ** 0.5),
+    sigma_px=0.1,
+    saturated_px=12,
+)
+REFUSED = Finding("file_truncated")
+
+
+def ledger_in(folder: Path) -> Ledger:
+    return Ledger(f"sqlite:///{folder / 'ledger.sqlite'}")
+
+
+def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
+    with ledger_in(tmp_path) as ledger:
+        ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k2", REFUSED)], version="1")
+    with ledger_in(tmp_path) as ledger:
+        assert ledger.answers("roof", stage=1) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
+        assert ledger.answers("roof", stage=2) == ledger.answers("mast", stage=1) == {}
+        assert ledger.chunks() == 1
+
+
+def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_path: Path) -> None:
+    with ledger_in(tmp_path) as ledger:
+        ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k1", SUN)], version="1")
+        ledger.store("roof", 2, [(ONE, "k1", SUN)], version="1")
+        ledger.store("roof", 1, [(ONE, "k2", REFUSED)], version="1")
+        assert ledger.answers("roof", stage=1) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
+        assert ledger.answers("roof", stage=2) == {ONE: Known("k1", SUN)}
+
+
+def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
+    found = Detection(
+        method="disc",
+        accepted=False,
+        verdict="hidden",
+        findings=(),
+        x_px=np.float64(1.5),
+        saturated_px=np.int64(3),  # type: ignore[arg-type]
+    )
+    with ledger_in(tmp_path) as ledger:
+        ledger.store("roof", 1, [(ONE, "k", found)], version="1")
+        stored = ledger.answers("roof", stage=1)[ONE].found
+    assert isinstance(stored, Detection)
+    assert (stored.x_px, stored.saturated_px) == (1.5, 3)
+
+
+def test_a_mask_is_kept_for_a_version(tmp_path: Path) -> None:
+    mask = pack_mask(np.eye(20, dtype=np.bool_))
+    with ledger_in(tmp_path) as ledger:
+        assert ledger.mask("roof", version="1") is None
+        ledger.keep_mask("roof", mask, version="1")
+        ledger.keep_mask("mast", None, version="1")
+        assert ledger.mask("roof", version="1") == KeptMask(mask)
+        assert ledger.mask("mast", version="1") == KeptMask(None)
+        assert ledger.mask("roof", version="2") is None
+
+
+def test_a_chunk_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
+    def broken() -> object:
+        yield ONE, "k", SUN
+        raise RuntimeError
+
+    with ledger_in(tmp_path) as ledger:
+        with pytest.raises(RuntimeError):
+            ledger.store("roof", 1, broken(), version="1")  # type: ignore[arg-type]
+        assert ledger.answers("roof", stage=1) == {}
+
+
+def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "ledger.sqlite").write_bytes(b"no database at all, but long enough to be one" * 50)
+    with pytest.raises(OutsideError):
+        ledger_in(tmp_path)

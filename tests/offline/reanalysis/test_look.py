@@ -1,0 +1,89 @@
+"""What a worker answers: one answer an image, whatever the image is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.offline.sources.archives import encoded, folder_of
+
+from sunarc.detection import Detection, Expectation
+from sunarc.findings import Finding
+from sunarc.offline.reanalysis import look
+from sunarc.offline.reanalysis.look import Answer, Chunk, Item, key_of, look_at, still_parts
+from sunarc.simulation.made_archive import photograph
+
+SIZE = 240
+RNG = np.random.default_rng(4)
+SUN_PX = np.array([90.0, 130.0])
+WITH_SUN = encoded(photograph(SIZE, SUN_PX, RNG), ".png")
+FILES = {
+    "clear.png": WITH_SUN,
+    "cloudy.png": encoded(photograph(SIZE, SUN_PX, RNG, hidden=True), ".png"),
+    "empty.jpg": b"",
+    "small.png": encoded(np.zeros((9, 9), dtype=np.uint8), ".png"),
+    "truncated.jpg": encoded(photograph(SIZE, SUN_PX, RNG), ".jpg")[:-200],
+}
+
+
+def answers(folder: Path, *items: Item) -> list[Answer]:
+    given = items or tuple(Item(name, 0, None) for name in sorted(FILES))
+    return look_at(Chunk("roof", str(folder_of(FILES, folder)), "auto", (SIZE, SIZE), given))
+
+
+def test_every_image_has_an_answer_in_the_order_of_the_chunk(tmp_path: Path) -> None:
+    found = {one.file: one.found for one in answers(tmp_path)}
+    assert list(found) == sorted(FILES)
+    codes = {name: one.code for name, one in found.items() if isinstance(one, Finding)}
+    assert codes == {
+        "empty.jpg": "file_not_image", "small.png": "file_size_differs", "truncated.jpg": "file_truncated",
+    }  # fmt: skip
+    clear = found["clear.png"]
+    assert isinstance(clear, Detection)
+    assert clear.accepted
+    assert abs(float(clear.x_px or 0.0) - 90.0) < 1.0
+
+
+def test_a_prediction_elsewhere_refuses_what_is_found(tmp_path: Path) -> None:
+    elsewhere = Expectation(x_px=180.0, y_px=60.0, uncertainty_px=1.0)
+    (answer,) = answers(tmp_path, Item("clear.png", 0, None, elsewhere))
+    assert isinstance(answer.found, Detection)
+    assert not answer.found.accepted
+
+
+def test_where_the_sun_is_outside_the_image_nothing_is_the_sun(tmp_path: Path) -> None:
+    (answer,) = answers(tmp_path, Item("clear.png", 0, None, None, outside=True))
+    assert isinstance(answer.found, Detection)
+    assert (answer.found.verdict, [one.code for one in answer.found.findings]) == ("hidden", ["sun_outside_image"])
+
+
+def test_a_detector_that_fails_costs_its_image_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> Detection:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(look, "detect_in_image", fails)
+    codes = [one.found.code for one in answers(tmp_path) if isinstance(one.found, Finding)]
+    assert codes.count("image_failed") == 2
+    assert len(codes) == len(FILES)
+
+
+def test_what_stands_still_in_a_series_is_masked(tmp_path: Path) -> None:
+    pictures = {}
+    for number in range(12):
+        picture = photograph(SIZE, np.array([40.0 + 14.0 * number, 120.0]), RNG)
+        picture[8:20, 10:90] = 255
+        pictures[f"{number:02d}.png"] = encoded(picture, ".png")
+    items = tuple(Item(name, 0, None) for name in pictures)
+    mask = still_parts(Chunk("roof", str(folder_of(pictures, tmp_path)), "auto", (SIZE, SIZE), items))
+    assert mask is not None
+    unpacked = mask.unpacked()
+    assert unpacked[12, 50]
+    assert 0.0 < float(unpacked[:, 30:200][60:200].mean()) + 0.01 < 0.5
+
+
+def test_a_key_is_the_same_for_the_same_parts_alone() -> None:
+    item = Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))
+    assert key_of(("1", item)) == key_of(("1", Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))))
+    assert key_of(("1", item)) != key_of(("2", item))
+    assert len(key_of(())) == 24

@@ -1,0 +1,64 @@
+"""Units of work, and predictions rounded so that a refined calibration has nothing looked at again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sunarc.detection import Expectation
+from sunarc.offline.reanalysis.epochs import Epoch
+from sunarc.offline.reanalysis.look import Item
+from sunarc.offline.reanalysis.passes import CHUNK, _rounded, chunks_of, epoch_at
+from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Selector
+from sunarc.simulation import SGP
+from sunarc.utc import DAY_S
+
+PLAN = CameraPlan(name="roof", site=SGP, selector=Selector(()))
+
+
+def image(day: int, number: int, address: str = "a.zip") -> ArchiveImage:
+    return ArchiveImage(round(1e6 * (day * DAY_S + 60.0 * number)), f"{day}-{number:03d}.jpg", 0, address, None, "1")
+
+
+def camera(images: list[ArchiveImage]) -> CameraImages:
+    return CameraImages(plan=PLAN, images=tuple(images), example=("", ""), family="", size=(9, 9))
+
+
+def test_a_chunk_is_of_one_source_and_day_and_holds_64_images_at_most() -> None:
+    images = [image(day, number) for day in (3, 1) for number in range(130)] + [image(1, 5, "b.zip")]
+    chunks = chunks_of(camera(images), [(one, Item(one.file, 0, None)) for one in images], None)
+    assert [(chunk.address, len(chunk.items)) for chunk in chunks] == [
+        *[("a.zip", n) for n in (64, 64, 2, 64, 64, 2)], ("b.zip", 1),
+    ]  # fmt: skip
+    assert max(len(chunk.items) for chunk in chunks) == CHUNK
+    assert [item.file for item in chunks[0].items] == [f"1-{n:03d}.jpg" for n in range(64)]
+    assert all(len({item.file.partition("-")[0] for item in chunk.items}) == 1 for chunk in chunks)
+
+
+def test_new_images_of_another_day_leave_the_chunks_of_the_others_as_they_were() -> None:
+    def chunks(images: list[ArchiveImage]) -> set[object]:
+        return set(chunks_of(camera(images), [(one, Item(one.file, 0, None)) for one in images], None))
+
+    before = [image(1, number) for number in range(100)]
+    assert chunks(before) < chunks([*before, *(image(2, number) for number in range(5))])
+
+
+@pytest.mark.parametrize(
+    ("x", "rounded", "sigma", "sigma_rounded"),
+    [(10.1, 10.0, 1.2, 1.0), (10.13, 10.25, 0.1, 0.5), (-0.2, -0.25, 1.3, 1.5)],
+)
+def test_a_prediction_is_rounded_to_a_quarter_of_a_pixel(
+    x: float, rounded: float, sigma: float, sigma_rounded: float
+) -> None:
+    one = _rounded(Expectation(x_px=x, y_px=x, uncertainty_px=sigma, stretch_px_per_rad=((101.0, 1.0), (-2.0, 98.0))))
+    assert one is not None
+    assert (one.x_px, one.y_px, one.uncertainty_px) == (rounded, rounded, sigma_rounded)
+    assert one.stretch_px_per_rad == ((100.0, 0.0), (0.0, 100.0))
+    assert _rounded(None) is None
+
+
+def test_an_image_belongs_to_the_epoch_of_the_last_sighting_before_it() -> None:
+    epochs = [Epoch(n, "start", 0, 0, start, start + 5.0) for n, start in enumerate((100.0, 200.0))]
+    assert [epoch_at(epochs, t) for t in (-math.inf, 99.0, 100.0, 199.0, 200.0, np.inf)] == [0, 0, 0, 0, 1, 1]

@@ -1,0 +1,167 @@
+"""A made archive from images to the report: what is known of it is found, and an interrupted run comes to the same."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
+
+from sunarc.archive import read_sightings
+from sunarc.calibration import from_document
+from sunarc.errors import InputError
+from sunarc.offline.reanalysis.results import Summary, exports_of
+from sunarc.simulation.made_archive import true_times
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("archive")
+
+
+@pytest.fixture(scope="module")
+def target(folder: Path) -> Path:
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def summary(folder: Path, target: Path) -> Summary:
+    with pytest.MonkeyPatch.context() as patch:
+        found, _ = analysed(indexed_in(folder), target, patch)
+    assert found is not None
+    return found
+
+
+def test_the_bump_and_the_hour_are_found(summary: Summary, target: Path) -> None:
+    del summary
+    epochs = json.loads((target / "epochs.json").read_text())
+    found = [(one["camera"], one["epoch"], one["cause"], one["clock_offset_s"]) for one in epochs]
+    assert found == [
+        ("roof", "001", "start", 0.0),
+        ("roof", "002", "moved", 0.0),
+        ("mast", "001", "start", 0.0),
+        ("mast", "002", "clock", 3600.0),
+        ("mast", "003", "clock", 0.0),
+    ]
+    assert set(epochs[0]) >= {"camera", "epoch", "start", "end", "cause", "clock_offset_s", "calibration"}
+    bump = MADE.first_day.timestamp() + 4 * 14 * 86_400 + 18.2 * 3600
+    moved = epochs[1]["start"]
+    assert "2013-04-07T18:1" <= moved <= "2013-04-07T20:0", bump
+
+
+def test_sightings_have_the_time_that_the_suns_truly_have(summary: Summary, target: Path) -> None:
+    del summary
+    lines = (target / "sightings.csv").read_text().splitlines()
+    rows = list(csv.DictReader(lines))
+    assert rows == sorted(rows, key=lambda row: (row["camera"] != "roof", row["time_utc"], row["file"]))
+    true = set(true_times(MADE).tolist())
+    table = read_sightings(lines, name="sightings.csv")  # as `sunarc calibrate` reads it
+    assert set(table.unix_s.tolist()) <= true
+    assert 0.8 * len(true) < len(rows) / 2 < len(true)
+    assert {row["epoch"] for row in rows if row["camera"] == "mast"} == {"001", "002", "003"}
+
+
+def test_every_broken_file_is_listed_with_its_reason(summary: Summary, target: Path) -> None:
+    del summary
+    rows = list(csv.DictReader((target / "failures.csv").read_text().splitlines()))
+    codes = sorted(row["code"] for row in rows if row["file"].startswith("roof/"))
+    assert codes == [
+        "file_at_night", "file_not_image", "file_not_image", "file_not_image", "file_size_differs", "file_truncated",
+    ]  # fmt: skip
+    assert len(rows) == 2 * MADE.broken
+    assert all(row["reason"] for row in rows)
+
+
+def test_each_epoch_has_its_calibration_document(summary: Summary, target: Path) -> None:
+    for one in json.loads((target / "epochs.json").read_text()):
+        document = json.loads((target / one["calibration"]).read_text())
+        assert (document["camera"], document["pose_epoch"]) == (one["camera"], one["epoch"])
+        assert document["valid_from"][:19] == one["start"][:19]
+        assert from_document(document).camera.width == MADE.size
+        assert document["evidence"]["selection"]["horizon_seen"] > 0
+    assert len(summary.documents) == 5
+
+
+def test_the_second_pass_finds_suns_that_the_first_did_not(summary: Summary) -> None:
+    for one in summary.report["cameras"]:
+        assert (
+            one["accepted"] == one["accepted_first_pass"] + one["second_pass"]["found"] - one["second_pass"]["refused"]
+        )
+        assert one["second_pass"]["found"] > 0
+
+
+def test_the_page_needs_no_other_file_and_shows_the_epochs(summary: Summary, target: Path) -> None:
+    del summary
+    page = (target / "report.html").read_text()
+    assert re.findall(r'(?:src|href)="(?!data:)', page) == []
+    assert page.count("<svg") == 4  # a time line and residuals for each camera
+    assert page.count("data:image/jpeg;base64,") == 5
+    assert all(word in page for word in ("roof", "mast", "moved", "clock", "+3600.0"))
+    assert json.loads((target / "report.json").read_text())["failures"]["file_truncated"] == 2
+
+
+def test_an_interrupted_run_goes_on_and_comes_to_the_same(
+    summary: Summary, folder: Path, target: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    other = folder / "interrupted"
+    indexed = indexed_in(folder)
+    looked = []
+    for most in (3, 9, None):  # within the first pass, within the second, to the end
+        found, cluster = analysed(indexed, other, monkeypatch, most=most)
+        assert (found is None) == (most is not None)
+        looked += [(item.file, item.expectation) for chunk in cluster.chunks for item in chunk.items]
+    assert len(looked) == len(set(looked))  # nothing twice
+    assert tables_in(other) == tables_in(target)
+
+
+def test_a_second_run_looks_at_nothing_and_writes_the_same(
+    summary: Summary, folder: Path, target: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    before = tables_in(target)
+    _, cluster = analysed(indexed_in(folder), target, monkeypatch)
+    assert cluster.chunks == []
+    assert tables_in(target) == before
+
+
+def test_new_images_are_looked_at_alone(
+    summary: Summary, folder: Path, target: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    indexed = indexed_in(folder)
+    fewer = replace(indexed.cameras[1], images=indexed.cameras[1].images[:-10])
+    other = folder / "grown"
+    analysed(indexed._replace(cameras=[fewer]), other, monkeypatch)
+    _, cluster = analysed(indexed._replace(cameras=[indexed.cameras[1]]), other, monkeypatch)
+    first = [item for chunk in cluster.chunks for item in chunk.items if item.expectation is None and not item.outside]
+    assert len(first) == 10
+    assert tables_in(target) != tables_in(other)  # of one camera
+
+
+def test_without_any_image_a_run_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = indexed_in(folder)._replace(cameras=[])
+    with pytest.raises(InputError) as refused:
+        analysed(nothing, tmp_path / "out", monkeypatch)
+    assert refused.value.field == "SOURCE"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_is_written_in_all_formats(summary: Summary) -> None:
+    document = next(iter(summary.documents.values()))
+    files, refused = exports_of(document)
+    names = {
+        "map.nc",
+        "calibration.nc",
+        "opencv_fisheye.yml",
+        "calib_results.txt",
+        "sunarc.cameramodel",
+        "calibration.json",
+    }
+    assert names <= set(files)
+    assert refused == {}
+    assert json.loads(files["calibration.json"])["id"] == document["id"]
