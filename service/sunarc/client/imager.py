@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
-import urllib.parse
-import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import date, datetime
 from typing import Any, Literal
 
@@ -16,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection
 from .events import ImagerEvent, parsed
-from .transport import ImagerError, Transport
+from .requests import Requests, _day, _expected_content, _located, _named, _number, _points, _quoted, _time
+from .transport import ImagerError
 
-_NPY = "application/x-npy"
 
-
-class Imager:
+class Imager(Requests):
     """An imager's service. Times are aware datetimes; without one, the answer is for now.
 
     Parameters
@@ -34,20 +29,6 @@ class Imager:
     timeout_s : of one request.
     retries : how often a request is asked again after 429, 503 or no connection, waiting longer each time.
     """
-
-    def __init__(
-        self,
-        address: str,
-        *,
-        camera: str | None = None,
-        calibration: str | None = None,
-        token: str | None = None,
-        timeout_s: float = 30.0,
-        retries: int = 4,
-    ) -> None:
-        self._transport = Transport(address, token=token, timeout_s=timeout_s, retries=retries)
-        self._chosen = calibration
-        self._prefix = "/v1" if camera is None else f"/v1/cameras/{urllib.parse.quote(camera, safe='')}"
 
     def back_project(self, pixels: ArrayLike, *, at: datetime | None = None) -> BackProjection:
         """Return what pixels (..., 2) look at."""
@@ -350,118 +331,3 @@ class Imager:
             uncoded = [{"code": "uncoded", "data": {"text": text}} for text in verdict["reasons"]]  # version 0.2
             pairs = zip(verdict.get("findings", uncoded), verdict["reasons"], strict=True)
             return tuple(Finding(finding["code"], finding["data"], text) for finding, text in pairs)
-
-    def _content(self, path: str, **query: str | None) -> bytes:
-        return self._transport.ask(f"{self._prefix}{path}", query)[0]
-
-    def _json(self, path: str, **query: str | None) -> dict[str, Any]:
-        content = self._content(path, **query)
-        with _expected_content():
-            return dict(json.loads(content))
-
-    def _service_json(self, path: str) -> dict[str, Any]:
-        content, _ = self._transport.ask(path, {})
-        with _expected_content():
-            return dict(json.loads(content))
-
-    def _arrays(self, path: str, **query: str | None) -> dict[str, NDArray[Any]]:
-        content = self._content(path, format="npz", **query)
-        with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-
-    def _pages(self, path: str, name: str, **query: str | None) -> Iterator[dict[str, Any]]:
-        """Yield the rows of all pages."""
-        query, path = {**query, "limit": "1000"}, f"{self._prefix}{path}"
-        while path:
-            content, _ = self._transport.ask(path, query)
-            with _expected_content():
-                page = json.loads(content)
-                yield from page[name]
-                path, _, text = (page["next"] or "").partition("?")
-            query = dict(urllib.parse.parse_qsl(text))
-
-    def _change(self, path: str, *, method: str = "POST", **body: object) -> dict[str, Any]:
-        content = self._transport.change(f"{self._prefix}{path}", json.dumps(body).encode(), method=method)
-        with _expected_content():
-            return dict(json.loads(content))
-
-    def _answers(self, path: str) -> bool:
-        try:
-            self._transport.ask(path, {}, again=False)
-        except ImagerError:
-            return False
-        return True
-
-    def _grid(self, grid: str, size: int, height_m: float | None, half_width_m: float | None) -> dict[str, str | None]:
-        sizes = {"size": str(size), "height": _number(height_m), "half_width": _number(half_width_m)}
-        return {"grid": grid, **sizes, "calibration": self._chosen}
-
-    def _rows(
-        self, path: str, values: ArrayLike, width: int, at: datetime | None, *, draws: int = 0, seed: int = 0
-    ) -> tuple[FloatArray, str, tuple[int, ...]]:
-        array = np.asarray(values, dtype=np.float64)
-        if array.ndim < 1 or array.shape[-1] != width:
-            raise ValueError(f"shape {array.shape}: the last dimension has to be {width}")
-        stream = io.BytesIO()
-        np.save(stream, np.ascontiguousarray(array.reshape(-1, width)), allow_pickle=False)
-        query = {"at": _time(at), "calibration": self._chosen} | (
-            {"draws": str(draws), "seed": str(seed)} if draws else {}
-        )
-        content, headers = self._transport.ask(f"{self._prefix}{path}", query, body=stream.getvalue(), media_type=_NPY)
-        with _expected_content():
-            rows = np.asarray(np.load(io.BytesIO(content), allow_pickle=False), dtype=np.float64)
-            calibration = headers["Sunarc-Calibration"]
-            if calibration is None:
-                raise ValueError("no header Sunarc-Calibration")
-        return rows, calibration, array.shape[:-1]
-
-
-@contextmanager
-def _expected_content() -> Iterator[None]:
-    """Raise ImagerError where content is of another kind than was asked for, as a proxy's page."""
-    try:
-        yield
-    except (ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ImagerError(f"the answer cannot be read: {error}; check the address", status=200) from None
-
-
-def _points(pixels: ArrayLike, height_m: ArrayLike, height_sigma_m: float) -> FloatArray:
-    """Return (..., 3): pixels with the height of the cloud base that they see; (..., 4) where it has a 1-sigma."""
-    pixel = np.asarray(pixels, dtype=np.float64)
-    columns = (height_m, height_sigma_m) if height_sigma_m else (height_m,)
-    broadcast = [np.broadcast_to(np.asarray(one, dtype=np.float64), pixel.shape[:-1])[..., None] for one in columns]
-    return np.concatenate([pixel, *broadcast], axis=-1)
-
-
-def _located(rows: FloatArray, shape: tuple[int, ...]) -> Located:
-    return Located(
-        position_m=rows[:, :3].reshape(*shape, 3),
-        latitude=rows[:, 3].reshape(shape),
-        longitude=rows[:, 4].reshape(shape),
-        altitude=rows[:, 5].reshape(shape),
-        sigma_m=rows[:, 6].reshape(shape),
-        covariance_m2=rows[:, [7, 8, 8, 9]].reshape(*shape, 2, 2),
-    )
-
-
-def _time(at: datetime | None) -> str | None:
-    if at is not None and at.tzinfo is None:
-        raise ValueError(f"{at} has no time zone")
-    return None if at is None else at.isoformat()
-
-
-def _named(time: datetime | str) -> str:
-    """Return the time of an image as its name."""
-    return time if isinstance(time, str) else _time(time) or ""
-
-
-def _quoted(name: str) -> str:
-    return urllib.parse.quote(name, safe="")
-
-
-def _day(day: date | None) -> str | None:
-    return None if day is None else day.isoformat()
-
-
-def _number(value: float | None) -> str | None:
-    return None if value is None else repr(float(value))
