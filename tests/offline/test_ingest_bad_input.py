@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from tests.detection.photo.suns import glare_image
 from tests.fixtures.settings import new_settings
 
 from sunarc.archive import open_archive
+from sunarc.offline.detect_files import detect_in_image
 from sunarc.offline.ingest.run import IngestOptions, ingest_folder
 
 SIZE = (64, 48)
@@ -86,3 +88,15 @@ def test_a_folder_of_bad_images_alone_stores_nothing(tmp_path: Path, name: str) 
     (tmp_path / "images" / name).write_bytes(b"")
     summary = ingest_folder(new_settings(tmp_path), tmp_path / "images", options=IngestOptions())
     assert (summary.accepted, summary.rejected, len(summary.skipped), summary.contact_sheet) == (0, 0, 1, None)
+
+
+def test_what_is_painted_into_the_images_of_a_day_is_no_sun(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    for number in range(12):
+        painted = glare_image(60.0, 100.0, radius=8.0, seed=number)
+        hour, minute = divmod(13 * 60 + 45 * number, 60)
+        cv2.imwrite(str(images / f"20130513T{hour:02d}{minute:02d}00Z.png"), painted)
+    summary = ingest_folder(new_settings(tmp_path), images, options=IngestOptions())
+    assert (summary.accepted, summary.rejected, summary.skipped) == (0, 12, ())
+    assert detect_in_image(glare_image(60.0, 100.0, radius=8.0)).accepted  # but for the mask

@@ -28,7 +28,8 @@ class Facts(NamedTuple):
     radius : range of the plateau's radius over the image's smaller side. level : at which the sun is clipped, of 255.
     near, far, wide : light at 1.7, 2.6 and 5 radii over that level. uneven : range of the width of the light at 1.7
     radii over its fall. slope : of the sky across the image, levels. quality : of the JPEG. mark_px, streaks, text : a
-    black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255.
+    black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255. edge : radii by which the
+    light has fallen to `near`. drawn_out : the longer axis over the shorter, less 1, at most.
     """
 
     radius: tuple[float, float]
@@ -42,6 +43,8 @@ class Facts(NamedTuple):
     mark_px: int = 0
     streaks: int = 0
     text: bool = True
+    edge: float = 1.7
+    drawn_out: float = 0.0
 
 
 KINDS = {
@@ -50,6 +53,9 @@ KINDS = {
     "thin cloud": Facts((0.04, 0.07), uneven=(0.6, 1.6)),
     "HDR, Raspberry Pi": Facts((0.007, 0.018), near=0.86, far=0.73, wide=0.5, uneven=(0.2, 0.6), streaks=1, text=False),
     "clipped at 160": Facts((0.015, 0.03), level=160, uneven=(0.2, 0.6)),
+    "short exposure": Facts(
+        (0.02, 0.045), level=160, near=0.48, far=0.44, wide=0.34, uneven=(0.04, 0.14), edge=1.25, drawn_out=0.4
+    ),
     "poor JPEG": Facts((0.02, 0.04), uneven=(0.2, 0.6), quality=70),
 }
 SUNLESS = ("overcast", "bright cloud", "roofs and text", "lamp at night", "moonlit night", "blank", "contrails")
@@ -68,9 +74,20 @@ def sun_photo(
     x, y = place or (0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle))
     radius = max(size * rng.uniform(*facts.radius), 2.5)
     rows, columns = np.mgrid[:size, :size].astype(np.float64)
-    far = np.hypot(columns - x, rows - y) / radius
+    far = _distance(columns - x, rows - y, facts, rng) / radius
     light = np.interp(
-        far, (0.0, 1.0, 1.7, 2.6, 5.0, 15.0, 60.0), (1.6, 1.0, facts.near, facts.far, facts.wide, 0.36, 0.25)
+        far,
+        (0.0, 1.0, min(facts.edge, 1.699), 1.7, 2.6, 5.0, 15.0, 60.0),
+        (
+            1.6,
+            1.0,
+            facts.near,
+            facts.near,
+            facts.far,
+            facts.wide,
+            min(0.36, 0.85 * facts.wide),
+            min(0.25, 0.7 * facts.wide),
+        ),
     )
     # The unevenness grows from the disc outwards, as cloud and dust beside the sun do.
     amount = rng.uniform(*facts.uneven) * (1.0 - facts.near) / _UNEVEN_OF_UNIT
@@ -88,6 +105,15 @@ def sun_photo(
         row, column = round(y), round(x - 0.3 * radius)
         image[row : row + facts.mark_px, column : column + facts.mark_px] = (40, 150, 235)
     return _compressed(_with_text(image) if facts.text else image, facts.quality), (x, y)
+
+
+def _distance(dx: FloatArray, dy: FloatArray, facts: Facts, rng: np.random.Generator) -> FloatArray:
+    """Return the distance from the sun, drawn out in some direction."""
+    if not facts.drawn_out:
+        return np.asarray(np.hypot(dx, dy))
+    ray, longer = rng.uniform(0.0, math.pi), math.sqrt(1.0 + rng.uniform(0.0, facts.drawn_out))
+    along, across = dx * math.cos(ray) + dy * math.sin(ray), dy * math.cos(ray) - dx * math.sin(ray)
+    return np.asarray(np.hypot(along / longer, across * longer))
 
 
 def sunless_photo(kind: str, rng: np.random.Generator, *, size: int = 320) -> Photo:

@@ -28,7 +28,9 @@ RIM = Rim(
     uneven=0.3,
     circles=3,
 )
-SEEN = Candidate(RIM, sigma_px=0.6, off_glare_px=2.0, off_local_glare_px=2.0, size_px=200.0, other_area=0.0)
+SEEN = Candidate(
+    RIM, sigma_px=0.6, off_glare_px=2.0, off_local_glare_px=2.0, size_px=200.0, other_area=0.0, sky=0.5, lighter=0.05
+)
 
 
 def judged(seen: Candidate, expectation: Expectation | None = None) -> Judged:
@@ -146,3 +148,51 @@ def test_sigma_is_the_root_of_the_sum_of_its_parts() -> None:
 )
 def test_sigma_grows_with_what_makes_a_centre_uncertain(worse: dict[str, Any]) -> None:
     assert sigma_px(RIM._replace(**worse)) > 1.3 * sigma_px(RIM)
+
+
+EDGED = RIM._replace(near=0.48, far=0.44, edged=True)
+IN_AUREOLE = SEEN._replace(rim=EDGED, sky=0.3, lighter=0.05)
+
+
+def test_a_sun_with_an_edge_in_its_aureole_is_the_suns() -> None:
+    assert judged(IN_AUREOLE).verdict == "clear"
+    assert judged(SEEN._replace(rim=EDGED)).finding.code == "blob_edged"  # the sky is as light
+
+
+@pytest.mark.parametrize(("lighter", "expected"), [(0.121, "blob_flat"), (0.119, "blob_found")])
+def test_the_sky_is_lighter_than_the_aureole_hardly_anywhere(lighter: float, expected: str) -> None:
+    assert judged(SEEN._replace(lighter=lighter)).finding.code == expected
+    assert judged(SEEN._replace(lighter=lighter), Expectation(x_px=RIM.x, y_px=RIM.y)).finding.code == "blob_found"
+
+
+@pytest.mark.parametrize(
+    ("field", "bad", "good"), [("sky", 0.39, 0.38), ("sky", 0.149, 0.151), ("lighter", 0.121, 0.119)]
+)
+def test_an_edge_without_an_aureole_is_a_roofs_or_a_lamps(field: str, bad: float, good: float) -> None:
+    for value, expected in ((bad, "blob_edged"), (good, "blob_found")):
+        changed: dict[str, Any] = {**IN_AUREOLE._asdict(), field: value}
+        assert judged(Candidate(**changed)).finding.code == expected
+
+
+@pytest.mark.parametrize(
+    ("field", "bad", "good"), [("far", 0.329, 0.331), ("near", 0.439, 0.441), ("radius", 1.99, 2.01)]
+)
+def test_the_limits_of_a_rim_with_an_edge(field: str, bad: float, good: float) -> None:
+    seen = IN_AUREOLE._replace(sky=0.2, off_glare_px=0.0, sigma_px=0.3, rim=EDGED._replace(scatter=0.1))
+    for value, expected in ((bad, "blob_edged"), (good, "blob_found")):
+        changed: dict[str, Any] = {**seen.rim._asdict(), field: value}
+        assert judged(seen._replace(rim=Rim(**changed))).finding.code == expected
+
+
+def test_where_the_sun_is_predicted_an_edge_needs_no_aureole() -> None:
+    here = Expectation(x_px=RIM.x, y_px=RIM.y)
+    assert judged(SEEN._replace(rim=EDGED), here).verdict == "clear"
+    assert judged(SEEN._replace(rim=EDGED._replace(radius=1.9)), here).finding.code == "blob_edged"
+    assert judged(SEEN._replace(rim=EDGED._replace(edged=False)), here).finding.code == "blob_edged"
+
+
+def test_the_sigma_of_a_rim_with_an_edge_grows_with_what_does_not_follow_it() -> None:
+    whole, covered = EDGED._replace(share=1.0, uneven=0.0), EDGED._replace(share=0.6, uneven=0.0)
+    assert sigma_px(whole) == pytest.approx(math.hypot(0.3, 0.06 * 12.0, 0.35 * 0.6, 0.3 * 0.2, 0.25), rel=1e-6)
+    assert sigma_px(covered) > 0.4 * 0.45 * 12.0
+    assert sigma_px(covered) > 1.5 * sigma_px(covered._replace(edged=False))

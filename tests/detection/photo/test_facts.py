@@ -14,7 +14,8 @@ def test_suns_of_every_kind_are_placed(kind: str, least: int) -> None:
     found = outcome_of(kind, 5, np.random.default_rng(7))
     assert len(found.error_px) >= least
     assert float(np.median(found.error_px)) < (0.015 if kind == "thin cloud" else 0.008) * 480
-    assert 0.02 < found.chi2 < (25.0 if kind == "thin cloud" else 8.0)
+    smallest = 0.0 if kind == "short exposure" else 0.02  # its stand-ins have none of the cloud that its sigma is for
+    assert smallest <= found.chi2 < (25.0 if kind == "thin cloud" else 8.0)
 
 
 @pytest.mark.parametrize("kind", SUNLESS)

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.detection.photo.suns import glare_image, with_text
 from tests.detection.rendering import FloatArray
+from tests.finding_codes import codes
 
 from sunarc.detection import Detection, Expectation, Lens, detect_sun_in_photo, radial_bias_px
 from sunarc.errors import InputError
@@ -160,3 +161,12 @@ def test_with_a_prediction_the_sun_is_chosen_between_two_suns() -> None:
         found = found_in(twins, expectation=Expectation(x_px=x + 2.0, y_px=y - 2.0, uncertainty_px=3.0))
         assert found.accepted
         assert (found.x_px, found.y_px) == pytest.approx((x, y), abs=0.5)
+
+
+def test_of_two_suns_alike_none_is_accepted_and_a_reflection_alone_is_one() -> None:
+    sun, other = glare_image(60.0, 100.0), glare_image(150.0, 60.0)
+    twins = found_in(np.maximum(sun, other))
+    assert (twins.accepted, codes(twins.findings)) == (False, ["blob_not_alone"])
+    reflection = found_in(other, expectation=Expectation(x_px=60.0, y_px=100.0))
+    assert (reflection.accepted, reflection.verdict) == (False, "reflection")
+    assert codes(reflection.findings) == ["blob_displaced"]

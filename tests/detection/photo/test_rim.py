@@ -138,3 +138,48 @@ def test_unevenness_is_the_width_of_the_light_beside_over_its_fall(slope: float,
     across = slope * 1.7 * found.radius * np.cos(np.linspace(0.0, 2.0 * math.pi, 1000))
     width = np.quantile(across, 0.85) - np.quantile(across, 0.15)
     assert found.uneven == pytest.approx(width / (1.0 - found.near), abs=0.08)
+
+
+def edged_image(*, longer: float = 1.0, angle_deg: float = 30.0, covered_deg: float = 0.0) -> NDArray[np.uint8]:
+    """Return a sun that clips at 158 with ringing of 161 at its edge, drawn out, and cloud over a part of its rim."""
+    rows, columns = np.mgrid[:200, :200].astype(np.float64)
+    dx, dy, ray = columns - 100.0, rows - 90.0, math.radians(angle_deg)
+    along, across = dx * math.cos(ray) + dy * math.sin(ray), dy * math.cos(ray) - dx * math.sin(ray)
+    far = np.hypot(along / math.sqrt(longer), across * math.sqrt(longer)) / 25.0
+    image = np.interp(far, (0.0, 1.0, 1.25, 1.7, 2.6, 8.0), (158.0, 158.0, 80.0, 76.0, 70.0, 45.0))
+    image[(far > 0.9) & (far < 0.98)] = 161.0
+    image[(np.abs(np.degrees(np.arctan2(dy, dx))) < covered_deg) & (far > 0.75)] = 40.0
+    return np.asarray(np.round(image), dtype=np.uint8)
+
+
+def edged_rim(image: NDArray[np.uint8]) -> Rim:
+    found = rim_of(image, Plateau(101.0, 89.0, 20.0, 160.0))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.2, 1.5])
+@pytest.mark.parametrize("angle_deg", [0.0, 50.0, 110.0])
+def test_a_sun_with_an_edge_is_placed_however_it_is_drawn_out(longer: float, angle_deg: float) -> None:
+    found = edged_rim(edged_image(longer=longer, angle_deg=angle_deg))
+    assert distance(found) < 0.3
+    assert found.edged
+    assert found.share > 0.9
+    assert found.ellipticity == pytest.approx(1.0 - 1.0 / longer, abs=0.08)
+
+
+def test_the_level_is_that_within_the_plateau_and_not_of_the_ringing_at_its_edge() -> None:
+    found = edged_rim(edged_image())
+    assert found.level == pytest.approx(158.0, abs=0.5)
+    assert found.flat > 0.9
+
+
+@pytest.mark.parametrize("covered_deg", [30.0, 60.0])
+def test_cloud_before_a_part_of_an_edge_is_left_out(covered_deg: float) -> None:
+    found = edged_rim(edged_image(covered_deg=covered_deg))
+    assert distance(found) < 0.08 * 25.0
+    assert found.share < 1.05 - 2.0 * covered_deg / 360.0
+
+
+def test_a_glare_without_an_edge_is_round() -> None:
+    assert not rim(glare_image()).edged

@@ -21,8 +21,9 @@ OFF_GLARE = 0.009
 """Of the smaller side: farther from the middle of the glare there is cloud, not the sun. Real suns were within 0.006 of
 it without cloud and 0.014 with; half of the patches of cloud were beyond 0.02."""
 
-_NEAR_MARGIN = 0.15
-"""By so much the light beside the inscribed circle may be darker than beside the rim."""
+_LEAST_NEAR = 0.3
+"""Light at 1.7 radii of the inscribed circle over the plateau's, below which it is text, a box or a roof: beside suns
+in a short exposure it was 0.37 and more."""
 _MAX_RADIUS_FRACTION = 0.12
 """A plateau wider than this share of the image's smaller side is no sun; thin cloud before it gave 0.09 at most."""
 _GLARE_PX, _GLARE_BLUR_PX = 240, 4.0
@@ -40,6 +41,11 @@ _MIN_SIGMA_RADIUS = 0.015
 _SCATTER, _SPREAD, _OFFSET, _UNEVEN = 0.35, 0.3, 0.25, 0.09
 """Sigma over the scatter (over the share), the spread, the offset, and the radius times the squared unevenness:
 found by maximum likelihood on 117 real suns, then set by hand (docs/studies.md, "Photographs")."""
+_EDGED_RADIUS, _EDGED_SHARE, _EDGED_UNEVEN = 0.06, 0.45, 0.9
+"""Sigma of a rim with an edge over the radius, over that times the share that does not follow, and over that times the
+squared unevenness: cloud before a sun in a short exposure is a gap in the rim (docs/studies.md, "A day of clouds")."""
+_LIT, _LIT_SHARE = 0.06, 0.25
+"""Of the plateau, and of the image: what is darker is the rim of the field; where little is lighter it is night."""
 
 
 class Candidate(NamedTuple):
@@ -48,7 +54,8 @@ class Candidate(NamedTuple):
     rim : its rim. sigma_px : 1-sigma per axis of the rim's centre. off_glare_px, off_local_glare_px : how far that is
     from the middle of the glare, px: the brightest place of the blurred image, and of its surroundings. size_px :
     smaller side of the image. other_area : area beyond 2.6 radii that is as light as 0.9 of the plateau, over the
-    square of the smaller side.
+    square of the smaller side. sky : median light beyond 2.6 radii over the level, 0 at night. lighter : share of
+    it above the lesser of the light at 1.7 and 2.6 radii: small in the sun's aureole.
     """
 
     rim: Rim
@@ -57,6 +64,8 @@ class Candidate(NamedTuple):
     off_local_glare_px: float
     size_px: float
     other_area: float
+    sky: float = 0.0
+    lighter: float = 1.0
 
     @property
     def score(self) -> float:
@@ -86,7 +95,7 @@ def candidates_in(
     plane = plane_of(image, bayer)
     hidden = _enlarged(static, plane)
     size, tones = min(plane.shape), 1.0 if full_scale == _EIGHT_BITS else _LINEAR_TONES
-    beside = (MIN_NEAR - _NEAR_MARGIN) ** (1.0 / tones) if least_near is None else least_near
+    beside = _LEAST_NEAR ** (1.0 / tones) if least_near is None else least_near
     found = plateaus(plane, least_level=least_level * full_scale, least_near=beside, static=hidden)
     rims = [rim_of(plane, each, static=hidden) for each in found if each.radius <= _MAX_RADIUS_FRACTION * size]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
@@ -98,7 +107,7 @@ def candidates_in(
             sigma_px(rim),
             *_off_glare(shown, rim, size),
             size,
-            _other_area(shown, rim, as_light * rim.level),
+            *_surroundings(shown, rim, as_light * rim.level, tones),
         )
         for rim in fitting
     ]
@@ -116,13 +125,15 @@ def plane_of(image: Image, bayer: Bayer | None) -> Image:
 
 def sigma_px(rim: Rim) -> float:
     """Return the 1-sigma per axis of a rim's centre."""
+    is_glare_cut = rim.edged and rim.near >= _LEAST_NEAR  # and not a disc in the dark
     return math.hypot(
         _MIN_SIGMA_PX,
-        _MIN_SIGMA_RADIUS * rim.radius,
+        (_EDGED_RADIUS if is_glare_cut else _MIN_SIGMA_RADIUS) * rim.radius,
         _SCATTER * rim.scatter / rim.share,
         _SPREAD * rim.spread,
         _OFFSET * rim.offset,
-        _UNEVEN * rim.radius * rim.uneven**2,
+        (_EDGED_UNEVEN if is_glare_cut else _UNEVEN) * rim.radius * rim.uneven**2,
+        _EDGED_SHARE * rim.radius * (1.0 - rim.share) * is_glare_cut,
     )
 
 
@@ -155,13 +166,18 @@ def _off_glare(shown: tuple[FloatArray, float], rim: Rim, size: int) -> tuple[fl
     return distances[0], distances[1]
 
 
-def _other_area(shown: tuple[FloatArray, float], rim: Rim, level: float) -> float:
-    """Return the area away from a rim at or above a level, over the square of the plane's smaller side."""
+def _surroundings(shown: tuple[FloatArray, float], rim: Rim, level: float, tones: float) -> tuple[float, float, float]:
+    """Return the `other_area` of a rim at or above a level, and its `sky` and `lighter`."""
     small, step = shown
     x, y = ((value - (step - 1.0) / 2.0) / step for value in (rim.x, rim.y))
     rows, columns = np.ogrid[: small.shape[0], : small.shape[1]]
-    others = (small >= level) & (np.hypot(columns - x, rows - y) > _AWAY * rim.radius / step)
-    return float(np.count_nonzero(others) / min(small.shape) ** 2)
+    others = small[np.hypot(columns - x, rows - y) > _AWAY * rim.radius / step]
+    area = float(np.count_nonzero(others >= level) / min(small.shape) ** 2)
+    lit = others[others > _LIT * rim.level] / rim.level
+    if not lit.size:
+        return area, 0.0, 0.0
+    sky = float(np.median(lit)) ** tones if lit.size > _LIT_SHARE * others.size else 0.0
+    return area, sky, float(np.mean(lit > min(rim.near, rim.far)))
 
 
 def _of_mosaic(seen: Candidate) -> Candidate:
@@ -182,6 +198,8 @@ def _of_mosaic(seen: Candidate) -> Candidate:
         off_local_glare_px=2.0 * seen.off_local_glare_px,
         size_px=2.0 * seen.size_px,
         other_area=seen.other_area,
+        sky=seen.sky,
+        lighter=seen.lighter,
     )
 
 

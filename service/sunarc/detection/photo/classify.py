@@ -22,6 +22,13 @@ _MIN_FAR = 0.5
 _STEEPEST = 0.9
 """Fall of the light to 1.7 radii over that to 2.6, above which it is an edge and no glare: real suns had 0.23 to 0.89,
 a white roof has 1."""
+_AUREOLE, _AUREOLE_LIGHTER, _AUREOLE_FAR, _DAY = 1.15, 0.12, 0.33, 0.15
+"""Light at 2.6 radii over the sky's median, part of the sky above it, that light and that median over the plateau. A
+sun with an edge (short exposure) differs from a roof and from a lamp at night by its aureole: suns had 1.19, 0.33 and
+0.12 and more, 0.09 and less (docs/studies.md, "A day of clouds"), lamps 0.30 and 0.13 and less. With none that part
+was 0.07 and less about 40 suns, 0.15 and more about hills of cloud."""
+_EDGED_LEAST = 0.01
+"""Of the smaller side: what has an edge and a smaller radius is a gap in the cloud, not the middle of the glare."""
 _MIN_FLAT, _MIN_FLAT_PREDICTED = 0.6, 0.2
 """Share of the plateau that is level: nine of ten real suns had 0.82 and more, nine of ten patches of cloud 0.54 and
 less. A small sun in haze, which a prediction names, has 0.25."""
@@ -60,23 +67,46 @@ def best_of(seen: list[Candidate], expectation: Expectation | None) -> Judged:
 def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict, Finding]:
     if expectation is None:
         return (
-            _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px) or _one_of_many(seen) or _clear(seen.rim)
+            _edge(seen, has_aureole=_has_aureole(seen))
+            or _fault(seen)
+            or _unlike_a_sun(seen, _MIN_FLAT, seen.off_glare_px)
+            or _one_of_many(seen)
+            or _clear(seen.rim)
         )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
     if distance > _REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + _REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
-    return _fault(seen) or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px) or _clear(seen.rim)
+    return (
+        _edge(seen, has_aureole=True)
+        or _fault(seen)
+        or _unlike_a_sun(seen, _MIN_FLAT_PREDICTED, seen.off_local_glare_px)
+        or _clear(seen.rim)
+    )
 
 
 def _clear(rim: Rim) -> tuple[Verdict, Finding]:
     return "clear", Finding("blob_found", {"diameter_px": 2.0 * rim.radius, "share": rim.share})
 
 
+def _edge(seen: Candidate, *, has_aureole: bool) -> tuple[Verdict, Finding] | None:
+    """Return why a round region with an edge may be a white roof, a lamp at night, or a gap in the cloud."""
+    rim = seen.rim
+    if rim.near >= MIN_NEAR and rim.far >= _MIN_FAR and 1.0 - rim.near <= _STEEPEST * (1.0 - rim.far):
+        return None
+    if rim.edged and has_aureole and rim.radius >= _EDGED_LEAST * seen.size_px:
+        return None
+    return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
+
+
+def _has_aureole(seen: Candidate) -> bool:
+    far = seen.rim.far
+    is_lightest = far >= max(_AUREOLE * seen.sky, _AUREOLE_FAR) and seen.lighter <= _AUREOLE_LIGHTER
+    return is_lightest and seen.rim.near >= far and seen.sky >= _DAY
+
+
 def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
     """Return why a round region is of no use, wherever it is."""
     rim = seen.rim
-    if rim.near < MIN_NEAR or rim.far < _MIN_FAR or 1.0 - rim.near > _STEEPEST * (1.0 - rim.far):
-        return "hidden", Finding("blob_edged", {"near": rim.near, "far": rim.far})
     if rim.near > _MAX_NEAR or rim.far > _MAX_FAR:
         return "hidden", Finding("blob_flat", {"near": rim.near, "far": rim.far})
     if rim.share < _MIN_SHARE:
@@ -98,10 +128,12 @@ def _unlike_a_sun(seen: Candidate, min_flat: float, off_px: float) -> tuple[Verd
 
 
 def _one_of_many(seen: Candidate) -> tuple[Verdict, Finding] | None:
-    """Return why a round region may be one of a cloud's: too wide for a sun's, or not the only one as light."""
+    """Return why a round region may be one of a cloud's: too wide, not alone, or not in the middle of an aureole."""
     radius = seen.rim.radius / seen.size_px
     if radius > _MAX_RADIUS:
         return "veiled", Finding("blob_wide", {"radius": radius})
     if seen.other_area > max(_OTHER_PLATEAUS * math.pi * radius**2, _OTHER_AREA):
         return "veiled", Finding("blob_not_alone", {"area": seen.other_area})
+    if seen.lighter > _AUREOLE_LIGHTER:
+        return "veiled", Finding("blob_flat", {"near": seen.rim.near, "far": seen.rim.far})
     return None

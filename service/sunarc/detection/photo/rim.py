@@ -19,8 +19,8 @@ from sunarc.robust_statistics import biweights, mad_sigma
 
 RAYS = 180
 _LEVELS = (0.985, 0.97, 0.955)  # of the plateau: beside it, in the steepest part of the glare
-_SHARP_LEVELS = (0.85, 0.7, 0.5)  # of a disc whose light falls to half within a pixel or two
-_SHARP, _SHARP_PX = 2.0, 2.5  # inscribed radii, and px beyond: where such a disc's light is below half
+_SHARP_LEVELS = (0.85, 0.7, 0.5)  # of the fall from a plateau with an edge to the light beside it
+_SHARP, _SHARP_PX, _SHARP_LIGHT = 2.0, 2.5, 0.52  # radii, px beyond, and the light there below which it has an edge
 _START, _REACH, _REACH_PX = 0.5, 3.0, 10.0
 _STEPS = 60  # along an inscribed radius; never finer than half a pixel
 _LASTING, _LASTING_STEPS = 0.08, 3  # of the radius, and samples at least, for which a fall must last
@@ -28,11 +28,13 @@ _BLUR, _LEAST_BLUR_PX, _BLUR_PX = 0.1, 0.4, 1.0  # of the radius, within these p
 _MOST_ROUNDS = 20
 _CUT_OUTSIDE, _CUT_INSIDE = 2.5, 4.0  # scales
 _LEAST_SCALE_PX, _LEAST_SCALE = 0.3, 0.01  # px, and of the radius
-_FIRST_SCALE = 0.06  # of the radius: of the first circle, through three points
+_FIRST_SCALE, _WHOLE_SCALE = 0.06, 0.15  # of the radius: of the circle through three points, and through the whole rim
+_DRAWN_OUT, _ROUND = 0.1, 1e-4  # of the radius, 1-sigma: by so much a lens draws out a rim; glare has none
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.25
 _FOLLOWED, _FOLLOWED_SCALES = 0.06, 3.0  # of the radius, and scales, within which the rim follows the circle
 _AT = (1.7, 2.6)  # radii at which the light around is taken
 
+_CLIPPED = 0.6  # share of a plateau that is level where it is clipped
 _WITHIN, _FLAT, _FLAT_COUNTS = 0.75, 0.006, 1.5  # radii; of the level, and counts at least: JPEG's noise
 _LEAST_FALL = 0.01  # of the level: less is JPEG's noise
 
@@ -61,7 +63,8 @@ class Rim(NamedTuple):
     inscribed circle, px. ellipticity : 1 - minor/major axis. level : of the plateau, counts. flat : share of the light
     within the rim that is level to within JPEG's noise: 1 where the sun is clipped. near, far : light at 1.7 and 2.6
     radii over the level, medians over the rays. uneven : width of the middle 70 % of the light at 1.7 radii over its
-    fall from the plateau. circles : how many levels have one.
+    fall from the plateau. circles : how many levels have one. edged : whether the light falls to half within twice
+    the radius: in a short exposure, or no sun.
     """
 
     x: float
@@ -78,6 +81,7 @@ class Rim(NamedTuple):
     far: float
     uneven: float
     circles: int
+    edged: bool = False
 
 
 class _Rays(NamedTuple):
@@ -99,15 +103,21 @@ def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -
     x, y, radius = plateau.x, plateau.y, plateau.radius
     for _ in range(2):
         rays = _rays(plane, plateau._replace(x=x, y=y, radius=radius), static)
-        crossings = [_crossings(rays, level, radius) for level in _levels_for(rays, radius)]
-        circles = [c for r in crossings if (c := _circle(r, x, y)) is not None and c.share >= _LEAST_SHARE]
+        beside = _light_at(rays, max(_SHARP * radius, radius + _SHARP_PX))
+        edged = beside < _SHARP_LIGHT
+        if edged:
+            settled = _middle_level(rays, radius, plateau.level)
+            plateau, rays = plateau._replace(level=settled * plateau.level), rays._replace(light=rays.light / settled)
+        levels = [beside + (1.0 - beside) * share for share in _SHARP_LEVELS] if edged else _LEVELS
+        crossings = [_crossings(rays, level, radius) for level in levels]
+        circles = [c for r in crossings if (c := _circle(r, x, y, edged)) is not None and c.share >= _LEAST_SHARE]
         if not circles:
             return None
         x, y, fitted = (float(np.median([c[k] for c in circles])) for k in range(3))
         if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
             return None
         radius = min(fitted, 2.0 * plateau.radius)
-    return _summary(plateau, rays, crossings[0], circles, (x, y, fitted))
+    return _summary(plateau, rays, crossings[0], circles, (x, y, fitted))._replace(edged=edged)
 
 
 def _summary(
@@ -154,11 +164,6 @@ def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
     return _Rays(np.where(inside, np.asarray(light, dtype=np.float64), np.nan), radii)
 
 
-def _levels_for(rays: _Rays, radius: float) -> tuple[float, ...]:
-    beyond = _light_at(rays, max(_SHARP * radius, radius + _SHARP_PX))
-    return _SHARP_LEVELS if beyond < 0.5 else _LEVELS
-
-
 def _ring(rays: _Rays, radius: float) -> FloatArray:
     """Return the light at a radius on the rays on which it is known."""
     column = rays.light[:, min(int(np.searchsorted(rays.radii, radius)), rays.radii.size - 1)]
@@ -178,6 +183,17 @@ def _unevenness(rays: _Rays, radius: float) -> float:
         return 1.0
     low, middle, high = np.quantile(ring, (0.15, 0.5, 0.85))
     return float((high - low) / max(1.0 - middle, _LEAST_FALL))
+
+
+def _middle_level(rays: _Rays, radius: float, level: float) -> float:
+    """Return a clipped plateau's level over the one it was found by, which may be ringing; 1 where not clipped."""
+    within = rays.light[:, rays.radii <= _WITHIN * radius]
+    known = within[np.isfinite(within)]
+    if not known.size:
+        return 1.0
+    middle = float(np.median(known))
+    is_clipped = np.mean(np.abs(known - middle) <= max(_FLAT, _FLAT_COUNTS / level)) >= _CLIPPED
+    return middle if is_clipped else 1.0
 
 
 def _flatness(rays: _Rays, radius: float, level: float) -> float:
@@ -201,20 +217,31 @@ def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     return np.where(known, rays.radii[after - 1] + np.clip(share, 0.0, 1.0) * step, np.nan)
 
 
-def _circle(crossings: FloatArray, x: float, y: float) -> Circle | None:
-    """Fit a circle to the rim of rays about (x, y) by Gauss-Newton steps with one-sided weights."""
+def _circle(crossings: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
+    """Fit a circle to the rim of rays about (x, y); one that is drawn out to a rim with an edge."""
     known = np.isfinite(crossings)
     if np.count_nonzero(known) < _LEAST_POINTS:
         return None
     points = np.column_stack([x + (crossings * _COSINE)[known], y + (crossings * _SINE)[known]])
-    state, scale = _consensus(points)
+    start, scale = _consensus(points)
+    if not edged:
+        return _fitted(points, start, scale, _ROUND)
+    middle = np.median(points, axis=0)
+    whole = np.array([*middle, np.median(np.hypot(*(points - middle).T))])
+    starts = ((start, scale), (whole, _WHOLE_SCALE * float(whole[2])))
+    fitted = [one for first, width in starts if (one := _fitted(points, first, width, _DRAWN_OUT)) is not None]
+    return max(fitted, key=lambda one: one.share, default=None)
+
+
+def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
+    """Fit a circle whose radius varies with twice the angle, from a circle, by Gauss-Newton with one-sided weights."""
+    state = np.array([*start, 0.0, 0.0])
     for _ in range(_MOST_ROUNDS):
-        offset = points - state[:2]
-        length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
-        residual = length - state[2]
+        residual, design = _linearised(points, state)
         weight = _weights(residual, scale)
-        design = np.column_stack([offset / length[:, None], np.ones(len(points))])
-        step = np.linalg.solve(design.T @ (design * weight[:, None]) + 1e-6 * np.eye(3), design.T @ (weight * residual))
+        held = np.array([1e-6, 1e-6, 1e-6, *2 * [(scale / (drawn_out * state[2])) ** 2]])
+        normal = design.T @ (design * weight[:, None]) + np.diag(held)
+        step = np.linalg.solve(normal, design.T @ (weight * residual) - held * np.array([0.0, 0.0, 0.0, *state[3:]]))
         state += np.clip(step, -0.5 * state[2], 0.5 * state[2])
         inlier = weight > 0.0
         if np.count_nonzero(inlier) < _LEAST_POINTS // 2 or state[2] < 1.0:
@@ -223,8 +250,18 @@ def _circle(crossings: FloatArray, x: float, y: float) -> Circle | None:
         if float(np.abs(step).max()) < 1e-3:
             break
     followed = np.abs(residual) < max(_FOLLOWED_SCALES * scale, _FOLLOWED * state[2])
-    x, y, radius = (float(value) for value in state)
+    x, y, radius = (float(value) for value in state[:3])
     return Circle(x, y, radius, scale, float(np.count_nonzero(followed)) / RAYS)
+
+
+def _linearised(points: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the distances of points from the rim that a state describes, outwards positive, and their derivatives."""
+    offset = points - state[:2]
+    length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
+    along = offset / length[:, None]
+    twice = np.column_stack([along[:, 0] ** 2 - along[:, 1] ** 2, 2.0 * along[:, 0] * along[:, 1]])
+    residual = length - state[2] - twice @ state[3:]
+    return residual, np.column_stack([along, np.ones(len(points)), twice])
 
 
 def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
