@@ -10,7 +10,21 @@ from pathlib import Path
 
 import pytest
 
-from sunarc.archive import Archive, Day, DayAir, Event, Refit, SunPoint, check, downgrade, open_archive, upgrade
+from sunarc.archive import (
+    Archive,
+    Day,
+    DayAir,
+    Event,
+    FeedBatch,
+    FeedRow,
+    Refit,
+    Refusal,
+    SunPoint,
+    check,
+    downgrade,
+    open_archive,
+    upgrade,
+)
 from sunarc.archive.tables import metadata
 from sunarc.findings import Finding, uncoded
 
@@ -39,8 +53,19 @@ def filled(archive: Archive, path: Path) -> Path:
     archive.save_day(Day(camera="roof", date=NOON.date(), verdict="clear", findings=(), n=100, n_possible=100,
                          n_cycles=100, decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3)))  # fmt: skip
     archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
+    _feed(archive)
     archive.close()
     return path
+
+
+def _feed(archive: Archive) -> None:
+    """Queue what there is for a hub, and take, as a hub, what another one sends."""
+    archive.enable_outbox()
+    archive.add_feed_token("roof", "digest", now=NOON, former_until=NOON)
+    status = FeedRow(seq=1, kind="status", data={"time": NOON.isoformat()})
+    archive.take_feed(FeedBatch(camera="roof", installation="other", after=0, rows=(status,)), now=NOON)
+    forged = Refusal(reason="forged_token", text="unknown")
+    archive.refuse_feed(camera="roof", installation="third", refusal=forged, now=NOON)
 
 
 def everything(path: Path) -> dict[str, Rows]:
@@ -50,7 +75,7 @@ def everything(path: Path) -> dict[str, Rows]:
         return {
             name: [dict(row) for row in connection.execute(f'SELECT * FROM "{name}" ORDER BY 1')]  # noqa: S608 - its own names
             for (name,) in names
-            if name != "alembic_version"
+            if name not in {"alembic_version", "sqlite_sequence"}
         }
 
 
