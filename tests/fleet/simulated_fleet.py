@@ -144,6 +144,11 @@ class HubProcess:
         self._process.send_signal(signal.SIGKILL)
         self._process.wait(10.0)
 
+    def start_again_if_ended(self) -> None:
+        """Start a hub that ended, as its unit does: one that starts while PostgreSQL is away gives up."""
+        if self._process.poll() is not None:
+            self.start()
+
     def stop(self) -> int:
         self._process.terminate()
         return self._process.wait(20.0)
@@ -214,6 +219,7 @@ class Fleet:
         """Return how long it took until every imager's outbox was empty."""
         begun_s = perf_counter()
         while not all(imager.caught_up() for imager in self.imagers):
+            self.hub.start_again_if_ended()
             if perf_counter() - begun_s > within_s:
                 waiting = {imager.name: imager.archive.outbox_waiting() for imager in self.imagers}
                 raise TimeoutError(f"not caught up within {within_s:g} s: {waiting}")
