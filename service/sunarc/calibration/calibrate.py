@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
-from sunarc.calibration.fit.robust_fit import fit_robustly
+from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
 from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
 from sunarc.calibration.least_squares.problem import Observations, observations
@@ -25,7 +25,9 @@ _AMBIGUOUS = 3.0
 """Half squares by which one hand must be the more plausible one."""
 
 
-class _Start(NamedTuple):
+class Start(NamedTuple):
+    """First cameras, one an epoch, and what trying both hands said."""
+
     cameras: list[Camera]
     handedness: Handedness
 
@@ -70,7 +72,7 @@ def calibrate(
     if problems:
         return refused(job, problems)
     observed = observations(usable)
-    picked = _choose_hand(observed, job, start)
+    picked = most_plausible_start(observed, job)
     if picked is None:
         return refused(job, (Finding("no_camera_fits"),))
     return calibration_from_fit(_fitted(job, observed, picked.cameras), job, picked.handedness)
@@ -81,24 +83,25 @@ def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted:
     options = job.options
     if options.method == "paper":
         return fit_as_paper(observed, job.usable, cameras, options=options)
-    problem = single_problem(observed, cameras[0], options, job.circle, n_epochs=len(cameras))
-    fit = fit_robustly(problem, observed, job.usable, problem.unknowns(cameras), options=options)
+    fit = robust_fit(observed, job, cameras)
     return robust_outcome(fit, job.usable, options)
 
 
-def _choose_hand(
-    observed: Observations,
-    job: Job,
-    start: Camera | None,
-) -> _Start | None:
-    """Return the start for the handedness that is set, or for the more plausible of both."""
+def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:
+    """Return the robust fit of a job from first cameras, one an epoch."""
+    problem = single_problem(observed, cameras[0], job.options, job.circle, n_epochs=len(cameras))
+    return fit_robustly(problem, observed, job.usable, problem.unknowns(cameras), options=job.options)
+
+
+def most_plausible_start(observed: Observations, job: Job) -> Start | None:
+    """Return the start for the handedness that is set, or for the more plausible of both; None where none is found."""
     options = job.options
     both: tuple[Mirrored, Mirrored] = ("no", "yes")
     hands: tuple[Mirrored, ...] = both if options.mirrored == "auto" else (options.mirrored,)
     found = []
     for hand in hands:
         hand_options = replace(options, mirrored=hand)
-        from_start = None if start is None or start.mirrored != (hand == "yes") else start
+        from_start = None if job.start is None or job.start.mirrored != (hand == "yes") else job.start
         cameras, cost = first_cameras(
             observed, image_size=job.image_size, options=hand_options, circle=job.circle, start=from_start
         )
@@ -108,4 +111,4 @@ def _choose_hand(
     if not math.isfinite(cost):
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return _Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))
+    return Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))

@@ -1,4 +1,4 @@
-"""Which of the five projections a lens has, where nobody says: by the evidence of the sightings.
+"""Which of the five projections a lens has, where none is named: by the evidence of the sightings.
 
 Every projection is fitted, and the fits are compared by their log evidence: over lens and pose (Laplace's
 approximation), over the scales of the residual distortion, and over those of the field. All are looked at with the
@@ -13,28 +13,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.calibration.calibrate import most_plausible_start, robust_fit
+from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.hyperparameter_grid import log_evidence, log_weights
+from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE
 from sunarc.calibration.fit.normal_equations import linear_system
-from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
-from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
+from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.calibration.least_squares.problem import Observations, observations
 from sunarc.calibration.least_squares.time_bins import time_bins
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.quality.fit_checks import before_fit
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss
+from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.findings import Finding
 from sunarc.optics import PROJECTIONS, Projection
 from sunarc.sky import Site
 
 _IMPOSSIBLE = -1e4
 """Log evidence below which the odds are not given any more."""
-_PROOF = math.log(20.0)
-"""Log odds of the best projection to the next, from which on the sightings decide: the usual "strong" evidence."""
 _FEWEST = 60
 """Usable sightings that a choice needs: of 35, a third of them drawn aside by cloud, a wrong lens was made by far the
 most probable one."""
@@ -55,7 +54,7 @@ class ProjectionChoice(NamedTuple):
         """How far the sightings decide: `projection_chosen` or `projection_ambiguous`, with the next best one."""
         others = {name: value for name, value in self.log_evidence.items() if name != self.projection}
         name = max(others, key=lambda one: others[one])
-        decided = self.n >= _FEWEST and others[name] < -_PROOF
+        decided = self.n >= _FEWEST and others[name] < -STRONG_EVIDENCE
         return Finding(
             "projection_chosen" if decided else "projection_ambiguous",
             {
@@ -112,36 +111,17 @@ def choose_projection(
     """
     usable = filter_sightings(points, site=site)
     observed, fits = observations(usable), {}
+    job = Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)
     if not before_fit(usable):
         for projection in PROJECTIONS:
-            fit = _fitted(observed, usable, image_size, replace(options, projection=projection), circle)
-            if fit is not None:
-                fits[projection] = fit
+            one = job._replace(options=replace(options, projection=projection))
+            start = most_plausible_start(observed, one)
+            if start is not None:
+                fits[projection] = robust_fit(observed, one, start.cameras)
     evidence = _log_evidences(fits, observed, usable) if fits else {options.projection: 0.0}
     best = max(evidence, key=lambda name: evidence[name])
     relative = {name: evidence.get(name, -math.inf) - evidence[best] for name in PROJECTIONS}
     return ProjectionChoice(best, relative, len(usable))
-
-
-def _fitted(
-    observed: Observations,
-    usable: FilteredSightings,
-    image_size: tuple[int, int],
-    options: CalibrationOptions,
-    circle: ImageCircle | None,
-) -> RobustFit | None:
-    """Return the robust fit of one projection, by the more plausible hand; None where no camera is found."""
-    both: tuple[Mirrored, Mirrored] = ("no", "yes")
-    found = []
-    for hand in both if options.mirrored == "auto" else (options.mirrored,):
-        handed = replace(options, mirrored=hand)
-        cameras, cost = first_cameras(observed, image_size=image_size, options=handed, circle=circle, start=None)
-        found.append((cost, cameras))
-    cost, cameras = min(found, key=lambda one: one[0])
-    if not math.isfinite(cost):
-        return None
-    problem = single_problem(observed, cameras[0], options, circle, n_epochs=len(cameras))
-    return fit_robustly(problem, observed, usable, problem.unknowns(cameras), options=options)
 
 
 def _log_evidences(
@@ -152,12 +132,10 @@ def _log_evidences(
     sigma = min(robust_sigma(distance, floor=SMALLEST_SIGMA_PX) for distance in distances.values())
     costs = {name: float(np.sum(tukey_loss(distance, sigma=sigma))) for name, distance in distances.items()}
     reference = fits[min(costs, key=lambda name: costs[name])]
-    information: FloatArray = observed.information * reference.weight * INFORMATION_PER_WEIGHT
-    information = information / (reference.sigma_px**2 * reference.inflation)
     bins = time_bins(usable)
     systems = {
         name: linear_system(
-            fit.problem, observed, bins, fit.unknowns, information=information, basis=reference.grid.basis
+            fit.problem, observed, bins, fit.unknowns, information=reference.information, basis=reference.grid.basis
         )
         for name, fit in fits.items()
     }

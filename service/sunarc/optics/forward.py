@@ -58,18 +58,18 @@ def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
     """Return what `project` returns for directions (n, 3)."""
     rotation = rotation_matrix(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    return np.asarray(pixels_of(*_lens(camera), rotation, directions))
+    return np.asarray(pixels_of(*kernel_lens(camera), rotation, directions))
 
 
 def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return pixels (n, 2) and derivatives by the parameters (n, 2, 23) of directions (n, 3); rows are 0 beyond."""
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    pixels, rows = pixels_and_rows_of(*_lens(camera), rotation, jacobian, directions)
+    pixels, rows = pixels_and_rows_of(*kernel_lens(camera), rotation, jacobian, directions)
     return pixels, rows
 
 
-def _lens(camera: Camera) -> tuple[FloatArray, int, float, float]:
+def kernel_lens(camera: Camera) -> tuple[FloatArray, int, float, float]:
     """Return parameters, projection, mirror and largest angle as the kernels take them."""
     limit = min(camera.max_angle, math.nextafter(angle_limit(camera.projection), 0.0))
     return camera.to_vector(), PROJECTION_CODES[camera.projection], mirror_of(camera), limit
@@ -116,3 +116,16 @@ def decentering_shift(
         profile * (first * (1.0 + 2.0 * u * u) + 2.0 * second * u * v),
         profile * (2.0 * first * u * v + second * (1.0 + 2.0 * v * v)),
     )
+
+
+def decentering_slopes(coefficients: ArrayLike, radius: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return (..., 2, k): derivatives of `decentering_shift` by its k coefficients; arguments as there."""
+    first, second, *higher = (float(c) for c in np.asarray(coefficients))
+    square = radius**2
+    profile = square * np.polynomial.polynomial.polyval(square, np.array([1.0, *higher]))
+    by_first = np.stack([1.0 + 2.0 * u * u, 2.0 * u * v], axis=-1)
+    by_second = np.stack([2.0 * u * v, 1.0 + 2.0 * v * v], axis=-1)
+    bracket = first * by_first + second * by_second
+    slopes = [profile[..., None] * by_first, profile[..., None] * by_second]
+    slopes += [(square**power)[..., None] * bracket for power in range(2, 2 + len(higher))]
+    return np.stack(slopes, axis=-1)

@@ -53,6 +53,7 @@ def _fit(
         weight=np.ones(n),
         sigma_px=stated_px,
         inflation=np.ones(n),
+        information=information,
     )
     usable = FilteredSightings(
         index=np.arange(n),

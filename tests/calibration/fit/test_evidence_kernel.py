@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import random_covariance
 
-from sunarc.calibration.fit.evidence_kernel import evidence_terms, factored
+from sunarc.calibration.fit.evidence_kernel import evidence_terms
+from sunarc.calibration.least_squares.cholesky import factored
 
 FloatArray = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.cholesky import factored, halved
 from sunarc.jit import njit
 
 
@@ -47,7 +48,7 @@ def evidence_terms(  # noqa: PLR0917 - compiled functions take positions
             scale[i] = 1.0 / math.sqrt(matrix[others[i], others[i]] + precision)
             vector[i] = scale[i] * (vectors[n, others[i]] - precision * at[others[i]])
         _write_scaled(matrix, others, scale, first, ridge, room)
-        alone = -factored(room, o, p) + _halved(room, vector, o)
+        alone = -factored(room, o, p) + halved(room, vector, o)
         for i in range(o):
             alone += 2.0 * math.log(scale[i])
         _eliminate(matrix, vectors[n], first, room, vector, small, pull)
@@ -115,43 +116,7 @@ def _terms_of_few(  # noqa: PLR0917 - compiled functions take positions
         for j in range(i + 1):
             tried[i, j] = scale[i] * scale[j] * small[i, j]
         tried[i, i] += scale[i] * scale[i] * precision[i] + ridge
-    result = -factored(tried, q, q) + _halved(tried, vector, q)
+    result = -factored(tried, q, q) + halved(tried, vector, q)
     for i in range(q):
         result += 2.0 * math.log(scale[i])
     return float(result)
-
-
-@njit(nogil=True)
-def _halved(factor: FloatArray, vector: FloatArray, size: int) -> float:
-    """Replace a vector (size,) by L⁻¹ v, and return the square of that: v' M⁻¹ v."""
-    square = 0.0
-    for i in range(size):
-        total = vector[i]
-        for k in range(i):
-            total -= factor[i, k] * vector[k]
-        vector[i] = total / factor[i, i]
-        square += vector[i] * vector[i]
-    return square
-
-
-@njit(nogil=True)
-def factored(matrix: FloatArray, size: int, rows: int) -> float:
-    """Factor the lower half of a matrix in place (Cholesky), further rows with it; return its log determinant.
-
-    NaN where the matrix is not positive.
-    """
-    determinant = 0.0
-    for j in range(size):
-        total = matrix[j, j]
-        for k in range(j):
-            total -= matrix[j, k] * matrix[j, k]
-        if not total > 0.0:
-            return math.nan
-        matrix[j, j] = math.sqrt(total)
-        determinant += math.log(total)
-        for i in range(j + 1, rows):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = total / matrix[j, j]
-    return float(determinant)

@@ -8,6 +8,7 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +25,8 @@ _POSE_PRECISION = 1e-8
 _RIDGE = 1e-13
 _ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
+STRONG_EVIDENCE = math.log(20.0)
+"""Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
 _VARIED = slice(RADIAL.start, DECENTERING.stop)
 """Places of the unknowns whose prior precisions are sought: the radial distortion and, right after it, p1 and p2."""
 

@@ -10,7 +10,6 @@ no smooth error explains.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,13 +28,13 @@ from sunarc.calibration.fit.hyperparameter_grid import (
 )
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, prior_precision
+from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, Scales, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.solve import information
+from sunarc.calibration.least_squares.solve import information as information_of
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
@@ -46,8 +45,6 @@ _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
 _LOOSE_RADIAL_PX = 16.0
 _LOOSE_DECENTERING_PX = 3.0
-_PROOF = math.log(20.0)
-"""By how much more probable other air, or a field, must make the sightings: as 20 to 1, the usual "strong" evidence."""
 _ENOUGH = 20
 """Sightings of one kind, at least, for a scale of their own."""
 _FIELD_MAY_COST = 1.1
@@ -72,6 +69,7 @@ class RobustFit:
     weight : (n,) how much each sighting counted, 0 to 1.
     sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
     inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
+    information : (n,) what each sighting tells of either axis, all of these together, px⁻².
     """
 
     problem: Problem
@@ -84,6 +82,7 @@ class RobustFit:
     weight: FloatArray
     sigma_px: float
     inflation: FloatArray
+    information: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,10 +154,11 @@ def fit_robustly(
     problem = replace(problem, n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_air)])
     state, noise, grid = _with_field(problem, observed, plain, grid, course)
-    state = _in_assumed_air(problem, observed.weighted(noise.information(observed)), bins, state, grid)
+    information = noise.information(observed)
+    state = _in_assumed_air(problem, observed.weighted(information), bins, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(problem, weighed, bins, state, sigma=noise.sigma_px)
-    system = linear_system(problem, observed, bins, unknowns, information=noise.information(observed), basis=grid.basis)
+    system = linear_system(problem, observed, bins, unknowns, information=information, basis=grid.basis)
     gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
     return RobustFit(
         problem=problem,
@@ -171,6 +171,7 @@ def fit_robustly(
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
+        information=information,
     )
 
 
@@ -249,7 +250,7 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
         unknowns=unknowns,
         residuals=problem.residuals(unknowns, observed) - smooth,
         scales=scales,
-        proven_field_px=scales.amplitude_px if log_odds_of_a_field(log_weight) > _PROOF else 0.0,
+        proven_field_px=scales.amplitude_px if log_odds_of_a_field(log_weight) > STRONG_EVIDENCE else 0.0,
     )
 
 
@@ -265,7 +266,7 @@ def _in_assumed_air(
         for each in (problem, assumed)
     )
     other, usual = (log_weights(each.normal(), grid) for each in (system, in_assumed_air))
-    if log_evidence(other) - log_evidence(usual) > _PROOF:
+    if log_evidence(other) - log_evidence(usual) > STRONG_EVIDENCE:
         return state
     scales = likely_scales(normalised(usual), grid)
     unknowns, _ = irls_converged(assumed, in_assumed_air, scales)
@@ -278,7 +279,7 @@ def _without_field(problem: Problem, observed: Observations, start: FloatArray, 
     at = best_start(problem, observed, start, precision=precision)
     residuals = problem.residuals(at, observed)
     sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
-    means = bins.observations(observed, problem, at, information=information(residuals, observed, sigma))
+    means = bins.observations(observed, problem, at, information=information_of(residuals, observed, sigma))
     deepest = best_of_starts(problem, means, at, precision=precision)
     return lowest(problem, observed, [at, deepest], precision=precision)
 

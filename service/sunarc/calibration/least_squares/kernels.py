@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.cholesky import factored, halved
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import CUT, UNSEEN_PX
 from sunarc.jit import njit
@@ -240,7 +241,7 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
         for j in range(i + 1):
             room[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
         room[i, i] += damping + RIDGE
-    if not _cholesky_solved(room, step):
+    if not _solved(room, step):
         step[:] = 0.0
         return
     for i in range(f):
@@ -248,25 +249,12 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _cholesky_solved(matrix: FloatArray, vector: FloatArray) -> bool:
+def _solved(matrix: FloatArray, vector: FloatArray) -> bool:
     """Replace a vector (f,) by the solution; return False where a matrix (f, f; lower half) is not positive."""
     f = vector.size
-    for j in range(f):
-        for i in range(j, f):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i > j:
-                matrix[i, j] = total / matrix[j, j]
-            elif total > 0.0:
-                matrix[j, j] = math.sqrt(total)
-            else:
-                return False
-    for i in range(f):
-        total = vector[i]
-        for k in range(i):
-            total -= matrix[i, k] * vector[k]
-        vector[i] = total / matrix[i, i]
+    if math.isnan(factored(matrix, f, f)):
+        return False
+    halved(matrix, vector, f)
     for i in range(f - 1, -1, -1):
         total = vector[i]
         for k in range(i + 1, f):

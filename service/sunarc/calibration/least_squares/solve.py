@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +10,7 @@ from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.least_squares.kernels import Goal, Lens, Seen, minimised
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import tukey_weights
-from sunarc.optics import angle_limit
-from sunarc.optics.forward import mirror_of
-from sunarc.optics.kernels import PROJECTION_CODES
+from sunarc.optics.forward import kernel_lens
 
 
 class Solution(NamedTuple):
@@ -63,10 +60,9 @@ def information(residual: FloatArray, observed: Observations, sigma: float | Non
 
 def as_lens(problem: Problem) -> Lens:
     """Return a problem's lens as the compiled loop takes it."""
-    template = problem.template
-    limit = min(template.max_angle, math.nextafter(angle_limit(template.projection), 0.0))
     mean, basis = np.ascontiguousarray(problem.prior.mean), np.ascontiguousarray(problem.prior.basis)
-    return Lens(mean, basis, PROJECTION_CODES[template.projection], mirror_of(template), limit)
+    _, code, mirror, max_angle = kernel_lens(problem.template)
+    return Lens(mean, basis, code, mirror, max_angle)
 
 
 def as_seen(observed: Observations) -> Seen:

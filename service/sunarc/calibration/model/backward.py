@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, ideal_angle, ideal_radius, project, rising_limit, rotation_matrix
-from sunarc.optics.forward import decentering_shift
+from sunarc.optics.forward import decentering_shift, decentering_slopes
 from sunarc.optics.inverse import calibrated
 
 _ORDERS = np.arange(2, 10)
@@ -127,24 +127,15 @@ def _ideal_point(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_
 
 def _slopes(camera: Camera, coefficients: FloatArray, x_hat: FloatArray, y_hat: FloatArray) -> FloatArray:
     """Return (n, 2, 13): derivatives of `_ideal_point` by the coefficients, for x_hat and y_hat of shape (n,)."""
-    q1, q2, *higher = coefficients[[0, 1, 10, 11, 12]]
     radius = np.hypot(x_hat, y_hat)
     safe = np.where(radius > 0.0, radius, 1.0)
-    u, v = x_hat / safe, y_hat / safe
-    square = radius**2
-    # the shift is its profile times a bracket that is linear in q1 and q2
-    first = np.stack([1.0 + 2.0 * u * u, 2.0 * u * v], axis=-1)
-    second = np.stack([2.0 * u * v, 1.0 + 2.0 * v * v], axis=-1)
-    profile = square * np.polynomial.polynomial.polyval(square, np.array([1.0, *higher]))
-    bracket = q1 * first + q2 * second
-    moved = [profile[:, None] * first, profile[:, None] * second]
-    moved += [(square**power)[:, None] * bracket for power in (2, 3, 4)]
-    point = np.stack([x_hat, y_hat], axis=-1) - profile[:, None] * bracket
+    decentering, u, v = np.r_[coefficients[:2], coefficients[10:]], x_hat / safe, y_hat / safe
+    shift = decentering_slopes(decentering, radius, u, v)
+    point = np.stack([x_hat, y_hat], axis=-1) - np.stack(decentering_shift(decentering, radius, u, v), axis=-1)
     adjusted = np.linalg.norm(point, axis=-1)
     along = point / np.where(adjusted > 0.0, adjusted, 1.0)[:, None]
     powers = (radius / _scale(camera))[:, None] ** _ORDERS
     ratio = (powers @ coefficients[2:10]) / np.where(adjusted > 0.0, adjusted, 1.0)
-    shift = np.stack(moved, axis=-1)
     # point (1 - P / |point|): its derivative by the point is (1 - P / |point|) I + P / |point| e e'
     by_shift = -(1.0 - ratio)[:, None, None] * shift
     by_shift -= ratio[:, None, None] * along[:, :, None] * np.einsum("na,nac->nc", along, shift)[:, None]

@@ -11,6 +11,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import PaperOptions
 from sunarc.optics import Param, Projection, ideal_radius
 from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS
+from sunarc.optics.forward import decentering_shift, decentering_slopes
 from sunarc.optics.projections import ideal_slope
 
 _ANGLES = 181
@@ -102,11 +103,11 @@ class Penalties:
 
 def _decentering(coefficients: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     """Return the shift of Eq. 12 (2, 24) round the axis, and its slopes by the radius and p1 … p4 (2, 24, 5)."""
-    p1, p2, p3, p4 = coefficients
+    p3, p4 = coefficients[2:]
     square = radius**2
-    first, second = np.stack([1.0 + 2.0 * _U * _U, 2.0 * _U * _V]), np.stack([2.0 * _U * _V, 1.0 + 2.0 * _V * _V])
+    around = np.full(_AZIMUTHS, radius)
+    shift = np.stack(decentering_shift(coefficients, around, _U, _V))
     profile = square * (1.0 + p3 * square + p4 * square**2)
     rise = radius * (2.0 + 4.0 * p3 * square + 6.0 * p4 * square**2)
-    bracket = p1 * first + p2 * second
-    slopes = [rise * bracket, profile * first, profile * second, square**2 * bracket, square**3 * bracket]
-    return profile * bracket, np.stack(slopes, axis=-1)
+    by_coefficients = np.moveaxis(decentering_slopes(coefficients, around, _U, _V), -2, 0)
+    return shift, np.concatenate([(rise / profile * shift)[..., None], by_coefficients], axis=-1)
