@@ -1,4 +1,4 @@
--- What the roles of roles.sql may do. As the owner, after every `sunarc db upgrade`: a new table is open to nobody else.
+-- What the roles of roles.sql may do. As the owner, after every `sunarc db upgrade`: no other role may use a new table.
 --
 --     psql -v ON_ERROR_STOP=1 -d sunarc -U sunarc_owner -f grants.sql
 

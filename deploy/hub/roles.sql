@@ -5,7 +5,7 @@
 -- then `sunarc db upgrade` as sunarc_owner, then grants.sql. Roles have no password: they log in by peer
 -- authentication (pg_ident.conf maps users of the host), or get one by \password.
 
-CREATE ROLE sunarc_owner LOGIN;  -- owns and migrates the tables, gives tokens; nobody serves requests as this one
+CREATE ROLE sunarc_owner LOGIN;  -- owns and migrates the tables, gives tokens; requests are never served as this one
 CREATE ROLE sunarc_feed LOGIN;   -- the hub's service: reads, and writes what imagers send
 CREATE ROLE sunarc_reader LOGIN; -- reads: reports, notebooks
 

@@ -19,6 +19,12 @@ _TABLES = ("outbox", "outbox_position", "feed_token", "feed", "quarantine", "fle
 
 def upgrade() -> None:
     """Nothing is sent until a hub is set."""
+    _create_tables_of_an_imager()
+    _create_tables_of_a_hub()
+    _create_quarantine()
+
+
+def _create_tables_of_an_imager() -> None:
     op.create_table(
         "outbox",
         sa.Column("seq", sa.Integer(), nullable=False),
@@ -34,6 +40,9 @@ def upgrade() -> None:
         sa.Column("sent", sa.BigInteger(), nullable=False),
         sa.PrimaryKeyConstraint("installation", name="pk_outbox_position"),
     )
+
+
+def _create_tables_of_a_hub() -> None:
     op.create_table(
         "feed_token",
         sa.Column("digest", sa.Text(), nullable=False),
@@ -53,6 +62,21 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("camera", "installation", name="pk_feed"),
     )
     op.create_table(
+        "fleet",
+        sa.Column("camera", sa.Text(), nullable=False),
+        sa.Column("received_at", sa.BigInteger(), nullable=False),
+        sa.Column("last_sighting_at", sa.BigInteger()),
+        sa.Column("calibration", sa.Text()),
+        sa.Column("calibrated_at", sa.BigInteger()),
+        sa.Column("sky_rms_deg", sa.Float()),
+        sa.Column("status", sa.JSON(), nullable=False),
+        sa.Column("status_at", sa.BigInteger()),
+        sa.PrimaryKeyConstraint("camera", name="pk_fleet"),
+    )
+
+
+def _create_quarantine() -> None:
+    op.create_table(
         "quarantine",
         sa.Column("camera", sa.Text(), nullable=False),
         sa.Column("installation", sa.Text(), nullable=False),
@@ -67,18 +91,6 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("camera", "installation", "reason", "seq", name="pk_quarantine"),
     )
     op.create_index("ix_quarantine_last_at", "quarantine", ["last_at"])
-    op.create_table(
-        "fleet",
-        sa.Column("camera", sa.Text(), nullable=False),
-        sa.Column("received_at", sa.BigInteger(), nullable=False),
-        sa.Column("last_sighting_at", sa.BigInteger()),
-        sa.Column("calibration", sa.Text()),
-        sa.Column("calibrated_at", sa.BigInteger()),
-        sa.Column("sky_rms_deg", sa.Float()),
-        sa.Column("status", sa.JSON(), nullable=False),
-        sa.Column("status_at", sa.BigInteger()),
-        sa.PrimaryKeyConstraint("camera", name="pk_fleet"),
-    )
 
 
 def downgrade() -> None:

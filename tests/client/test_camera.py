@@ -2,49 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.fixtures.calibration import current_document, random_covariance, stated_calibration
+from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.calibration import Calibration, fit_backward, hemisphere, project_with_covariance, unproject_with_sigma
+from sunarc.calibration import hemisphere, project_with_covariance, unproject_with_sigma
 from sunarc.client import CameraModel
-from sunarc.optics import PARAMETER_NAMES, Camera
 
-NAMES = tuple(name for name in PARAMETER_NAMES if not name.startswith("translation"))
 SKY = hemisphere(60)
-
-
-def calibration(projection: str = "equisolid", *, mirrored: bool = False, field_px: float = 0.3) -> Calibration:
-    camera = Camera(
-        width=1280,
-        height=960,
-        projection=projection,  # type: ignore[arg-type]
-        focal_length_px=(330.0, 331.0),
-        principal_point_px=(650.0, 470.0),
-        rotation_cam_enu=(0.11, -0.07, 1.3),
-        skew_px=0.4,
-        radial=(0.01, -0.02, 0.015, 0.003, -0.002, 0.001, 0.0005, -0.0002),
-        decentering=(1.2e-3, -0.8e-3, 0.03, -0.03),
-        mirrored=mirrored,
-        max_angle=math.radians(80.0),
-    )
-    stated = stated_calibration(camera, names=NAMES, amplitude_px=field_px, length_px=300.0)
-    scale = np.sqrt(np.diag(stated.covariance))
-    covariance = stated.covariance + np.outer(scale, scale) * random_covariance(len(NAMES), seed=2) / 50.0
-    cross = 0.01 * np.random.default_rng(1).standard_normal(stated.field.cross.shape) * scale[:, None]
-    return replace(
-        stated, covariance=covariance, field=replace(stated.field, cross=cross), backward=fit_backward(camera)
-    )
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("projection", ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"])
 def test_it_is_what_the_service_says(projection: str, *, mirrored: bool) -> None:
-    made = calibration(projection, mirrored=mirrored)
+    made = distinctive_calibration(projection, mirrored=mirrored, higher=0.03)
     model = CameraModel(current_document(made))
     pixels, covariance = project_with_covariance(made, SKY)
     found = model.project(5.0 * SKY.reshape(-1, 2, 3))
@@ -65,7 +38,7 @@ def test_it_is_what_the_service_says(projection: str, *, mirrored: bool) -> None
 
 
 def test_without_a_field_and_outside_the_field_of_view() -> None:
-    made = calibration(field_px=0.0)
+    made = distinctive_calibration(field_px=0.0, higher=0.03)
     model = CameraModel(current_document(made))
     np.testing.assert_allclose(
         model.project(SKY[:5]).covariance_px2, project_with_covariance(made, SKY[:5])[1], rtol=1e-5, atol=1e-8
@@ -81,4 +54,4 @@ def test_without_a_field_and_outside_the_field_of_view() -> None:
 @pytest.mark.parametrize("change", [{"schema": "sunarc.calibration/2"}, {"schema": None}])
 def test_another_version_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"sunarc\.calibration/1"):
-        CameraModel(current_document(calibration()) | change)
+        CameraModel(current_document(distinctive_calibration(higher=0.03)) | change)

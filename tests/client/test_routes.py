@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.client.test_camera import calibration
-from tests.fixtures.calibration import current_document
+from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.client import AsyncImager, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport
@@ -137,7 +136,7 @@ class Served:
 
 
 def test_a_local_imager_asks_once_renews_by_its_tag_and_works_without_the_service() -> None:
-    first = current_document(calibration())
+    first = current_document(distinctive_calibration(higher=0.03))
     served: Any = Served(None)
     local = LocalImager(served, renew_s=3600.0)
     with pytest.raises(ImagerError):

@@ -21,9 +21,11 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
+from tests.fixtures.ports import free_port
+
 from .campaign_faults import Faults
 from .campaign_judge import Findings
-from .campaign_processes import SLOT_S, free_port, now
+from .campaign_processes import SLOT_S, now
 
 
 def campaign(*, seed: int, faults: int, folder: Path, most_s: float = float("inf")) -> tuple[Findings, dict[str, int]]:

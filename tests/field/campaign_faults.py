@@ -12,7 +12,9 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, free_port, now, pause
+from tests.fixtures.ports import free_port
+
+from .campaign_processes import SHIM, SLOT_S, START_WITHIN_S, Processes, now, pause
 
 FAULTS = (
     "kill",

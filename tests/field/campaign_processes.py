@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -274,13 +273,6 @@ class Processes:
                 return answer
         except (OSError, ValueError):
             return None
-
-
-def free_port() -> int:
-    """Return a port of loopback that nobody uses."""
-    with socket.socket() as trial:
-        trial.bind((ADDRESS, 0))
-        return int(trial.getsockname()[1])
 
 
 def _mount_disk(folder: Path) -> bool:

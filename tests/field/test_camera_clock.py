@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fixtures.ports import free_port
 
 from sunarc.sky import Site
 
-from .campaign_processes import Processes, Setting, free_port, pause
+from .campaign_processes import Processes, Setting, pause
 
 LATE_S = 100.0
 TAI_S = 37.0

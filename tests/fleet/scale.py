@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 import psycopg
+from tests.api.conftest import LENS
 from tests.fixtures.calibrations import chosen_calibration
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 from tests.fleet.simulated_fleet import HubProcess, wait_for
 
 from sunarc.archive import CameraRecord, open_archive
 from sunarc.calibration import to_document
-from sunarc.optics import Camera
 
 _BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 _STEP_S = 30.0
@@ -48,17 +48,7 @@ def fill(server: Server, *, rows: int, cameras: int, listed: int) -> float:
     """Fill the store, and return how long it took: `rows` sightings of `cameras`, and `listed` cameras in all."""
     begun_s = perf_counter()
     each = rows // cameras
-    lens = Camera(
-        width=1748,
-        height=1748,
-        projection="equisolid",
-        focal_length_px=(601.32, 601.32),
-        principal_point_px=(871.96, 883.0),
-        rotation_cam_enu=(0.02, -0.015, 2.1),
-        radial=(0.004, -0.009, 0.003, 0.0, 0.0, 0.0, 0.0, 0.0),
-        decentering=(1e-4, -5e-5, 0.0, 0.0),
-    )
-    solved = chosen_calibration(lens, names=("rotation_x",), covariance=np.eye(1) * 1e-10, orders=np.array([[1, 1]]))
+    solved = chosen_calibration(LENS, names=("rotation_x",), covariance=np.eye(1) * 1e-10, orders=np.array([[1, 1]]))
     with open_archive(server.url(TEMPLATE)) as archive:
         archive._prepare_months([_BEGIN + timedelta(days=31 * n) for n in range(int(each * _STEP_S / 86_400 / 28) + 2)])
         for n in range(listed):

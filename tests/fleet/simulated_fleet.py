@@ -28,6 +28,7 @@ from time import perf_counter
 
 from sqlalchemy import URL
 from tests.fixtures.fleet import new_imager, sighting
+from tests.fixtures.ports import free_port
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
 from sunarc.api import token_digest
@@ -46,12 +47,6 @@ _LATE_S = 0.3
 
 def _pause(seconds: float) -> None:
     threading.Event().wait(seconds)
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 @dataclass

@@ -27,17 +27,6 @@ def scene() -> Scene:
     return Scene(true_camera(), SGP, options=SceneOptions(nd_transmission=0.01))
 
 
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "sunarc.toml"
-    path.write_text(
-        f'name = "roof"\nstate = "{tmp_path}/state"\n'
-        "[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n"
-    )
-    (tmp_path / "images").mkdir()
-    return path
-
-
 def frame(scene: Scene, moment: datetime) -> np.ndarray[Any, np.dtype[np.uint8]]:
     return scene.render(round(moment.timestamp() * 1e6), exposure_us=20.0, full_scale=255).astype(np.uint8)
 

@@ -26,17 +26,6 @@ SLOPE = 0.8
 NAMES = sorted(f"20130513T183000Z_{us}us.png" for us in EXPOSURES)
 
 
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "sunarc.toml"
-    path.write_text(
-        f'name = "roof"\nstate = "{tmp_path}/state"\n'
-        "[site]\nlatitude = 36.604043\nlongitude = -97.484856\naltitude = 318.0\n"
-    )
-    (tmp_path / "images").mkdir()
-    return path
-
-
 def write_stack(config: Path, *, time: str = "183000", only: int | None = None) -> None:
     for us, exposure in EXPOSURES.items():
         if only in {None, us}:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures.ports import free_port
 
 from sunarc.calibration import from_document
 from sunarc.optics import project
@@ -44,12 +44,6 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Result:
     done = subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)  # slowed on a busy host
     assert done.returncode == 0, done.stdout + done.stderr
     return Result(state, done.stdout)
-
-
-def free_port() -> int:
-    with socket.socket() as trial:
-        trial.bind(("127.0.0.1", 0))
-        return int(trial.getsockname()[1])
 
 
 def off_truth_px(demo: Result, direction_enu: np.ndarray[Any, np.dtype[np.float64]]) -> float:

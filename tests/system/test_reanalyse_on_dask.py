@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
+from tests.fixtures.ports import free_port
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.detection import Detection
@@ -81,12 +81,6 @@ def until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert clock.monotonic() < deadline
         clock.wait(never, 0.02)
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 def chunks_in(target: Path) -> int:

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.fixtures.ports import free_port
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(170)]
 
@@ -36,12 +37,6 @@ speed = 100.0
 [api]
 port = {port}
 """
-
-
-def free_port() -> int:
-    with socket.socket() as trial:
-        trial.bind(("127.0.0.1", 0))
-        return int(trial.getsockname()[1])
 
 
 def wait_for_camera_port(log: Path) -> None:

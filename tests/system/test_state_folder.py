@@ -16,11 +16,12 @@ from pathlib import Path
 import pytest
 from tests.api.conftest import calibration
 from tests.fixtures.calibrations import SITE
+from tests.fixtures.ports import free_port
 
 from sunarc.archive import CameraRecord, backup_into, open_archive, upgrade
 from sunarc.calibration import to_document
 
-from .test_restart import CONFIG, answers, free_port, run_serve, sunarc, wait_for
+from .test_restart import CONFIG, answers, run_serve, sunarc, wait_for
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(170)]
 MAY = datetime(2013, 5, 13, tzinfo=UTC)

@@ -16,8 +16,8 @@ from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.json_text import json_text, parsed_json
-from sunarc.archive.server import ONE_CAMERA, WRITES, server_errors
-from sunarc.errors import ConfigurationError, InputError, OutsideError
+from sunarc.archive.server import ONE_CAMERA, WRITES, contradiction, server_errors
+from sunarc.errors import ConfigurationError, OutsideError
 
 _BUSY_TIMEOUT_MS = 30_000
 
@@ -88,11 +88,7 @@ def _file_errors(engine: Engine) -> Iterator[None]:
     try:
         yield
     except IntegrityError as error:
-        raise InputError(
-            field="archive",
-            problem=f"a row contradicts another ({error.orig})",
-            remedy="write the camera, its pose epoch and its calibration before what refers to them",
-        ) from error
+        raise contradiction(str(error.orig)) from error
     except OperationalError as error:
         may = os.access(str(path), os.R_OK | os.W_OK) or not Path(str(path)).exists()
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"

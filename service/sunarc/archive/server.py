@@ -106,11 +106,7 @@ def server_errors(engine: Engine) -> Iterator[None]:
     try:
         yield
     except IntegrityError as error:
-        raise InputError(
-            field="archive",
-            problem=f"a row contradicts another ({_first_line(error)})",
-            remedy="write the camera, its pose epoch and its calibration before what refers to them",
-        ) from error
+        raise contradiction(_first_line(error)) from error
     except (OperationalError, ProgrammingError) as error:
         remedy = "; ask as a role that may" if "permission denied" in str(error.orig) else ""
         raise OutsideError(f"cannot use the database {where}: {_first_line(error)}{remedy}") from error
@@ -120,6 +116,15 @@ def server_errors(engine: Engine) -> Iterator[None]:
         raise InputError(
             field="archive", problem=f"a value cannot be stored ({_first_line(error)})", remedy="correct it"
         ) from error
+
+
+def contradiction(detail: str) -> InputError:
+    """Return the error of a row that contradicts another, with what the database says of it."""
+    return InputError(
+        field="archive",
+        problem=f"a row contradicts another ({detail})",
+        remedy="write the camera, its pose epoch and its calibration before what refers to them",
+    )
 
 
 def _first_line(error: DBAPIError) -> str:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
-import math
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,52 +14,23 @@ import jsonschema_rs
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import current_document, random_covariance, stated_calibration
+from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.calibration import (
     Calibration,
     back_project,
-    fit_backward,
     from_document,
     hemisphere,
     project_with_covariance,
 )
 from sunarc.errors import InputError
-from sunarc.optics import PARAMETER_NAMES, Camera, project
+from sunarc.optics import project
 
 FloatArray = NDArray[np.float64]
 DOCS = Path(__file__).parents[3] / "docs"
 EVALUATORS = DOCS / "examples" / "evaluators"
-NAMES = tuple(name for name in PARAMETER_NAMES if not name.startswith("translation"))
 PROJECTIONS = ["perspective", "equidistant", "equisolid", "stereographic", "orthographic"]
 SKY = hemisphere(40)
-
-
-def calibration(projection: str = "equisolid", *, mirrored: bool = False) -> Calibration:
-    """Return a calibration whose parameters all matter; p3 and p4 are at one of their standard deviations."""
-    camera = Camera(
-        width=1280,
-        height=960,
-        projection=projection,  # type: ignore[arg-type]
-        focal_length_px=(330.0, 331.0),
-        principal_point_px=(650.0, 470.0),
-        rotation_cam_enu=(0.11, -0.07, 1.3),
-        skew_px=0.4,
-        radial=(0.01, -0.02, 0.015, 0.003, -0.002, 0.001, 0.0005, -0.0002),
-        decentering=(1.2e-3, -0.8e-3, 0.3, -0.3),
-        mirrored=mirrored,
-        max_angle=math.radians(80.0),
-    )
-    stated = stated_calibration(camera, names=NAMES, amplitude_px=0.3, length_px=300.0)
-    cross = 0.01 * np.random.default_rng(1).standard_normal(stated.field.cross.shape)
-    scale = np.sqrt(np.diag(stated.covariance))
-    covariance = stated.covariance + np.outer(scale, scale) * random_covariance(len(NAMES), seed=2) / 50.0
-    return replace(
-        stated,
-        covariance=covariance,
-        field=replace(stated.field, cross=cross * scale[:, None]),
-        backward=fit_backward(camera),
-    )
 
 
 def questions(made: Calibration) -> tuple[FloatArray, FloatArray]:
@@ -81,7 +50,7 @@ def compared(made: Calibration, found_pixels: FloatArray, found_directions: Floa
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("projection", PROJECTIONS)
 def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
-    made = calibration(projection, mirrored=mirrored)
+    made = distinctive_calibration(projection, mirrored=mirrored)
     evaluator: dict[str, Any] = {"__name__": "evaluate_calibration"}
     exec((EVALUATORS / "evaluate_calibration.py").read_text(encoding="utf-8"), evaluator)  # noqa: S102 - ours
     directions, pixels = questions(made)
@@ -97,7 +66,7 @@ def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
 
 
 def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
-    made = calibration()
+    made = distinctive_calibration()
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps(current_document(made)), encoding="utf-8")
     command = [
@@ -140,7 +109,7 @@ def test_the_c_evaluator(tmp_path: Path) -> None:
     subprocess.run(["cc", "-O2", "-Wall", "-Wextra", "-Werror", source, "-lm", "-o", program], check=True)
     for projection in PROJECTIONS:
         for mirrored in (False, True):
-            made = calibration(projection, mirrored=mirrored)
+            made = distinctive_calibration(projection, mirrored=mirrored)
             values.write_text("\n".join(repr(float(n)) for n in numbers(current_document(made))), encoding="utf-8")
             directions, pixels = questions(made)
             asked = [("d", *one) for one in directions] + [("p", *one) for one in pixels]
@@ -153,10 +122,12 @@ def test_the_c_evaluator(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("jq") is None or shutil.which("cc") is None, reason="no jq, or no C compiler")
 def test_the_line_of_jq_in_the_c_evaluator_writes_its_numbers(tmp_path: Path) -> None:
     head = (EVALUATORS / "evaluate_calibration.c").read_text(encoding="utf-8").split("\n\n")[1]
-    (tmp_path / "calibration.json").write_text(json.dumps(current_document(calibration())), encoding="utf-8")
+    (tmp_path / "calibration.json").write_text(
+        json.dumps(current_document(distinctive_calibration())), encoding="utf-8"
+    )
     subprocess.run(["sh", "-c", head], cwd=tmp_path, check=True)
     written = [float(n) for n in (tmp_path / "calibration.txt").read_text(encoding="utf-8").split()]
-    np.testing.assert_allclose(written, numbers(current_document(calibration())), rtol=1e-15)
+    np.testing.assert_allclose(written, numbers(current_document(distinctive_calibration())), rtol=1e-15)
     (tmp_path / "calibration.txt").write_text("1 2 3", encoding="utf-8")
     program = tmp_path / "evaluate"
     subprocess.run(["cc", str(EVALUATORS / "evaluate_calibration.c"), "-lm", "-o", program], check=True)
@@ -196,7 +167,7 @@ for (k in 1:COUNT) {
 
 def in_another_language(tmp_path: Path, command: list[str], script: str) -> None:
     """Ask an evaluator about all projections in one run of its interpreter."""
-    cases = [calibration(projection, mirrored=k % 2 == 1) for k, projection in enumerate(PROJECTIONS)]
+    cases = [distinctive_calibration(projection, mirrored=k % 2 == 1) for k, projection in enumerate(PROJECTIONS)]
     for k, made in enumerate(cases, 1):
         directions, pixels = questions(made)
         (tmp_path / f"{k}.json").write_text(json.dumps(current_document(made)), encoding="utf-8")
@@ -249,13 +220,13 @@ def changed(read: dict[str, Any], path: tuple[str, ...], value: object) -> dict[
 
 def test_documents_keep_to_the_schema(validator: Any) -> None:  # noqa: ANN401 - the library's
     for projection in PROJECTIONS:
-        validator.validate(current_document(calibration(projection)))
+        validator.validate(current_document(distinctive_calibration(projection)))
 
 
 def test_whatever_the_schema_lets_pass_can_be_read_and_what_it_refuses_of_the_model_cannot(
     validator: Any,  # noqa: ANN401 - the library's
 ) -> None:
-    read = current_document(calibration())
+    read = current_document(distinctive_calibration())
     refused = 0
     for path in keys(read):
         for value in (..., "text", [1.0], None):
