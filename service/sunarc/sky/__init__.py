@@ -1,12 +1,14 @@
-"""Position of the sun, refraction, directions and local mean solar days."""
+"""Position of the sun, the moon, planets and bright stars, refraction, directions and local mean solar days."""
 
 from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
 from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.night import STAR, WANDERERS, NightSky, Wanderer, WandererPlace, night_sky, wanderer_place
 from sunarc.sky.refraction import (
     ASSUMED_AIR_SD,
     DAILY_AIR_SD,
     MEASURED_AIR_SD,
+    apparent_elevation,
     raised,
     refraction_rad,
     upward,
@@ -24,17 +26,24 @@ __all__ = [
     "PRESSURE_BOUNDS_PA",
     "SECONDS_PER_DEGREE",
     "SOLAR_RADIUS",
+    "STAR",
     "TEMPERATURE_BOUNDS_C",
+    "WANDERERS",
+    "NightSky",
     "Site",
     "SunAngles",
+    "Wanderer",
+    "WandererPlace",
     "angles_from_direction",
     "angular_distance",
+    "apparent_elevation",
     "clear_transmission",
     "date_of_day",
     "day_bounds_unix_s",
     "day_of_date",
     "direction_from_angles",
     "hour_angle",
+    "night_sky",
     "raised",
     "refraction_rad",
     "relative_air_mass",
@@ -43,4 +52,5 @@ __all__ = [
     "sun_angles",
     "sun_directions",
     "upward",
+    "wanderer_place",
 ]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec, module_from_spec
 from types import ModuleType
 
 
+@cache
 def load_spa() -> ModuleType:
     """Return `pvlib.spa`, loaded by itself: it needs numpy alone, its package imports pandas and most of scipy.
 

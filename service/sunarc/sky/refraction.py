@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
-from sunarc.sky.site import Site
+from sunarc.sky.algorithm import load_spa
+from sunarc.sky.site import PA_PER_HPA, Site
 
 ASSUMED_AIR_SD = 0.04
 """1-sigma of the refraction of a record, as a share of it, where the air is the site's annual mean: 10 K of temperature
@@ -22,6 +23,9 @@ DAILY_AIR_SD = 0.015
 """1-sigma of the refraction of one day beside the others of a record, as a share, where it was not measured: 4 K and
 0.6 % of pressure."""
 
+REFRACTION_AT_HORIZON_DEG = 0.5667
+"""Of the sun's algorithm; below it and the sun's radius there is no refraction."""
+_SPA = load_spa()
 _ZERO_C_IN_K = 273.0
 _REFERENCE_PA = 101_000.0
 _REFERENCE_K = 283.0
@@ -40,6 +44,19 @@ def refraction_rad(directions: ArrayLike, site: Site) -> FloatArray:
     arcminutes = 1.0 / np.tan(np.radians(elevation + 7.31 / (elevation + 4.4)))
     density = site.pressure_pa / _REFERENCE_PA * _REFERENCE_K / (_ZERO_C_IN_K + site.temperature)
     return np.asarray(np.radians(np.maximum(arcminutes, 0.0) / 60.0) * density)
+
+
+def apparent_elevation(elevation_deg: ArrayLike, site: Site) -> FloatArray:
+    """Return the apparent elevations of true ones, (...) degrees, by the refraction of the sun's algorithm.
+
+    Below -0.83 degrees it fades to 0, as there.
+    """
+    elevation = np.asarray(elevation_deg, dtype=np.float64)
+    pressure_hpa = site.pressure_pa / PA_PER_HPA
+    refraction = _SPA.atmospheric_refraction_correction(
+        pressure_hpa, site.temperature, elevation, REFRACTION_AT_HORIZON_DEG
+    )
+    return np.asarray(elevation + refraction)
 
 
 def upward(directions: ArrayLike) -> FloatArray:

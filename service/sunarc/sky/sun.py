@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import FloatArray
 from sunarc.sky.algorithm import load_spa
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.refraction import REFRACTION_AT_HORIZON_DEG
 from sunarc.sky.site import Site
 
 SOLAR_RADIUS = math.radians(0.2666)
 """The sun's mean angular radius, radians (959.63 arcseconds at one astronomical unit)."""
 
 _SPA = load_spa()
-_REFRACTION_AT_HORIZON_DEG = 0.5667
 _SECONDS_PER_JULIAN_YEAR = 31_557_600.0
 
 
@@ -60,7 +60,7 @@ def sun_angles(
         _measured_or(pressure, site.pressure_pa, flat) / 100.0,
         _measured_or(temperature, site.temperature, flat),
         _delta_t_s(flat),
-        _REFRACTION_AT_HORIZON_DEG,
+        REFRACTION_AT_HORIZON_DEG,
     )
     apparent_zenith, zenith, azimuth = (np.reshape(rows[i], times.shape) for i in (0, 1, 4))
     return SunAngles(zenith, apparent_zenith, azimuth)
