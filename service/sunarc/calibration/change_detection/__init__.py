@@ -6,6 +6,7 @@
 """
 
 from sunarc.calibration.change_detection.detect_change import REMEMBERED, update_window
+from sunarc.calibration.change_detection.hypotheses import pole_of
 from sunarc.calibration.change_detection.values import (
     LENS_KINDS,
     Change,
@@ -23,5 +24,6 @@ __all__ = [
     "Sighting",
     "SightingWindow",
     "WatchOptions",
+    "pole_of",
     "update_window",
 ]

@@ -1,0 +1,175 @@
+"""Steps of cameras under one sun: what steps is named with its size, what drifts or errs alike is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.cross_checks.cameras import Wrong, neighbours
+
+from sunarc.array_types import FloatArray
+from sunarc.cross_checks import (
+    DailyRotations,
+    RotationStep,
+    StepSize,
+    daily_rotations,
+    explain_step,
+    find_step,
+    find_steps,
+    rotation_of_site,
+)
+from sunarc.sky import Site, sun_directions
+
+SITE = Site(latitude=36.6, longitude=-97.5)
+COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2
+DAYS = np.arange(40.0)
+
+
+def days_of(rotation_deg: FloatArray, day: FloatArray) -> DailyRotations:
+    covariance = np.broadcast_to(COVARIANCE, (len(day), 3, 3)).copy()
+    return DailyRotations(day=day, rotation_deg=rotation_deg, covariance_deg2=covariance)
+
+
+def noise(rng: np.random.Generator, day: FloatArray) -> FloatArray:
+    return rng.multivariate_normal(np.zeros(3), COVARIANCE, len(day))
+
+
+def step_of(rotation_deg: list[float]) -> RotationStep:
+    return RotationStep(
+        day=0.0,
+        rotation_deg=np.array(rotation_deg),
+        covariance_deg2=COVARIANCE,
+        gain=99.0,
+        n_before=9,
+        n_after=9,
+    )
+
+
+def named(wrong: Wrong, *, seed: int) -> tuple[StepSize | None, ...]:
+    """Return what is found of three cameras, the second of which is wrong."""
+    cameras = neighbours(Wrong(), wrong, Wrong(), seed=seed)
+    rng = np.random.default_rng(seed)
+    steps = find_steps([one.rotations(DAYS, rng) for one in cameras])
+    return tuple(
+        None if step is None else explain_step(step, before=one.stated_site(0), after=one.stated_site(39))
+        for one, step in zip(cameras, steps, strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_clock_a_longitude_and_north_in_one_of_three_are_named_with_their_sizes(seed: int) -> None:
+    for wrong, cause in (
+        (Wrong(clock_s=2.0), "clock"),
+        (Wrong(east_deg=0.01), "longitude"),
+        (Wrong(north_deg=0.1), "north"),
+    ):
+        first, found, third = named(wrong, seed=seed)
+        assert first is None
+        assert third is None
+        assert found is not None
+        assert found.cause == cause
+        if cause == "clock":
+            assert abs(found.clock_s - 2.0) < 3.0 * found.clock_sigma_s < 1.0
+        if cause == "longitude":
+            assert abs(found.longitude_deg - 0.01) < 3.0 * found.longitude_sigma_deg < 0.004
+        if cause == "north":
+            assert abs(found.north_deg - 0.1) < 3.0 * found.north_sigma_deg < 0.01
+
+
+def test_a_clock_and_a_longitude_are_one_rotation() -> None:
+    late, typed = (
+        sun_directions(1.78e9 + np.linspace(0.0, 2e4, 50) + 240.0 * clock_s, Site(latitude=36.6, longitude=east))
+        for clock_s, east in ((1.0, 10.0), (0.0, 11.0))
+    )
+    # the equation of time and the declination change by the rest in four minutes
+    assert np.degrees(np.linalg.norm(late - typed, axis=1)).max() < 0.002
+
+
+def test_a_restated_site_turns_a_camera_as_it_turns_the_sun() -> None:
+    after = Site(latitude=SITE.latitude + 0.02, longitude=SITE.longitude - 0.03)
+    unix_s = 1.78e9 + np.linspace(-1e4, 1e4, 50)
+    before = sun_directions(unix_s, SITE)
+    turned = Rotation.from_rotvec(rotation_of_site(SITE, after), degrees=True).apply(before)
+    assert np.degrees(np.linalg.norm(turned - sun_directions(unix_s, after), axis=1)).max() < 2e-4
+
+
+def test_a_change_of_the_site_that_does_not_explain_the_step_is_not_its_cause() -> None:
+    step = step_of([0.0, 0.0, 0.1])
+    typed = Site(latitude=SITE.latitude, longitude=SITE.longitude + 0.01)
+    assert explain_step(step, before=SITE, after=typed).cause == "north"
+    step = step_of([0.1, 0.0, 0.0])
+    assert explain_step(step, before=SITE, after=SITE).cause == "moved"
+    assert explain_step(step, before=SITE, after=replace(SITE, latitude=SITE.latitude + 0.1)).cause == "site"
+    polar = Site(latitude=89.9, longitude=0.0)
+    step = step_of([0.0, 0.0, 0.1])
+    assert explain_step(step, before=polar, after=polar).cause == "clock_or_north"
+
+
+def test_the_stated_error_of_a_step_is_that_of_many_draws() -> None:
+    rng = np.random.default_rng(5)
+    size = np.array([0.01, -0.01, 0.02])
+    squares = []
+    for _ in range(200):
+        found = find_step(days_of(noise(rng, DAYS) + (DAYS >= 25)[:, None] * size, DAYS))
+        assert found is not None
+        assert found.day == 25.0
+        off = found.rotation_deg - size
+        squares.append(off @ np.linalg.solve(found.covariance_deg2, off))
+    assert 2.4 < np.mean(squares) < 4.5  # 3 for a known scatter; that of 40 days is not known exactly
+
+
+def test_what_drifts_is_no_step() -> None:
+    rng = np.random.default_rng(6)
+    found = 0
+    for _ in range(40):
+        axis = rng.normal(size=3)
+        slow = np.outer(0.05 * DAYS / 60.0, axis / np.linalg.norm(axis))
+        walk = np.cumsum(rng.normal(0.0, 0.002, (40, 3)), axis=0)
+        found += sum(find_step(days_of(noise(rng, DAYS) + drift, DAYS)) is not None for drift in (slow, walk))
+    assert found <= 2  # of 80
+
+
+def test_what_all_cameras_do_is_none_of_them() -> None:
+    rng = np.random.default_rng(7)
+    common = (DAYS >= 25)[:, None] * np.array([0.0, 0.02, 0.02])
+    assert find_steps([days_of(noise(rng, DAYS) + common, DAYS) for _ in range(4)]) == (None,) * 4
+    # of two cameras each shows it
+    assert all(find_steps([days_of(noise(rng, DAYS) + common, DAYS) for _ in range(2)]))
+
+
+def test_too_few_days_and_single_bad_days_are_no_step() -> None:
+    rng = np.random.default_rng(8)
+    rotation = noise(rng, DAYS) + (DAYS >= 37)[:, None] * np.array([0.0, 0.05, 0.05])
+    assert find_step(days_of(rotation, DAYS)) is None  # three days after it
+    assert find_step(days_of(rotation[:4], DAYS[:4])) is None
+    assert find_steps([days_of(rotation[:0], DAYS[:0]), days_of(rotation[:9], DAYS[:9])]) == (None, None)
+    bad = noise(rng, DAYS)
+    bad[[12, 29]] += 0.5
+    assert find_step(days_of(bad, DAYS)) is None
+    assert find_step(days_of(np.zeros((40, 3)), DAYS)) is None
+
+
+def test_a_day_of_false_sightings_among_true_ones_turns_little() -> None:
+    rng = np.random.default_rng(9)
+    expected = sun_directions(1.78e9 + np.linspace(-1.2e4, 1.2e4, 80), SITE)
+    turn = Rotation.from_rotvec([0.0, 0.3, -0.2], degrees=True)
+    observed = turn.inv().apply(expected) + rng.normal(0.0, 1e-5, expected.shape)
+    observed[::4] += rng.normal(0.0, 0.02, (20, 3))
+    found = daily_rotations(np.zeros(80), observed=observed, expected=expected)
+    assert (
+        np.abs(found.rotation_deg[0] - [0.0, 0.3, -0.2]).max() < 4.0 * np.sqrt(found.covariance_deg2[0].max()) < 0.005
+    )
+    few = np.where(np.arange(80)[:, None] < 15, observed, np.nan)
+    assert len(daily_rotations(np.zeros(80), observed=few, expected=expected).day) == 0
+
+
+def test_the_stated_error_of_a_day_is_that_of_many_draws() -> None:
+    rng = np.random.default_rng(10)
+    expected = np.tile(sun_directions(1.78e9 + np.linspace(-1.2e4, 1.2e4, 60), SITE), (150, 1))
+    observed = expected + rng.normal(0.0, 1e-4, expected.shape)
+    observed /= np.linalg.norm(observed, axis=1)[:, None]
+    found = daily_rotations(np.repeat(np.arange(150.0), 60), observed=observed, expected=expected)
+    squares = np.einsum("ni,nij,nj->n", found.rotation_deg, np.linalg.inv(found.covariance_deg2), found.rotation_deg)
+    assert 2.4 < squares.mean() < 3.8
