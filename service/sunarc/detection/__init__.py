@@ -1,4 +1,4 @@
-"""Detection of the sun: `disc` in microsecond exposures, `photo` in ordinary ones."""
+"""Detection of the sun: `disc` in microsecond exposures, `photo` in ordinary ones; `stars` in images of the night."""
 
 from sunarc.detection.disc.bracket import beside, combine
 from sunarc.detection.disc.brightness import ClearSun, clear_sun
@@ -9,6 +9,8 @@ from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.photo.static_mask import static_mask
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
+from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.values import Stars
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
@@ -24,11 +26,13 @@ __all__ = [
     "Method",
     "Planes",
     "Sensor",
+    "Stars",
     "Verdict",
     "bayer_of",
     "beside",
     "clear_sun",
     "combine",
+    "detect_stars",
     "detect_sun",
     "detect_sun_in_photo",
     "detect_sun_in_stack",

@@ -1,0 +1,41 @@
+"""Stars as detected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stars:
+    """Point sources of one image, the brightest first.
+
+    Attributes
+    ----------
+    pixels : (n, 2) centres, px; (0, 0) is the centre of the top-left pixel.
+    sigma_px : (n,) 1-sigma per axis.
+    flux : (n,) counts above the background.
+    snr : (n,) flux over its standard deviation.
+    peak_fraction : (n,) the brightest pixel over full scale, with the background.
+    width_px : (n,) 1-sigma of the point spread, geometric mean of its axes: the star's own where it is bright enough
+        (20 times the noise), else that of its place in the image.
+    ellipticity : (n,) 1 - minor / major axis, likewise.
+    saturated : (n,) whether pixels of it were clipped; such a centre is pulled along the coma by up to half a pixel.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    flux: FloatArray
+    snr: FloatArray
+    peak_fraction: FloatArray
+    width_px: FloatArray
+    ellipticity: FloatArray
+    saturated: BoolArray
+
+    def __len__(self) -> int:
+        return int(self.flux.size)
+
+    def select(self, which: BoolArray | IntArray) -> Stars:
+        """Return those that a mask or an index picks."""
+        return picked(self, which)
