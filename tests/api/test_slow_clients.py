@@ -20,6 +20,7 @@ import uvicorn
 from tests.api.conftest import LENS, NOON, document
 
 from sunarc.api import ApiOptions, BoundedConnection
+from sunarc.optics import Camera
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -31,12 +32,20 @@ PATIENCE_S = 20.0
 
 
 @contextmanager
-def serving(make: Any, **options: Any) -> Iterator[int]:  # noqa: ANN401 - a fixture that is a function, ApiOptions
+def serving(
+    make: Any,  # noqa: ANN401 - a fixture that is a function
+    *,
+    camera: Camera = SMALL,
+    send_buffer: int | None = None,
+    **options: Any,  # noqa: ANN401 - of ApiOptions
+) -> Iterator[int]:
     made: Made = make(**options)
-    made.archive.add_calibration(document("small", camera=SMALL))
+    made.archive.add_calibration(document("small", camera=camera))
     made.archive.activate("small")
     http = cast("Any", partial(BoundedConnection, ApiOptions(request_within_s=options["request_within_s"])))
     with socket.create_server(("127.0.0.1", 0)) as listening:
+        if send_buffer is not None:  # connections inherit it
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer)
         config = uvicorn.Config(made.app, http=http, lifespan="off", log_level="error", forwarded_allow_ips="127.0.0.1")
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})

@@ -46,6 +46,7 @@ from sunarc.api.routes.metrics import StatusCollector
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.remap import remap_routes
+from sunarc.api.routes.stored_answers import AnswerFiles
 from sunarc.api.routes.sun import sun_routes
 from sunarc.archive import Archive, ImageStore, Refit
 from sunarc.calibration import draw_ensemble, lookup
@@ -198,20 +199,20 @@ def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:
 
 def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
     """Add every route of one camera: under /v1 for this service's own, under /v1/cameras/{camera} for any."""
-    slots = ComputeSlots(context.options.max_large_at_once)
+    slots, files = ComputeSlots(context.options.max_large_at_once), AnswerFiles()
     for of_camera in (
         calibration_routes(context),
         decision_routes(context),
         direction_routes(context, slots),
-        map_routes(context),
+        map_routes(context, files),
         geolocation_routes(context, slots),
         sun_routes(context),
         overlay_routes(context),
         record_routes(context),
         event_stream_routes(context),
         image_routes(context),
-        remap_routes(context),
-        mask_routes(context),
+        remap_routes(context, files),
+        mask_routes(context, files),
         day_air_routes(context),
         refit_routes(context),
     ):

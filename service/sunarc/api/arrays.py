@@ -6,10 +6,9 @@ import asyncio
 import io
 import math
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, suppress
+from contextlib import AbstractAsyncContextManager
 from functools import partial
 from http import HTTPStatus
-from mmap import mmap
 
 import numpy as np
 from numpy.lib import format as npy
@@ -18,7 +17,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from sunarc.api.middleware.holdings import Holding
 from sunarc.api.npy_header import NpyHeaderError, read_npy_header
 from sunarc.api.problems import Fault, RefusedError
 from sunarc.array_types import FloatArray
@@ -29,7 +27,6 @@ Rows = FloatArray | NDArray[np.float32]
 
 _CHUNK = 65_536
 _AHEAD = 2
-_SENT_AT_ONCE = 524_288
 MOST_BYTES_AHEAD = (_AHEAD + 1) * _CHUNK * 20 * 8
 """Of one answer, made and not sent: 32 MB with the 20 columns in double precision of a geolocation."""
 _FLOATS = tuple(np.dtype(order + kind) for order in "<>" for kind in ("f4", "f8"))
@@ -121,41 +118,6 @@ class PartsResponse(Response):
     async def _make(self, part: Callable[[], bytes | memoryview]) -> bytes | memoryview:
         async with self._slot():
             return await run_in_threadpool(part)
-
-
-class BytesResponse(Response):
-    """Sends bytes that lie in a file which is mapped, as a file is sent: in parts that a socket takes at once.
-
-    Parameters
-    ----------
-    content : the file.
-    media_type, headers : to send along.
-    holding : ends it where others need the room.
-    counted : what it counts as, of what clients make the service hold, until all is sent.
-    """
-
-    def __init__(
-        self, content: mmap, *, media_type: str, headers: dict[str, str], holding: Holding, counted: int
-    ) -> None:
-        self._content, self._holding, self._counted = content, holding, counted
-        self.status_code, self.background, self.media_type = 200, None, media_type
-        self.init_headers(headers | {"content-length": str(len(content))})
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:  # noqa: ARG002 - the protocol's
-        """Send the answer; one that is ended is cut off, and its connection with it."""
-        with suppress(TimeoutError), self._holding:
-            self._holding.grow(self._counted)
-            async with asyncio.timeout(None) as until:
-                self._holding.ends(until)
-                await self._send(send)
-
-    async def _send(self, send: Send) -> None:
-        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        view = memoryview(self._content)
-        for begin in range(0, len(view), _SENT_AT_ONCE):
-            part = view[begin : begin + _SENT_AT_ONCE]
-            await send({"type": "http.response.body", "body": part, "more_body": True})
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
 def rows_response(

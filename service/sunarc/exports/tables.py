@@ -20,6 +20,11 @@ from sunarc.exports.view import View, camera_view, grid_view
 from sunarc.extras import extra_module
 
 _STEP = 8
+_CHUNK = 128
+"""Side of what is compressed together, px: 64 kB, so that a pixel is read without unpacking the map."""
+_WORTH_COMPRESSING = 4096
+_COMPRESSION_LEVEL = 4
+"""Of zlib. A map of 1748 x 1748 pixels: 73 MB become 28.9 MB in 0.7 s; level 1 29.7 MB, level 6 28.5 MB."""
 
 
 def netcdf_bytes(table: Table) -> bytes:
@@ -39,19 +44,26 @@ def netcdf_bytes(table: Table) -> bytes:
 
 
 def _content(values: NDArray[Any]) -> dict[str, Any]:
-    """Return the keywords of an array for h5netcdf; texts are of any length."""
+    """Return the keywords of an array for h5netcdf: texts are of any length, maps are compressed without loss."""
     if values.dtype.kind == "U":
         return {"dtype": extra_module("h5py", extra="netcdf").string_dtype(), "data": values.astype(object)}
-    return {"data": values}
+    if values.ndim < 2 or values.size < _WORTH_COMPRESSING:
+        return {"data": values}
+    chunks = (min(values.shape[0], _CHUNK), min(values.shape[1], _CHUNK), *(1 for _ in values.shape[2:]))
+    packed = {"compression": "gzip", "compression_opts": _COMPRESSION_LEVEL, "shuffle": True}
+    return {"data": values, "chunks": chunks, **packed}
 
 
 def npz_bytes(table: Table) -> bytes:
-    """Return an npz file: the arrays by name, and `attributes`, a JSON text of all that is said of them."""
+    """Return an npz file: the arrays by name, and `attributes`, a JSON text of all that is said of them.
+
+    It is compressed, but cannot sort the bytes of numbers by significance as NetCDF does, and is larger.
+    """
     described = {"attributes": dict(table.attributes)} | {n: dict(v.attributes) for n, v in table.variables.items()}
     text = json.dumps(described, default=lambda value: value.tolist())
     target = io.BytesIO()
     arrays = {name: variable.values for name, variable in table.variables.items()}
-    np.savez(target, allow_pickle=False, attributes=np.array(text), **arrays)
+    np.savez_compressed(target, allow_pickle=False, attributes=np.array(text), **arrays)
     return target.getvalue()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import Fault, RefusedError, answers
 from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.stored_answers import RANGED, byte_range
 from sunarc.api.schemas.images import Composite, Images
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
@@ -35,7 +35,6 @@ _IMMUTABLE = "private, max-age=31536000, immutable"
 _WIDTHS = (16, 4096)
 _QUALITY = 85
 _RESOLUTION = timedelta(milliseconds=1)
-_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
 _HEAD_BYTES = 65_536
 """Where the metadata stand: before the image data."""
 _IMAGE: dict[int | str, dict[str, Any]] = {
@@ -48,7 +47,7 @@ _IMAGE: dict[int | str, dict[str, Any]] = {
         },
         "content": {media_type: {} for media_type in sorted(_MEDIA_TYPES.values())},
     },
-    206: {"description": "The part that Range asks for."},
+    **RANGED,
     304: {"description": "The image is the one that If-None-Match names."},
 }
 ThumbnailWidth = Annotated[
@@ -98,7 +97,7 @@ def image_routes(context: ApiContext) -> APIRouter:
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
         if width is None:
-            _require_range(request.headers.get("range"), path)
+            byte_range(request.headers.get("range"), path.stat().st_size)
             return FileResponse(path, media_type=_MEDIA_TYPES[kind], headers=headers)
         return Response(thumbnail(path, width, kind), media_type=_MEDIA_TYPES[kind], headers=headers)
 
@@ -156,20 +155,6 @@ def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
     exposures = [one["exposure_us"] for one in document.get("exposures", ())]
     return headers | {"sunarc-exposures-us": ", ".join(f"{one:g}" for one in exposures)} if exposures else headers
-
-
-def _require_range(text: str | None, path: Path) -> None:
-    """Refuse (416) a Range that is none of this file's bytes; one range at a time."""
-    if text is None:
-        return
-    found, size = _RANGE.fullmatch(text.strip()), path.stat().st_size
-    first, last = found.groups() if found else ("", "")
-    from_first = bool(first) and int(first) < size and (not last or int(last) >= int(first))
-    if from_first or (not first and last and int(last) > 0):
-        return
-    fault = Fault(field="range", problem=f"{text!r} is no part of {size} bytes", remedy="ask for bytes=FIRST-LAST")
-    headers = {"content-range": f"bytes */{size}"}
-    raise RefusedError(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, fault, headers=headers)
 
 
 def thumbnail(path: Path, width: int, kind: Kind) -> bytes:

@@ -1,12 +1,11 @@
-"""Routes: the map of what every pixel sees, made once and kept in a file."""
+"""Routes: the map of what every pixel sees."""
 
 from __future__ import annotations
 
 import math
-import mmap
-import tempfile
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Annotated, Any
 
 import cv2
@@ -16,14 +15,12 @@ from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
 import sunarc
-from sunarc.api.arrays import BytesResponse
 from sunarc.api.compute_slots import ComputeSlots
-from sunarc.api.context import ApiContext, SingleFlightCache
-from sunarc.api.middleware.client_address import client_network
-from sunarc.api.middleware.holdings import Holding, Holdings
+from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
-from sunarc.api.routes.calibrations import etag_of, matches
+from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
+from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import BoolArray
@@ -32,15 +29,13 @@ from sunarc.errors import OutsideError
 from sunarc.exports import MAP_FORMATS, MEDIA_TYPES, MapFormat, Variable, map_table, netcdf_bytes, npz_bytes
 from sunarc.sky import Site, sun_directions
 
-_MOST_FILES = 4
-_MOST_SENT = 16
-"""Maps with a mask of the sun that are being sent: so many files at most are there besides those that are kept."""
 _MAP: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "zenith, azimuth, direction, sigma of every pixel, and masks (docs/rest.md).",
         "headers": {"ETag": {"description": "Changes with the calibration.", "schema": {"type": "string"}}},
         "content": {MEDIA_TYPES[name]: {} for name in MAP_FORMATS},
     },
+    **RANGED,
     304: {"description": "The map is the one that If-None-Match names."},
 }
 Radius = Annotated[
@@ -49,17 +44,16 @@ Radius = Annotated[
 ]
 
 
-def map_routes(context: ApiContext) -> APIRouter:
-    """Return the route that tells what every pixel sees."""
+def map_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
+    """Return the route that tells what every pixel sees, from a file."""
     routes = APIRouter(tags=["directions"])
-    making, sending = ComputeSlots(1), Holdings(_MOST_SENT)
-    files = SingleFlightCache(_file, key=_tag, most=_MOST_FILES)
+    slots = ComputeSlots(1)
 
     @routes.get(
         "/back-projection-map",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_MAP | answers(404, 422),
+        responses=_MAP | answers(404, 416, 422),
     )
     async def back_projection_map(
         request: Request,
@@ -75,22 +69,10 @@ def map_routes(context: ApiContext) -> APIRouter:
         requested = _Map(context=selected, record=record, format=format_, sun=sun, site=site)
         tag = await run_in_threadpool(_tag, requested)
         headers = {"etag": tag, "cache-control": "no-cache", "sunarc-calibration": record.id}
-        if matches(if_none_match, tag):
-            return Response(status_code=304, headers=headers)
-        client = client_network(request.scope)
-        file = files.cached_value(requested) or await _made(files, requested, making, client)
-        return file.sent(MEDIA_TYPES[format_], headers, sending.open(client), is_private=sun is not None)
+        tagged = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        return await files.answer(tagged, slots, partial(_content, requested))
 
     return routes
-
-
-async def _made(
-    files: SingleFlightCache[_Map, _MapFile], requested: _Map, making: ComputeSlots, client: str | None
-) -> _MapFile:
-    """Return a map's file, which may have to be made: one at a time."""
-    making.require_room(client)
-    async with making.slot(client):
-        return await run_in_threadpool(files.get, requested)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,33 +95,14 @@ class _Map:
     site: Site | None
 
 
-class _MapFile:
-    """A map in a file that has no name and goes when nobody reads it any more.
-
-    Parameters
-    ----------
-    content : its bytes.
-    """
-
-    def __init__(self, content: bytes) -> None:
-        with tempfile.TemporaryFile() as file:
-            file.write(content)
-            file.flush()
-            self._bytes = mmap.mmap(file.fileno(), len(content), access=mmap.ACCESS_READ)
-
-    def sent(self, media_type: str, headers: dict[str, str], holding: Holding, *, is_private: bool) -> BytesResponse:
-        """Return the answer that sends it; one that hardly another client asks for counts as held by who reads it."""
-        counted = 1 if is_private else 0
-        return BytesResponse(self._bytes, media_type=media_type, headers=headers, holding=holding, counted=counted)
-
-
-def _file(requested: _Map) -> _MapFile:
+def _content(requested: _Map) -> Content:
     found = back_projection_map(requested.context.ready.get(requested.record))
     masks = _obstructions(requested.context, requested.record)
     if requested.sun is not None and requested.site is not None:
         masks |= _sun_mask(requested.site, *requested.sun, found)
     table = map_table(found, requested.record.document, masks=masks)
-    return _MapFile(netcdf_bytes(table) if requested.format == "netcdf" else npz_bytes(table))
+    content = netcdf_bytes(table) if requested.format == "netcdf" else npz_bytes(table)
+    return Content(content=content, media_type=MEDIA_TYPES[requested.format])
 
 
 def _tag(requested: _Map) -> str:

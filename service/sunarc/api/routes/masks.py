@@ -13,13 +13,14 @@ from fastapi.responses import Response
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
+import sunarc
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
-from sunarc.api.routes.in_slot import Tagged, made_in_slot
 from sunarc.api.routes.maps import hidden_by_obstructions
+from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import BoolArray, FloatArray
@@ -34,6 +35,7 @@ _MASK: dict[int | str, dict[str, Any]] = {
         },
         "content": {"image/png": {}},
     },
+    **RANGED,
     304: {"description": "The mask is the one that If-None-Match names."},
 }
 _RADIUS = Annotated[float, Query(gt=0.0, le=90.0, description="Of the disc, degrees on the sky.", examples=[10.0])]
@@ -42,8 +44,8 @@ _ELEVATION = Annotated[
 ]
 
 
-def mask_routes(context: ApiContext) -> APIRouter:
-    """Return the routes of the masks."""
+def mask_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
+    """Return the routes of the masks, which are kept in files."""
     routes = APIRouter(tags=["images"])
     slots = ComputeSlots(1)
 
@@ -58,17 +60,20 @@ def mask_routes(context: ApiContext) -> APIRouter:
             site = await run_in_threadpool(selected.site_at, time)
             axis = np.asarray(sun_directions(time.timestamp(), site))
         hidden = await run_in_threadpool(hidden_by_obstructions, selected, record) if name == "horizon" else None
-        key = repr((name, record.id, limit, axis.tolist(), None if hidden is None else hidden.tobytes()))
-        headers = {"etag": etag_of(key.encode()), "sunarc-calibration": record.id}
-        asked = Tagged(request=request, headers=headers, if_none_match=if_none_match)
+        key = repr(
+            (name, record.id, sunarc.__version__, limit, axis.tolist(), None if hidden is None else hidden.tobytes())
+        )
+        tag, headers = etag_of(key.encode()), {"sunarc-calibration": record.id, "cache-control": "no-cache"}
+        asked = Tagged(request=request, headers=headers | {"etag": tag}, if_none_match=if_none_match)
 
-        def made() -> Response:
-            content = _mask(selected, record, axis, limit, hidden)
-            return Response(content, media_type="image/png", headers=headers | {"cache-control": "no-cache"})
+        def made() -> Content:
+            return Content(content=_mask(selected, record, axis, limit, hidden), media_type="image/png")
 
-        return await made_in_slot(slots, asked, made)
+        return await files.answer(asked, slots, made)
 
-    @routes.get("/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422))
+    @routes.get(
+        "/masks/sun", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 416, 422)
+    )
     async def sun_mask(
         request: Request, at: At = None, radius_deg: _RADIUS = 10.0, if_none_match: IfNoneMatch = None
     ) -> Response:
@@ -76,7 +81,7 @@ def mask_routes(context: ApiContext) -> APIRouter:
         return await sent(request, at, if_none_match, name="sun", limit=math.cos(math.radians(radius_deg)))
 
     @routes.get(
-        "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 422)
+        "/masks/horizon", dependencies=BY_CALIBRATION, response_class=Response, responses=_MASK | answers(404, 416, 422)
     )
     async def horizon_mask(
         request: Request, at: At = None, elevation_deg: _ELEVATION = 0.0, if_none_match: IfNoneMatch = None

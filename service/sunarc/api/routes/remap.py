@@ -16,13 +16,14 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
+import sunarc
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.images import Captured, composite_file, decoded_preview
-from sunarc.api.routes.in_slot import Tagged, made_in_slot
+from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
@@ -68,6 +69,8 @@ _TABLES: dict[int | str, dict[str, Any]] = {
         "headers": _HEADERS,
         "content": {MEDIA_TYPES[name]: {} for name in ("netcdf", "npz")},
     },
+    **RANGED,
+    **answers(404, 416, 422),
     304: {"description": "The tables are the ones that If-None-Match names."},
 }
 _PICTURE: dict[int | str, dict[str, Any]] = {
@@ -76,6 +79,8 @@ _PICTURE: dict[int | str, dict[str, Any]] = {
         "headers": _HEADERS,
         "content": {"image/png": {}},
     },
+    **RANGED,
+    **answers(404, 416, 422),
     304: {"description": "The picture is the one that If-None-Match names."},
 }
 
@@ -99,16 +104,16 @@ class _Asked:
 
     def tag(self, *more: str) -> str:
         """Return what changes with the grid and with what else is named."""
-        text = json.dumps([self.grid, self.size, self.height_m, self.half_width_m, *more])
+        text = json.dumps([sunarc.__version__, self.grid, self.size, self.height_m, self.half_width_m, *more])
         return etag_of(text.encode())
 
 
-def remap_routes(context: ApiContext) -> APIRouter:
-    """Return the routes of the grids."""
+def remap_routes(context: ApiContext, files: AnswerFiles) -> APIRouter:
+    """Return the routes of the grids, whose answers are kept in files."""
     routes = APIRouter(tags=["images"])
     slots = ComputeSlots(1)
 
-    @routes.get("/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES | answers(404, 422))
+    @routes.get("/remap", dependencies=BY_CALIBRATION, response_class=Response, responses=_TABLES)
     async def remap(
         *,
         request: Request,
@@ -126,13 +131,13 @@ def remap_routes(context: ApiContext) -> APIRouter:
         tagged = _tagged(request, if_none_match, asked.tag(record.id, format_))
         content = partial(_tables, selected, record, asked, format_)
         stated = partial(_stated, selected, record, asked)
-        return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, MEDIA_TYPES[format_]))
+        return await files.answer(tagged, slots, partial(_made, content, stated, MEDIA_TYPES[format_]))
 
     @routes.get(
         "/images/{time}/rectified",
         dependencies=BY_CALIBRATION,
         response_class=Response,
-        responses=_PICTURE | answers(404, 422),
+        responses=_PICTURE,
     )
     async def rectified(
         *,
@@ -151,20 +156,18 @@ def remap_routes(context: ApiContext) -> APIRouter:
         tagged = _tagged(request, if_none_match, asked.tag(record.id, path.stem))
         content = partial(_picture, selected, record, asked, path)
         stated = partial(_stated, selected, record, asked)
-        return await made_in_slot(slots, tagged, partial(_answer, tagged, content, stated, "image/png"))
+        return await files.answer(tagged, slots, partial(_made, content, stated, "image/png"))
 
     return routes
 
 
 def _tagged(request: Request, if_none_match: str | None, tag: str) -> Tagged:
-    return Tagged(request=request, headers={"etag": tag}, if_none_match=if_none_match)
+    headers = {"etag": tag, "cache-control": "private, no-cache"}
+    return Tagged(request=request, headers=headers, if_none_match=if_none_match)
 
 
-def _answer(
-    tagged: Tagged, content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str
-) -> Response:
-    headers = {**stated(), **tagged.headers, "cache-control": "private, no-cache"}
-    return Response(content(), media_type=media_type, headers=headers)
+def _made(content: Callable[[], bytes], stated: Callable[[], dict[str, str]], media_type: str) -> Content:
+    return Content(content=content(), media_type=media_type, headers=stated())
 
 
 def _camera(context: ApiContext, record: CalibrationRecord) -> Camera:
