@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from datetime import timedelta
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from sunarc.api.routes.calibrations import decimal
 from sunarc.sky import angular_distance, sun_directions
 
 if TYPE_CHECKING:
@@ -56,7 +58,10 @@ def test_every_format_has_its_media_type_its_tag_and_its_error(made: Made, wante
     assert (known.status_code, known.content) == (304, b"")
     if wanted != "json":
         assert tag != ask(made, "/v1/calibration").headers["etag"]
-        assert " px RMS and " in answer.headers["sunarc-fit-error"]
+        rms_px, max_px, rms_deg = (answer.headers[f"sunarc-fit-error{part}"] for part in ("", "-max", "-deg"))
+        assert all(re.fullmatch(r"\d+(\.\d+)?", number) for number in (rms_px, max_px, rms_deg))
+        assert 0.0 < float(rms_px) < float(max_px) < 2.0
+        assert 0.03 < float(rms_deg) / float(rms_px) < 3.0  # a pixel has 0.1 degrees, and more near the horizon
         assert "filename=" in answer.headers["content-disposition"]
 
 
@@ -121,3 +126,11 @@ def test_the_npz_map_opens_in_numpy(made: Made) -> None:
 @pytest.mark.parametrize("path", ["/v1/calibration?format=opencv", "/v1/back-projection-map"])
 def test_without_a_calibration_there_is_nothing_to_export(empty: Made, path: str) -> None:
     assert empty.client.get(path).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1500.0, "1500"), (1.23456e-6, "0.000001235"), (12_345_678.0, "12350000"), (0.009876, "0.009876")],
+)
+def test_numbers_in_headers_are_decimals(value: float, text: str) -> None:
+    assert decimal(value) == text

@@ -105,6 +105,19 @@ def test_clouds_and_shadows_are_where_the_geometry_puts_them(imager: Imager) -> 
     assert np.all(np.isnan(below.latitude))
 
 
+def test_points_of_different_times_are_as_if_asked_alone(imager: Imager) -> None:
+    pixels, times = np.array([[[640.0, 760.0], [900.0, 500.0]]]), [NOON - timedelta(days=3), NOON - timedelta(hours=3)]
+    clouds, shadows = imager.geolocate(pixels, height_m=1500.0, height_sigma_m=40.0, at=times)
+    assert clouds.latitude.shape == (1, 2)
+    for k, time in enumerate(times):
+        alone = imager.geolocate(pixels[0, k], height_m=1500.0, height_sigma_m=40.0, at=time)
+        for many, one in zip((clouds, shadows), alone, strict=True):
+            np.testing.assert_allclose(many.position_m[0, k], one.position_m, atol=1e-5)
+            np.testing.assert_allclose(many.sigma_m[0, k], one.sigma_m, rtol=1e-6)
+    with pytest.raises(ValueError, match="time zone"):
+        imager.geolocate(pixels, height_m=1500.0, at=[NOON.replace(tzinfo=None)])
+
+
 def test_draws_come_with_their_axis_before_the_shape_of_the_question(imager: Imager) -> None:
     pixels = np.array([[[700.0, 760.0], [900.0, 500.0]], [[650.0, 700.0], [800.0, 810.0]]])
     estimated = imager.back_project(pixels)

@@ -62,12 +62,12 @@ def read_rows(body: bytes, *, columns: tuple[int, ...], most: int) -> Rows:
     return np.frombuffer(content, dtype=dtype).reshape(count, width).astype(dtype.newbyteorder("="), copy=False)
 
 
-def require_few(count: int, *, most: int, field: str) -> None:
+def require_few(count: int, *, most: int, field: str, what: str = "") -> None:
     """Raise RefusedError (413) where there are more than `most`."""
     if count > most:
         raise RefusedError(
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-            Fault(field=field, problem=f"{count} at once, more than {most}", remedy="ask in parts"),
+            Fault(field=field, problem=f"{f'{count} {what}'.strip()} at once, more than {most}", remedy="ask in parts"),
         )
 
 

@@ -17,14 +17,15 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 
+from sunarc.api.answering import Answering, answering_at, answering_each
 from sunarc.api.arrays import NPY, Rows, bytes_ahead, read_rows, require_few, rows_response
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import CALIBRATION, ApiContext, Sampling
 from sunarc.api.middleware.client_address import client_network
 from sunarc.api.problems import Fault, RefusedError
-from sunarc.archive import CalibrationRecord
 from sunarc.array_types import FloatArray
-from sunarc.calibration import Ensemble, Lookup
+from sunarc.calibration import Ensemble
+from sunarc.errors import InputError
 
 RequestModel = TypeVar("RequestModel", bound=BaseModel)
 
@@ -32,24 +33,6 @@ _JSON = "application/json"
 _SMALL_BYTES = 4096
 """A question of this size is answered faster than a thread takes over."""
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answering:
-    """What answers a question.
-
-    Attributes
-    ----------
-    context : of the camera that was asked for.
-    record : its calibration.
-    ready : made ready.
-    time : that was asked for; now by the frames' time where none was.
-    """
-
-    context: ApiContext
-    record: CalibrationRecord
-    ready: Lookup
-    time: datetime
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +50,7 @@ class Computation:
     draw_columns : names of its columns.
     draws_as_json : returns the rows of all draws, (draws, n, columns), as a JSON object.
     double : answer in double precision whatever the question has.
+    times : returns the times of the rows, s since 1970; None where they have none. Then the times choose what answers.
     """
 
     read: Callable[[bytes, int], FloatArray]
@@ -78,6 +62,7 @@ class Computation:
     draw_columns: tuple[str, ...]
     draws_as_json: Callable[[FloatArray], dict[str, Any]]
     double: bool = False
+    times: Callable[[Rows], FloatArray | None] = lambda _: None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +88,7 @@ async def compute(
     if len(body) <= _SMALL_BYTES:
         # On the event loop only where nothing has to be read or made: that would hold up every other request.
         chosen = question.draws or CALIBRATION in request.query_params
-        ours_now = question.at is None and not chosen and not request.path_params["camera"]
+        ours_now = question.at is None and not chosen and not request.path_params["camera"] and b'"at"' not in body
         if ours_now and context.ready.cached_value(context.record_or_none(None)) is not None:
             return _json(computation, context, request, body, question)
         return await run_in_threadpool(_json, computation, context, request, body, question)
@@ -144,14 +129,14 @@ def row_responses(columns: Sequence[str]) -> dict[int | str, dict[str, Any]]:
 def _json(computation: Computation, context: ApiContext, request: Request, body: bytes, question: Question) -> Response:
     rows = computation.read(body, context.options.max_points)
     require_few(len(rows) * question.draws, most=context.options.max_points, field="draws")
-    answering = _answering(context, request, question.at)
+    answering = _answering(computation, context, request, rows, question)
     answer = {"calibration": answering.record.id} | computation.as_json(answering, computation.answer(answering, rows))
     if question.draws:
         ensemble = _ensemble(answering, question)
         drawn = np.array([computation.draw(answering, ensemble, draw, rows) for draw in ensemble], dtype=np.float64)
         answer["draws"] = computation.draws_as_json(drawn)
     content = to_json(answer, inf_nan_mode="null")
-    return Response(content, media_type=_JSON, headers={"sunarc-calibration": answering.record.id})
+    return Response(content, media_type=_JSON, headers=_calibrations(answering))
 
 
 async def _rows(
@@ -160,12 +145,15 @@ async def _rows(
     client = client_network(request.scope)
     slots.require_room(client)
     rows = read_rows(await request.body(), columns=computation.columns, most=context.options.max_rows)
+    if rows.dtype == np.float32 and computation.times(rows) is not None:
+        problem = "holds times in single precision, which are off by up to 64 s"
+        raise InputError(field="body", problem=problem, remedy="send float64")
     rows = rows.astype(np.float64) if computation.double else rows
     require_few(len(rows) * question.draws, most=context.options.max_rows, field="draws")
     columns = computation.draw_columns if question.draws else computation.answer_columns
     width = len(columns)
     request.state.holding.grow(bytes_ahead(rows, width) + (rows.nbytes if rows.flags.owndata else 0))
-    answering = await run_in_threadpool(_answering, context, request, question.at)
+    answering = await run_in_threadpool(_answering, computation, context, request, rows, question)
     answers: list[Callable[[Rows], Rows]] = [partial(computation.answer, answering)]
     if question.draws:
         ensemble = await run_in_threadpool(_ensemble, answering, question)
@@ -175,7 +163,7 @@ async def _rows(
         answers,
         draws=question.draws,
         width=width,
-        headers={"sunarc-calibration": answering.record.id, "sunarc-columns": ",".join(columns)},
+        headers=_calibrations(answering) | {"sunarc-columns": ",".join(columns)},
         slot=partial(slots.slot, client),
     )
 
@@ -186,8 +174,19 @@ def _ensemble(answering: Answering, question: Question) -> Ensemble:
     return answering.context.ensembles.get(sampling)
 
 
-def _answering(context: ApiContext, request: Request, at: datetime | None) -> Answering:
-    selected, record = context.answering(request, at)
-    return Answering(
-        context=selected, record=record, ready=selected.ready.get(record), time=at or selected.frame_clock()
-    )
+def _answering(
+    computation: Computation, context: ApiContext, request: Request, rows: Rows, question: Question
+) -> Answering:
+    """Return what answers: for the time of each row where they have one, else for the one that is asked for."""
+    times = computation.times(rows)
+    if times is None or not len(times):
+        return answering_at(context, request, question.at)
+    for name, given in (("at", question.at), ("draws", question.draws)):
+        if given:
+            problem = "cannot be given together with a time for each point"
+            raise InputError(field=name, problem=problem, remedy="leave one of them out, or ask for each time alone")
+    return answering_each(context, request, times)
+
+
+def _calibrations(answering: Answering) -> dict[str, str]:
+    return {"sunarc-calibration": ", ".join(answering.calibrations)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import date, datetime
 from typing import Any, Literal
 
@@ -69,7 +69,12 @@ class Imager(Requests):
         return rows.reshape(draws, *shape, 2)
 
     def geolocate(
-        self, pixels: ArrayLike, *, height_m: ArrayLike, height_sigma_m: float = 0.0, at: datetime | None = None
+        self,
+        pixels: ArrayLike,
+        *,
+        height_m: ArrayLike,
+        height_sigma_m: float = 0.0,
+        at: datetime | Sequence[datetime] | None = None,
     ) -> tuple[Located, Located]:
         """Return where clouds are that pixels (..., 2) see, and where their shadows are.
 
@@ -78,10 +83,12 @@ class Imager(Requests):
         pixels : (..., 2) px.
         height_m : (...) or one: of the cloud base above the camera's altitude.
         height_sigma_m : 1-sigma of the height.
-        at : gives the calibration and the sun.
+        at : gives the calibration and the sun; a sequence, along the last dimension of the pixels' (...), gives one
+            time for each, of at most 366 days and 8 calibrations.
         """
-        points = _points(pixels, height_m, height_sigma_m)
-        rows, _, shape = self._rows("/geolocate", points, points.shape[-1], at)
+        one_time = at if at is None or isinstance(at, datetime) else None
+        points = _points(pixels, height_m, height_sigma_m, times=None if one_time else at)
+        rows, _, shape = self._rows("/geolocate", points, points.shape[-1], one_time)
         return _located(rows[:, :10], shape), _located(rows[:, 10:], shape)
 
     def geolocate_draws(
@@ -255,10 +262,15 @@ class Imager(Requests):
         return self._change(f"/days/{day.isoformat()}/air", method="PUT", **air)
 
     def past_events(
-        self, *, since: datetime | None = None, until: datetime | None = None, severity: str | None = None
+        self,
+        *,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        severity: str | None = None,
+        kind: str | None = None,
     ) -> Iterator[dict[str, Any]]:
         """Yield the stored events with since <= time < until, the newest first; `events` are those to come."""
-        return self._pages("/events", "events", since=_time(since), until=_time(until), severity=severity)
+        return self._pages("/events", "events", since=_time(since), until=_time(until), severity=severity, kind=kind)
 
     def cameras(self) -> dict[str, Any]:
         """Return the cameras that the archive knows, and the name of the one that is asked by default."""

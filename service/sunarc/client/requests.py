@@ -6,7 +6,7 @@ import io
 import json
 import urllib.parse
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import date, datetime
 from typing import Any
@@ -111,10 +111,24 @@ def _expected_content() -> Iterator[None]:
         raise ImagerError(f"the answer cannot be read: {error}; check the address", status=200) from None
 
 
-def _points(pixels: ArrayLike, height_m: ArrayLike, height_sigma_m: float) -> FloatArray:
-    """Return (..., 3): pixels with the height of the cloud base that they see; (..., 4) where it has a 1-sigma."""
+def _points(
+    pixels: ArrayLike,
+    height_m: ArrayLike,
+    height_sigma_m: float,
+    *,
+    times: datetime | Sequence[datetime] | None = None,
+) -> FloatArray:
+    """Return pixels with the height of the cloud base that they see, its 1-sigma, and their times, s since 1970.
+
+    (..., 3), (..., 4) where the height has a 1-sigma, (..., 5) where there are times.
+    """
     pixel = np.asarray(pixels, dtype=np.float64)
-    columns = (height_m, height_sigma_m) if height_sigma_m else (height_m,)
+    columns: list[ArrayLike] = [height_m]
+    if height_sigma_m or times is not None:
+        columns.append(height_sigma_m)
+    if times is not None:
+        named = [times] if isinstance(times, datetime) else times
+        columns.append([_aware(time).timestamp() for time in named])
     broadcast = [np.broadcast_to(np.asarray(one, dtype=np.float64), pixel.shape[:-1])[..., None] for one in columns]
     return np.concatenate([pixel, *broadcast], axis=-1)
 
@@ -131,9 +145,13 @@ def _located(rows: FloatArray, shape: tuple[int, ...]) -> Located:
 
 
 def _time(at: datetime | None) -> str | None:
-    if at is not None and at.tzinfo is None:
-        raise ValueError(f"{at} has no time zone")
-    return None if at is None else at.isoformat()
+    return None if at is None else _aware(at).isoformat()
+
+
+def _aware(time: datetime) -> datetime:
+    if time.tzinfo is None:
+        raise ValueError(f"{time} has no time zone")
+    return time
 
 
 def _named(time: datetime | str) -> str:

@@ -28,7 +28,7 @@ _RANK = {"candidate": 1, "retired": 2, "current": 3}
 def asi_core_file(calibration: Calibration, document: Document, *, with_matrices: bool = False) -> Exported:
     """Return the camera file of a calibration, with its mask and, where they are wanted, its matrices beside it."""
     camera, model = calibration.camera, ocam_model(calibration.camera, cubic=True)
-    error = str(compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height))))
+    error = compare(camera_view(camera), ocam_view("asi-core", model, size=(camera.width, camera.height)))
     mounted = document["valid_from"] or FAR_PAST
     name, time = _plain(document["camera"]), re.sub(r"[^0-9]", "", mounted)[:14]
     found = back_projection_map(lookup(calibration))
@@ -50,7 +50,13 @@ def asi_core_file(calibration: Calibration, document: Document, *, with_matrices
         **{name: float(document["site"][name]) for name in ("latitude", "longitude", "altitude")},
     }
     content = asi_core_yaml(model, width=camera.width, height=camera.height, camera=site, notes=notes)
-    return Exported(content=content, error=error, name=f"{name}_{time}.yaml", beside=masks | matrices)
+    return Exported(
+        content=content,
+        error=str(error),
+        difference=error.total,
+        name=f"{name}_{time}.yaml",
+        beside=masks | matrices,
+    )
 
 
 def asi_core_set(documents: Sequence[Document]) -> list[Exported]:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from sunarc.exports.comparison import Differences
+
 PIXELS = "pixel (0, 0) is the centre of the top-left one, x right, y down; azimuth clockwise from north"
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 """The earliest that a zip file can say: the same calibration always makes the same bytes."""
@@ -21,12 +23,14 @@ class Exported:
     ----------
     content : the file.
     error : how far it is from the calibration, in one sentence; the file says it too.
+    difference : the same in numbers; None for the calibration itself, and where nothing was compared.
     name : what the file is called in a set.
     beside : files that belong beside it, by the names that it calls them.
     """
 
     content: bytes
     error: str
+    difference: Differences | None = None
     name: str = ""
     beside: Mapping[str, bytes] = field(default_factory=dict)
 

@@ -76,7 +76,9 @@ def export(document: Mapping[str, Any], form: Format) -> Exported:
             return _mrcal(calibration, document)
         case "netcdf" | "npz":
             table, error = calibration_table(calibration, document)
-            return Exported(content=_file(form)(table), error=f"between the pixels of the grid, {error}")
+            return Exported(
+                content=_file(form)(table), error=f"between the pixels of the grid, {error}", difference=error.total
+            )
 
 
 def export_file(document: Mapping[str, Any], form: FileFormat) -> Exported:
@@ -92,11 +94,11 @@ def export_file(document: Mapping[str, Any], form: FileFormat) -> Exported:
     calibration = from_document(document)
     camera, written = calibration.camera, _FILE_WRITERS[form](calibration, document, notes_of(document))
     name, content = next(iter(written.items()))
-    error = str(compare(camera_view(camera), read_view(content, name=name, beside=written.get)))
+    error = compare(camera_view(camera), read_view(content, name=name, beside=written.get))
     if form in _WITH_NOTES:
         written = _FILE_WRITERS[form](calibration, document, [*notes_of(document), f"this file {error}"])
     beside = {other: made for other, made in written.items() if other != name}
-    return Exported(content=written[name], error=error, name=name, beside=beside)
+    return Exported(content=written[name], error=str(error), difference=error.total, name=name, beside=beside)
 
 
 Written = dict[str, bytes]
@@ -156,7 +158,7 @@ def _file(form: MapFormat) -> Callable[[Table], bytes]:
 def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera = calibration.camera
     model = fisheye_model(camera)
-    error = str(compare(camera_view(camera), fisheye_view("opencv", model, size=(camera.width, camera.height))))
+    error = compare(camera_view(camera), fisheye_view("opencv", model, size=(camera.width, camera.height)))
     notes = {
         "calibration": document["id"],
         "model": "cv2.fisheye: projectPoints(directions, Rodrigues(rotation_cam_enu), zeros, K, D)",
@@ -164,22 +166,24 @@ def _opencv(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
         "limit": "the model divides by z: nothing at 90 degrees off the axis and beyond has a pixel",
         "fit_error": f"this model {error}",
     }
-    return Exported(content=opencv_yaml(model, width=camera.width, height=camera.height, notes=notes), error=error)
+    content = opencv_yaml(model, width=camera.width, height=camera.height, notes=notes)
+    return Exported(content=content, error=str(error), difference=error.total)
 
 
 def _mrcal(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera = calibration.camera
     model = splined_model(camera)
-    error = str(compare(camera_view(camera), splined_view(model, size=(camera.width, camera.height))))
+    error = compare(camera_view(camera), splined_view(model, size=(camera.width, camera.height)))
     notes = [*notes_of(document), f"this model {error}"]
-    return Exported(content=cameramodel(model, camera, notes=notes), error=error)
+    content = cameramodel(model, camera, notes=notes)
+    return Exported(content=content, error=str(error), difference=error.total)
 
 
 def _ocam(calibration: Calibration, document: Mapping[str, Any]) -> Exported:
     camera = calibration.camera
     model = ocam_model(camera)
-    error = str(compare(camera_view(camera), ocam_view("ocamcalib", model, size=(camera.width, camera.height))))
+    error = compare(camera_view(camera), ocam_view("ocamcalib", model, size=(camera.width, camera.height)))
     content = calib_results(
         model, width=camera.width, height=camera.height, notes=[*notes_of(document), f"this model {error}"]
     )
-    return Exported(content=content, error=error)
+    return Exported(content=content, error=str(error), difference=error.total)

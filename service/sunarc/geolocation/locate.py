@@ -70,15 +70,15 @@ def shadows(cloud: Located, sun: FloatArray, site: Site) -> Located:
     Parameters
     ----------
     cloud : the clouds.
-    sun : (3,) the sun's apparent direction, east-north-up.
+    sun : (3,) or (n, 3) the sun's apparent direction, east-north-up; one for all or one for each.
     site : where the camera stands.
 
     Returns
     -------
     NaN where the sun is at or below the horizon, or the sunlight past the cloud misses the ground.
     """
-    valid = np.full(len(cloud.position_m), sun[2] > _LEVEL)[:, None]
-    ray = np.where(valid, -sun, np.nan)
+    towards = np.broadcast_to(sun, cloud.position_m.shape)
+    ray = np.where(towards[:, 2:] > _LEVEL, -towards, np.nan)
     target = np.full(len(cloud.position_m), site.altitude)
     length, geodetic = _meet(cloud.position_m, ray, target, site)
     moved = _flattened(ray, geodetic.up)

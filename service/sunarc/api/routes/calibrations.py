@@ -7,6 +7,7 @@ import json
 from functools import partial
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
@@ -34,9 +35,11 @@ _EXPORTED: dict[int | str, dict[str, Any]] = {
         "headers": {
             "ETag": {"description": "Changes with the document.", "schema": {"type": "string"}},
             "Sunarc-Fit-Error": {
-                "description": "How far another format is from the calibration, in px and degrees.",
-                "schema": {"type": "string"},
+                "description": "How far another format is from the calibration over the sky, RMS, px.",
+                "schema": {"type": "number"},
             },
+            "Sunarc-Fit-Error-Max": {"description": "The same at most, px.", "schema": {"type": "number"}},
+            "Sunarc-Fit-Error-Deg": {"description": "The same, RMS, degrees.", "schema": {"type": "number"}},
         },
         "content": _DOCUMENT[200]["content"]
         | {media_type.partition(";")[0]: {} for name, media_type in MEDIA_TYPES.items() if name != "json"},
@@ -140,6 +143,14 @@ def etag_of(content: bytes) -> str:
     return f'"{hashlib.sha256(content).hexdigest()[:32]}"'
 
 
+def decimal(value: float, *, digits: int = 4) -> str:
+    """Return a number for a header, of so many significant digits, never with an exponent.
+
+    As the decimals of structured fields (RFC 9651), but with more digits after the point where it needs them.
+    """
+    return np.format_float_positional(value, precision=digits, unique=False, fractional=False, trim="-")
+
+
 def _with_tag(content: bytes, tag: str, if_none_match: str | None) -> Response:
     headers = {"etag": tag, "cache-control": "no-cache"}
     if matches(if_none_match, tag):
@@ -166,10 +177,13 @@ def _export(
     if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     exported = made[format_].get(record)
-    headers |= {
-        "content-disposition": f'attachment; filename="{FILE_NAMES[format_]}"',
-        "sunarc-fit-error": exported.error,
-    }
+    headers["content-disposition"] = f'attachment; filename="{FILE_NAMES[format_]}"'
+    if exported.difference is not None:
+        headers |= {
+            "sunarc-fit-error": decimal(exported.difference.rms_px),
+            "sunarc-fit-error-max": decimal(exported.difference.max_px),
+            "sunarc-fit-error-deg": decimal(exported.difference.rms_deg),
+        }
     return Response(exported.sent, media_type=MEDIA_TYPES[format_], headers=headers)
 
 

@@ -58,13 +58,14 @@ def record_routes(context: ApiContext) -> APIRouter:
         since: Since = None,
         until: Until = None,
         severity: Annotated[EventSeverity | None, Query(description="Of the events to return.")] = None,
+        kind: Annotated[str | None, Query(max_length=60, description="Of the events to return.")] = None,
         limit: Annotated[int, row_limit()] = 100,
         cursor: Cursor = None,
     ) -> Events:
         """Tell the events with since <= time < until, the newest first."""
         selected, page = context.of(request), page_at(cursor, limit)
         found = selected.archive.events(
-            selected.camera, since=since, until=page.until(until), severity=severity, limit=page.rows
+            selected.camera, since=since, until=page.until(until), severity=severity, kind=kind, limit=page.rows
         )
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
         return Events(events=list(rows), next=next_)

@@ -8,8 +8,9 @@ import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
+from sunarc.api.answering import Answering
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, parsed_body, row_responses
+from sunarc.api.bulk import Computation, Question, body_of, compute, parsed_body, row_responses
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers

@@ -8,8 +8,9 @@ import numpy as np
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
+from sunarc.api.answering import Answering, Timeline, moment
 from sunarc.api.arrays import Rows, require_few
-from sunarc.api.bulk import Answering, Computation, Question, body_of, compute, parsed_body, row_responses
+from sunarc.api.bulk import Computation, Question, body_of, compute, parsed_body, row_responses
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
@@ -19,6 +20,7 @@ from sunarc.api.schemas.geolocation import GeolocateAnswer, GeolocateRequest
 from sunarc.api.schemas.parameters import At, Draws, Seed
 from sunarc.array_types import FloatArray
 from sunarc.calibration import Ensemble
+from sunarc.errors import InputError
 from sunarc.geolocation import Located, clouds, shadows
 from sunarc.sky import sun_angles, sun_directions
 
@@ -34,6 +36,8 @@ _OF_ONE = (
     "cov_en_m2",
     "cov_nn_m2",
 )
+_TIME = 4
+"""Column of the question that has the times, s since 1970."""
 LOCATED = (*_OF_ONE, *(f"shadow_{name}" for name in _OF_ONE))
 """Columns of the answer: a cloud and its shadow."""
 
@@ -48,11 +52,13 @@ def geolocation_routes(context: ApiContext, slots: ComputeSlots) -> APIRouter:
         response_model=GeolocateAnswer,
         responses=row_responses(LOCATED) | answers(404, 408, 413, 415, 422),
         openapi_extra=body_of(
-            "GeolocateRequest", "(n, 3) x, y in px, cloud base height in m; or (n, 4) with the height's 1-sigma in m."
+            "GeolocateRequest",
+            "(n, 3) x, y in px, cloud base height in m; (n, 4) with the height's 1-sigma in m; (n, 5) with that and a "
+            "time for each point, s since 1970-01-01 UTC (float64).",
         ),
     )
     async def geolocate(request: Request, at: At = None, draws: Draws = 0, seed: Seed = 0) -> Response:
-        """Tell where clouds of a given height and their shadows are, now or at the moment `at`, and how sure."""
+        """Tell where clouds of a given height and their shadows are, now, at the moment `at` or each at its own."""
         return await compute(_GEOLOCATION, context, slots, request, Question(at=at, draws=draws, seed=seed))
 
     return routes
@@ -67,18 +73,46 @@ def _read(body: bytes, most: int) -> FloatArray:
         pixels = np.array(request.pixels or [], dtype=np.float64).reshape(-1, 2)
         require_few(len(pixels), most=most, field="pixels")
         points = np.concatenate([pixels, np.full((len(pixels), 1), request.height_m)], axis=1)
-    return np.concatenate([points, np.full((len(points), 1), request.height_sigma_m)], axis=1)
+    columns = [points, np.full((len(points), 1), request.height_sigma_m)]
+    if request.at is not None:
+        _require_each(len(request.at), len(points))
+        columns.append(np.array([time.timestamp() for time in request.at], dtype=np.float64).reshape(-1, 1))
+    return np.concatenate(columns, axis=1)
+
+
+def _require_each(n_times: int, n_points: int) -> None:
+    if n_times != n_points:
+        problem, remedy = f"{n_times} times for {n_points} points", "give as many times as points"
+        raise InputError(field="at", problem=problem, remedy=remedy)
+
+
+def _times(points: Rows) -> FloatArray | None:
+    """Return the times of points that have one each, s since 1970."""
+    if points.shape[1] <= _TIME:
+        return None
+    return np.ascontiguousarray(points[:, _TIME], dtype=np.float64)
 
 
 def _locate(answering: Answering, points: Rows) -> Rows:
-    site, exact = answering.context.site_at(answering.time), np.asarray(points, dtype=np.float64)
+    exact = np.asarray(points, dtype=np.float64)
+    if answering.each is None:
+        return _located_at(answering, exact, answering.time.timestamp())
+    rows = np.empty((len(exact), len(LOCATED)))
+    for one, at in answering.each.split(exact[:, _TIME]):
+        rows[at] = _located_at(one, exact[at], exact[at, _TIME])
+    return rows
+
+
+def _located_at(answering: Answering, exact: FloatArray, unix_s: float | FloatArray) -> FloatArray:
+    """Return the answer's rows for points that see the sun of one time, or each of its own, of one solar day."""
+    site = answering.context.site_at(answering.time)
     directions = np.asarray(answering.ready.back_project(np.ascontiguousarray(exact[:, :2]))[:, 2:5], dtype=np.float64)
     with np.errstate(all="ignore"):  # what has no place is answered with null
         covariance = answering.ready.direction_covariance(np.ascontiguousarray(directions))
         cloud = clouds(
             directions, height_m=exact[:, 2], covariance=covariance, site=site, height_sigma_m=_height_sigma(exact)
         )
-        shadow = shadows(cloud, sun_directions(answering.time.timestamp(), site), site)
+        shadow = shadows(cloud, sun_directions(unix_s, site), site)
         return np.concatenate([_row(cloud), _row(shadow)], axis=1)
 
 
@@ -123,11 +157,25 @@ def _row(found: Located) -> FloatArray:
 
 def _geolocation_json(answering: Answering, rows: Rows) -> dict[str, Any]:
     sun = sun_angles(answering.time.timestamp(), answering.context.site_at(answering.time))
+    each = {} if answering.each is None else {"each": _each_json(answering.each)}
     return {
         "time": answering.time,
         "sun": {"apparent_zenith": float(sun.apparent_zenith), "azimuth": float(sun.azimuth)},
         "cloud": _columns_by_name(rows[:, :10]),
         "shadow": _columns_by_name(rows[:, 10:]),
+        **each,
+    }
+
+
+def _each_json(each: Timeline) -> dict[str, Any]:
+    zenith, azimuth = np.empty((2, len(each.asked)))
+    for one, at in each.split(each.asked):
+        sun = sun_angles(each.asked[at], one.context.site_at(one.time))
+        zenith[at], azimuth[at] = sun.apparent_zenith, sun.azimuth
+    return {
+        "calibration": each.of_points(),
+        "time": [moment(time) for time in each.asked.tolist()],
+        "sun": {"apparent_zenith": zenith.tolist(), "azimuth": azimuth.tolist()},
     }
 
 
@@ -139,7 +187,7 @@ def _columns_by_name(rows: Rows) -> dict[str, Any]:
 
 _GEOLOCATION = Computation(
     read=_read,
-    columns=(3, 4),
+    columns=(3, 4, _TIME + 1),
     answer=_locate,
     answer_columns=LOCATED,
     as_json=_geolocation_json,
@@ -147,4 +195,5 @@ _GEOLOCATION = Computation(
     draw_columns=(*_OF_ONE[:6], *(f"shadow_{name}" for name in _OF_ONE[:6])),
     draws_as_json=_place_draws_json,
     double=True,
+    times=_times,
 )

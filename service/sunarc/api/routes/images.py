@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import Fault, RefusedError, answers
-from sunarc.api.routes.calibrations import matches
+from sunarc.api.routes.calibrations import decimal, matches
 from sunarc.api.routes.stored_answers import RANGED, byte_range
 from sunarc.api.schemas.images import Composite, Images
 from sunarc.api.schemas.paging import Cursor, page_at
@@ -154,7 +154,11 @@ def _headers(context: ApiContext, time: datetime, path: Path) -> dict[str, str]:
     except OSError as error:
         raise OutsideError(f"the image {path.name} cannot be read: {error.strerror}") from error
     exposures = [one["exposure_us"] for one in document.get("exposures", ())]
-    return headers | {"sunarc-exposures-us": ", ".join(f"{one:g}" for one in exposures)} if exposures else headers
+    return (
+        headers | {"sunarc-exposures-us": ", ".join(decimal(one, digits=9) for one in exposures)}
+        if exposures
+        else headers
+    )
 
 
 def thumbnail(path: Path, width: int, kind: Kind) -> bytes:

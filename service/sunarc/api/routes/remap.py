@@ -20,7 +20,7 @@ import sunarc
 from sunarc.api.compute_slots import ComputeSlots
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
-from sunarc.api.routes.calibrations import etag_of
+from sunarc.api.routes.calibrations import decimal, etag_of
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.images import Captured, composite_file, decoded_preview
 from sunarc.api.routes.stored_answers import RANGED, AnswerFiles, Content, Tagged
@@ -204,7 +204,7 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> di
     if asked.grid == "ground":
         site = context.archive.model(record.id).site
         place = clouds(directions, height_m=asked.height_m, covariance=covariance, site=site).covariance_m2
-        headers["sunarc-height-m"] = f"{asked.height_m:g}"
+        headers["sunarc-height-m"] = decimal(asked.height_m, digits=9)
         headers |= _root_mean("sunarc-sigma-m", 0.5 * (place[:, 0, 0] + place[:, 1, 1]))
     return headers
 
@@ -212,4 +212,4 @@ def _stated(context: ApiContext, record: CalibrationRecord, asked: _Asked) -> di
 def _root_mean(name: str, squares: FloatArray) -> dict[str, str]:
     """Return the header of a root mean square; none where the camera sees nothing of the grid."""
     finite = squares[np.isfinite(squares)]
-    return {name: f"{math.sqrt(float(np.mean(finite))):.4g}"} if finite.size else {}
+    return {name: decimal(math.sqrt(float(np.mean(finite))))} if finite.size else {}

@@ -52,6 +52,12 @@ class GeolocateRequest(BaseModel):
     )
 
     height_sigma_m: HeightSigma = Field(default=0.0, examples=[100.0])
+    at: list[Time] | None = Field(
+        default=None,
+        description="A time for each point: it chooses the calibration and the sun; in place of the query's `at`, "
+        "without draws.",
+        examples=[["2013-05-13T18:30:00Z"]],
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> GeolocateRequest:
@@ -65,6 +71,23 @@ class SunPlace(BaseModel):
 
     apparent_zenith: float = Field(description="With refraction, degrees.", examples=[18.2])
     azimuth: float = Field(description="Degrees clockwise from north.", examples=[178.1])
+
+
+class SunPlaces(BaseModel):
+    """Where the sun stands at the time of each point."""
+
+    apparent_zenith: list[float] = Field(description="With refraction, degrees.", examples=[[18.2]])
+    azimuth: list[float] = Field(description="Degrees clockwise from north.", examples=[[178.1]])
+
+
+class Each(BaseModel):
+    """What answered for each point, where each has a time."""
+
+    calibration: list[str] = Field(
+        description="Ids of the calibrations that answered.", examples=[["20130514T150508Z-52ee44"]]
+    )
+    time: list[Time] = Field(description="The times that were asked for.", examples=[["2013-05-13T18:30:00Z"]])
+    sun: SunPlaces = Field(description="Where the sun stands then, degrees.")
 
 
 class Places(BaseModel):
@@ -114,3 +137,7 @@ class GeolocateAnswer(BaseModel):
     cloud: Places = Field(description="Where the clouds are, metres and degrees.")
     shadow: Places = Field(description="Where their shadows are, metres and degrees.")
     draws: GeolocateDraws | None = Field(default=None, description="Present where draws were asked for.")
+    each: Each | None = Field(
+        default=None,
+        description="Present where each point has a time; `calibration`, `time` and `sun` are then the first one's.",
+    )
