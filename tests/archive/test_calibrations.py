@@ -17,7 +17,7 @@ SIMULATED = {"code": "simulated_camera", "data": {}}
 def document(calibration_id: str, *, day: int = 0, accepted: bool = True, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
     moment = (MAY + timedelta(days=day)).isoformat().replace("+00:00", "Z")
     return {
-        "schema": "sunarc.calibration/1",
+        "schema": "sunarc.calibration/2",
         "id": calibration_id,
         "camera": "roof",
         "state": "candidate",

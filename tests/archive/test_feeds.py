@@ -231,7 +231,7 @@ def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Arc
     for row in batch.rows:
         data = dict(row.data or {})
         if data.get("id") == "a":
-            data["document"] = data["document"] | {"schema": "sunarc.calibration/2"}
+            data["document"] = data["document"] | {"schema": "sunarc.calibration/3"}
         if data.get("id") == "b":
             data["document"] = data["document"] | {"method": "paper"}
         changed.append(replace(row, data=data))

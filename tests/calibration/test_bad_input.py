@@ -69,7 +69,7 @@ def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
 
 def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
     late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
-    assert "tilt_too_large" in _refused(late, clear_day.site)
+    assert "camera_tilted_by_clock" in _refused(late, clear_day.site)
 
 
 @pytest.mark.parametrize(

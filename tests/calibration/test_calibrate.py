@@ -89,12 +89,18 @@ def test_wrong_handedness_is_refused_not_absorbed(simulator: Simulator) -> None:
     assert not found.verdict.accepted
 
 
-def test_a_tilted_camera_is_found_and_refused_by_its_level(simulator: Simulator, tilted: Camera) -> None:
+def test_a_tilted_camera_is_used_asked_about_and_refused_only_where_it_should_be_level(
+    simulator: Simulator, tilted: Camera
+) -> None:
     seen = simulator(tilted, sigma_px=0.1)
     found = calibrate(seen.points, site=seen.site, image_size=SIZE)
     assert found.pose.theta_zz_deg == pytest.approx(48.0, abs=0.1)
-    assert not found.verdict.accepted
-    assert found.verdict.findings[0].code == "tilt_too_large"
+    assert found.verdict.accepted
+    assert found.verdict.findings[0].code.startswith("camera_tilted")
+    level = CalibrationOptions(level_within_deg=5.0)
+    refused = calibrate(seen.points, site=seen.site, image_size=SIZE, options=level)
+    assert not refused.verdict.accepted
+    assert refused.verdict.findings[0].code == "tilt_too_large"
 
 
 def test_wrong_sign_of_longitude_is_refused_with_what_would_explain_it(clear_day: Simulated) -> None:

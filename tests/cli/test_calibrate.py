@@ -58,7 +58,7 @@ def test_a_clear_day_is_accepted_and_its_document_answers_for_pixels_and_directi
     answer = sunarc("calibrate", str(points), *AT_SGP, "--json")
     assert answer.code == 0, answer.err
     document = json.loads(answer.out)
-    assert document["schema"] == "sunarc.calibration/1"
+    assert document["schema"] == "sunarc.calibration/2"
     assert document["metrics"]["rmse_px"] < 0.05
     file = tmp_path / "calibration.json"
     file.write_text(answer.out)

@@ -51,7 +51,7 @@ def test_without_a_field_and_outside_the_field_of_view() -> None:
     assert np.isnan(outside.direction[[0, 3]]).all()
 
 
-@pytest.mark.parametrize("change", [{"schema": "sunarc.calibration/2"}, {"schema": None}])
+@pytest.mark.parametrize("change", [{"schema": "sunarc.calibration/3"}, {"schema": None}])
 def test_another_version_is_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"sunarc\.calibration/1"):
+    with pytest.raises(ValueError, match=r"sunarc\.calibration/2"):
         CameraModel(current_document(distinctive_calibration(higher=0.03)) | change)

@@ -117,7 +117,7 @@ TEN = YAML.replace(b"  ss: [", b"  ss: [" + b"0.0, " * 6)
     [
         (b"\x00\x01", "of no format"),
         (b"{}", "schema"),
-        (json.dumps(document_of(SMALL) | {"schema": "sunarc.calibration/2"}).encode(), "calibration/2"),
+        (json.dumps(document_of(SMALL) | {"schema": "sunarc.calibration/3"}).encode(), "calibration/3"),
         (TEN, "10 coefficients"),
         (YAML.replace(b"  xc:", b"  x_center:"), "another schema"),
         (YAML.replace(b"external_orientation: [", b"external_orientation: [0.0, "), "4 angles"),

@@ -121,7 +121,7 @@ def test_frames_dated_by_the_host_carry_its_time(imager: Imager, opened: Callabl
 
 def test_the_truth_is_written_as_a_document(imager: Imager) -> None:
     document = json.loads(imager.truth.read_text())
-    assert document["schema"] == "sunarc.calibration/1"
+    assert document["schema"] == "sunarc.calibration/2"
     assert document["pose"]["theta_zz_deg"] == pytest.approx(2.46)
 
 

@@ -24,6 +24,14 @@ shift <- function(c, r, point) { # decentering, p1 ... p4 or q1 ... q5
   g * c(c[1] * (1 + 2 * u^2) + 2 * c[2] * u * v, 2 * c[1] * u * v + c[2] * (1 + 2 * v^2))
 }
 
+displaced <- function(document, pixel) { # by the field's mean
+  f <- document$uncertainty$field
+  if (length(f$orders) == 0) return(pixel)
+  place <- (pixel - f$center_px) / f$half_px + 1
+  waves <- sin(pi / 2 * f$orders[, 1] * place[1]) * sin(pi / 2 * f$orders[, 2] * place[2]) / sqrt(prod(f$half_px))
+  pixel + (min(place) > 0 && max(place) < 2) * as.vector(f$mean %*% waves)
+}
+
 project <- function(document, direction) {
   m <- document$model
   ray <- as.vector(rotation(m$rotation_cam_enu) %*% direction) + m$translation
@@ -35,12 +43,14 @@ project <- function(document, direction) {
   point <- point + shift(m$decentering, r, point)
   x <- m$focal_length_px[1] * point[1] + m$skew_px * point[2] + m$principal_point_px[1]
   y <- m$focal_length_px[2] * point[2] + m$principal_point_px[2]
-  c(if (document$image$mirrored) document$image$width - 1 - x else x, y)
+  displaced(document, c(if (document$image$mirrored) document$image$width - 1 - x else x, y))
 }
 
 back_project <- function(document, pixel) {
   m <- document$model
   b <- document$backward_model
+  seen <- pixel
+  for (i in 1:8) pixel <- seen - (displaced(document, pixel) - pixel)
   if (document$image$mirrored) pixel[1] <- document$image$width - 1 - pixel[1]
   y <- (pixel[2] - m$principal_point_px[2]) / m$focal_length_px[2]
   x <- (pixel[1] - m$principal_point_px[1] - m$skew_px * y) / m$focal_length_px[1]

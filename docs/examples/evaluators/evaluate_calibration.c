@@ -4,7 +4,8 @@
              (["perspective", "equidistant", "equisolid", "stereographic", "orthographic"] | index($p)),
              .model.focal_length_px, .model.skew_px, .model.principal_point_px, .model.rotation_cam_enu,
              .model.translation, .model.radial, .model.decentering, .model.max_angle_deg,
-             .backward_model.radial, .backward_model.decentering] | flatten[]' \
+             .backward_model.radial, .backward_model.decentering,
+             (.uncertainty.field | .center_px, .half_px, (.orders | length), .orders, .mean)] | flatten[]' \
         --arg p "$(jq -r .model.projection calibration.json)" calibration.json > calibration.txt
 
    cc -O2 evaluate_calibration.c -lm -o evaluate && ./evaluate calibration.txt < questions
@@ -12,8 +13,9 @@
 #include <math.h>
 #include <stdio.h>
 
-static double n[40]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 */
+static double n[9000]; /* width mirrored projection fx fy s x0 y0 w3 t3 k2..k9 p1..p4 max b2..b9 q1..q5 box4 m field */
 enum { F = 3, SKEW = 5, CENTER = 6, ROTATION = 8, SHIFT = 11, RADIAL = 14, P = 22, MOST = 26, BACK = 27, Q = 35 };
+enum { BOX = 40, WAVES = 44, ORDERS = 45 }; /* centre and half-widths; how many; their orders, and both components */
 static double R[3][3]; /* east-north-up to camera */
 
 static double ideal(double x, int inverse) { /* radius of an angle, or angle of a radius */
@@ -48,6 +50,17 @@ static void rotate(void) { /* of the rotation vector (Rodrigues) */
                       (i == j ? 0 : ((j - i + 3) % 3 == 1 ? -1 : 1) * sin(angle) * w[3 - i - j] / s);
 }
 
+static void field(const double *pixel, double *d) { /* displacement of a pixel; 0 beyond the box */
+    int m = (int)n[WAVES];
+    double u = (pixel[0] - n[BOX]) / n[BOX + 2] + 1, v = (pixel[1] - n[BOX + 1]) / n[BOX + 3] + 1, half = acos(-1) / 2;
+    d[0] = d[1] = 0;
+    for (int j = 0; j < m && u > 0 && u < 2 && v > 0 && v < 2; j++) {
+        const double *order = n + ORDERS + 2 * j;
+        double wave = sin(half * order[0] * u) * sin(half * order[1] * v) / sqrt(n[BOX + 2] * n[BOX + 3]);
+        for (int i = 0; i < 2; i++) d[i] += wave * n[ORDERS + (2 + i) * m + j];
+    }
+}
+
 static void project(const double *d, double *pixel) {
     double ray[3], e[2];
     for (int i = 0; i < 3; i++) ray[i] = R[i][0] * d[0] + R[i][1] * d[1] + R[i][2] * d[2] + n[SHIFT + i];
@@ -57,10 +70,14 @@ static void project(const double *d, double *pixel) {
     double x = q * ray[0] + e[0], y = q * ray[1] + e[1], px = n[F] * x + n[SKEW] * y + n[CENTER];
     pixel[0] = theta > n[MOST] * half / 90 ? NAN : n[1] ? n[0] - 1 - px : px;
     pixel[1] = theta > n[MOST] * half / 90 ? NAN : n[F + 1] * y + n[CENTER + 1];
+    field(pixel, e);
+    pixel[0] += e[0], pixel[1] += e[1];
 }
 
-static void back_project(const double *pixel, double *d) { /* closed form */
-    double e[2], px = n[1] ? n[0] - 1 - pixel[0] : pixel[0];
+static void back_project(const double *seen, double *d) { /* closed form */
+    double e[2], pixel[2] = {seen[0], seen[1]};
+    for (int i = 0; i < 8; i++) field(pixel, e), pixel[0] = seen[0] - e[0], pixel[1] = seen[1] - e[1];
+    double px = n[1] ? n[0] - 1 - pixel[0] : pixel[0];
     double y = (pixel[1] - n[CENTER + 1]) / n[F + 1], x = (px - n[CENTER] - n[SKEW] * y) / n[F], r = hypot(x, y);
     decenter(n + Q, 3, r, x, y, e);
     double adjusted = hypot(x - e[0], y - e[1]), theta = ideal(adjusted - polynomial(n + BACK, r), 1);
@@ -72,8 +89,8 @@ int main(int count, char **names) {
     FILE *file = count == 2 ? fopen(names[1], "r") : NULL;
     double in[3], out[3];
     char kind;
-    for (int i = 0; i < 40; i++)
-        if (!file || fscanf(file, "%lf", n + i) != 1) return fprintf(stderr, "give a file of 40 numbers\n"), 2;
+    for (int i = 0; i < ORDERS + 4 * (i > WAVES ? (int)n[WAVES] : 0) || i < ORDERS; i++)
+        if (i >= 9000 || !file || fscanf(file, "%lf", n + i) != 1) return fprintf(stderr, "no such file\n"), 2;
     rotate();
     while (scanf(" %c %lf %lf", &kind, in, in + 1) == 3)
         if (kind == 'p') back_project(in, out), printf("%.17g %.17g %.17g\n", out[0], out[1], out[2]);

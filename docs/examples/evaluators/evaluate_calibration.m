@@ -16,7 +16,10 @@ function result = evaluate_calibration(document, what, given)
     point = point + shift(m.decentering, r, point);
     result = [f(1) * point(1) + m.skew_px * point(2) + c(1); f(2) * point(2) + c(2)];
     if image.mirrored, result(1) = image.width - 1 - result(1); end
+    result = displaced(document.uncertainty.field, result);
   else
+    seen = given(:); given = seen;
+    for k = 1:8, given = seen - (displaced(document.uncertainty.field, given) - given); end
     if image.mirrored, given(1) = image.width - 1 - given(1); end
     b = document.backward_model;
     y = (given(2) - c(2)) / f(2); x = (given(1) - c(1) - m.skew_px * y) / f(1);
@@ -26,6 +29,14 @@ function result = evaluate_calibration(document, what, given)
     theta = ideal(m.projection, adjusted - sum(b.radial(:)' .* r .^ (2:9)), true);
     result = R' * [sin(theta) * point / adjusted; cos(theta)];
   end
+end
+
+function pixel = displaced(field, pixel)  % by the field's mean
+  if isempty(field.orders), return, end
+  h = field.half_px(:); place = (pixel - field.center_px(:)) ./ h + 1;
+  if any(place <= 0 | place >= 2), return, end
+  n = reshape(field.orders, [], 2); mean = reshape(field.mean, 2, []);
+  pixel = pixel + mean * (sin(pi / 2 * n(:, 1) * place(1)) .* sin(pi / 2 * n(:, 2) * place(2))) / sqrt(prod(h));
 end
 
 function R = rotation(w)  % of a rotation vector (Rodrigues)

@@ -37,6 +37,20 @@ def shift(c, r, point):
     return g * np.array([c[0] * (1 + 2 * u * u) + 2 * c[1] * u * v, 2 * c[0] * u * v + c[1] * (1 + 2 * v * v)])
 
 
+def waves(field, pixel):
+    """Basis of the field at a pixel; 0 beyond its box."""
+    half = np.array(field["half_px"])
+    place = (pixel - field["center_px"]) / half + 1
+    values = np.prod(np.sin(0.5 * np.pi * np.array(field["orders"]).reshape(-1, 2) * place) / np.sqrt(half), axis=1)
+    return values * (min(place) > 0 and max(place) < 2)
+
+
+def displaced(document, pixel):
+    """Pixel of the lens with the field's mean."""
+    field = document["uncertainty"]["field"]
+    return pixel + np.array(field["mean"]) @ waves(field, pixel)
+
+
 def project(document, direction, p=None):
     """Pixel x, y of a unit vector, east-north-up; NaN beyond max_angle_deg. p: the 23 parameters, if not the file's."""
     m, image = document["model"], document["image"]
@@ -50,12 +64,15 @@ def project(document, direction, p=None):
     point = r * ray[:2] / across if across > 0 else np.zeros(2)
     point = point + shift(p[19:], r, point)
     x, y = p[0] * point[0] + p[2] * point[1] + p[3], p[1] * point[1] + p[4]
-    return np.array([image["width"] - 1 - x if image["mirrored"] else x, y])
+    return displaced(document, np.array([image["width"] - 1 - x if image["mirrored"] else x, y]))
 
 
 def back_project(document, pixel):
     """Unit vector, east-north-up, of a pixel by the closed form; off by up to backward_model.max_error_px."""
     m, b, image = document["model"], document["backward_model"], document["image"]
+    seen = pixel
+    for _ in range(8):  # the field is taken out first
+        pixel = seen - (displaced(document, pixel) - pixel)
     px = image["width"] - 1 - pixel[0] if image["mirrored"] else pixel[0]
     y = (pixel[1] - m["principal_point_px"][1]) / m["focal_length_px"][1]
     point = np.array([(px - m["principal_point_px"][0] - m["skew_px"] * y) / m["focal_length_px"][0], y])
@@ -76,10 +93,13 @@ def covariance(document, direction):
     rows = np.array(rows).T
     result = rows @ u["covariance"] @ rows.T
     if field["amplitude_px"] > 0:
-        place = np.array(field["orders"]) * (project(document, direction) - field["center_px"] + field["half_px"])
-        waves = np.prod(np.sin(0.5 * np.pi * place / field["half_px"]) / np.sqrt(field["half_px"]), axis=1)
-        mixed = rows @ (np.array(field["cross"]) @ waves).T
-        result += mixed + mixed.T + field["amplitude_px"] ** 2 * np.eye(2)
+        phi, a = waves(field, project(document, direction)), field["amplitude_px"]
+        mixed, coupled = rows @ (np.array(field["cross"]) @ phi).T, np.array(field["coupling"]) @ phi
+        k = 0.5 * np.pi * np.array(field["orders"]) / field["half_px"] * field["length_px"]
+        own = 2 * np.pi * field["length_px"] ** 2 * np.exp(-0.5 * np.sum(k**2, axis=1)) @ phi**2
+        reduction = sum((np.array(row) @ phi) ** 2 for row in field["known"]) / own if own > 0 else 0
+        unknown = max(a**2 - reduction, (0.02 * a) ** 2)
+        result += mixed + mixed.T + coupled @ coupled.T + unknown * np.eye(2)
     return result.ravel()
 
 

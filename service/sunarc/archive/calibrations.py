@@ -46,7 +46,7 @@ class Calibrations(Store):
 
         Parameters
         ----------
-        document : schema sunarc.calibration/1; `state` and validity in it are those of the archive from now on.
+        document : schema sunarc.calibration/2; `state` and validity in it are those of the archive from now on.
         parent : the id of the calibration that it was compared with, or copied from.
         used : the sightings that it was given, in the order of time; None where the archive does not have them.
         """
@@ -286,5 +286,5 @@ def _record(document: Mapping[str, Any], parent: str | None) -> CalibrationRecor
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/1"
+            field="calibration document", problem=f"{error} is missing or malformed", remedy="see sunarc.calibration/2"
         ) from error

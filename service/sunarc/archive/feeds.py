@@ -18,7 +18,7 @@ from sunarc.archive.json_text import json_text
 from sunarc.archive.rows import upsert, upsert_all
 from sunarc.archive.store import Store
 from sunarc.archive.tables import calibration, event, feed, fleet, quarantine
-from sunarc.calibration import SCHEMA
+from sunarc.calibration import READ_SCHEMAS
 from sunarc.utc import from_microseconds, to_microseconds
 
 FUTURE = timedelta(minutes=10)
@@ -168,8 +168,10 @@ def _refusal_of_value(kind: str, data: Mapping[str, Any], now: datetime) -> Refu
 def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
     document = data["document"]
     schema = document.get("schema") if isinstance(document, dict) else None
-    if schema != SCHEMA:
-        return Refusal(reason="newer_document", text=f"document {data['id']} is {schema}, not {SCHEMA}")
+    if schema not in READ_SCHEMAS:
+        return Refusal(
+            reason="newer_document", text=f"document {data['id']} is {schema}, none of {', '.join(READ_SCHEMAS)}"
+        )
     if hashlib.sha256(json_text(document).encode()).hexdigest() != data["document_sha256"]:
         return Refusal(reason="damaged_document", text=f"document {data['id']} does not match its checksum")
     return None

@@ -215,7 +215,7 @@ class Day(Returned):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
-    """A calibration: its document (schema sunarc.calibration/1), with what the archive asks about as fields.
+    """A calibration: its document (schema sunarc.calibration/2), with what the archive asks about as fields.
 
     It answers for `valid_from` <= t < `valid_until` (None: until further notice) when its state is current or
     retired; intervals of one camera never overlap. `parent` is the calibration it was compared with or copied from.

@@ -21,7 +21,7 @@ from sunarc.calibration.model.covariance import (
     unproject_with_sigma,
 )
 from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED, Lookup, lookup
-from sunarc.calibration.model.document import SCHEMA, from_document, to_document
+from sunarc.calibration.model.document import READ_SCHEMAS, SCHEMA, from_document, to_document
 from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.model.metrics import Metrics, measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
@@ -43,6 +43,7 @@ from sunarc.calibration.quality.day_quality import (
     smooth_arc,
 )
 from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
+from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
 
@@ -52,6 +53,7 @@ __all__ = [
     "MAX_CLOCK_ERROR_S",
     "MOST_DRAWS",
     "PROJECTED",
+    "READ_SCHEMAS",
     "SCHEMA",
     "BackProjectionMap",
     "BackwardModel",
@@ -112,6 +114,7 @@ __all__ = [
     "sigma_px",
     "smooth_arc",
     "sun_with_covariance",
+    "tilt_question",
     "to_document",
     "unproject_with_sigma",
     "unseen_points",

@@ -63,6 +63,7 @@ def calibrate(
         raise InputError(field="image size", problem=f"{image_size} px", remedy="give width and height in px")
     effective = CalibrationOptions() if options is None else options
     if start is not None:
+        start = start.lens_alone()
         effective = replace(effective, projection=start.projection)
     usable = filter_sightings(points, site=site)
     job = Job(

@@ -16,19 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.model.direction_table import polar_directions, polar_spline, ring_and_spoke, spline_weights
+from sunarc.calibration.model.direction_table import polar_directions, polar_spline, ring_and_spoke
 from sunarc.calibration.model.result import Calibration
-from sunarc.calibration.pose.error_model import CameraErrorModel, error_model_of, predicted
+from sunarc.calibration.pose.error_model import CameraErrorModel, error_model_of, field_and_parameters, predicted
 from sunarc.jit import njit
 from sunarc.optics import InverseTable, inverse_table, project_fast
+from sunarc.optics.cubic_spline import spline_weights
 from sunarc.optics.kernels import InverseConstants
 
 MOST_DRAWS = 64
 """Draws that one question may ask for: a standard deviation from so many is known to 9 %, 1 / √(2 · 64)."""
 _RINGS, _SPOKES = 48, 96
 """Nodes of the displacements: 20 px apart along the radius of a 2000 px image; the field's length is 200 px or more."""
-_SMALLEST_SHARE = 1e-12
-"""Coefficients whose variance is below this share of the largest one are left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +70,10 @@ class Ensemble:
     def back_project(self, draw: int, pixels: FloatArray) -> FloatArray:
         """Return (n, 3): the unit vectors, east-north-up, of pixels (n, 2) by one draw; NaN where none lands there."""
         result = np.empty((pixels.shape[0], 3))
-        self.table.write_directions(np.ascontiguousarray(pixels - self.displacement(draw, pixels)), result)
+        estimated = pixels - self.displacement(draw, pixels)
+        # the displacement belongs to where the estimate is, which one round more finds to second order
+        estimated = pixels - self.displacement(draw, estimated)
+        self.table.write_directions(np.ascontiguousarray(estimated), result)
         return result
 
     def __iter__(self) -> Iterator[int]:
@@ -96,10 +98,8 @@ def draw_ensemble(calibration: Calibration, *, draws: int, seed: int, calibratio
 
     Notes
     -----
-    The field's coefficients c are independent before any sighting. Given them, the parameters' errors have the mean
-    Σ X D⁻¹ c and the covariance C - Σ X D⁻¹ Xᵀ, the sums being over the components x and y; C, X and D are the
-    covariance, the cross terms and the coefficients' variances of `CameraErrorModel`. The displacement is J e + f, with
-    J the derivatives of the projection by the parameters, e the parameters' errors and f the field.
+    The parameters' errors e and those of the field's coefficients are jointly Gaussian (`field_and_parameters`). The
+    displacement is J e + f, with J the derivatives of the projection by the parameters and f the field of the errors.
     """
     table = inverse_table(calibration.camera)
     radius = np.linspace(0.0, table.constants.limit, _RINGS)
@@ -124,12 +124,9 @@ def _normals(calibration_id: str, seed: int, draws: int, size: int) -> FloatArra
 
 def _drawn(errors: CameraErrorModel, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return parameters' errors (k, p) and coefficients (k, 2, m) from standard normal numbers (k, p + 2m)."""
-    size, variances = errors.mean.size, errors.variances
-    used = variances > _SMALLEST_SHARE * np.max(variances, initial=0.0)
-    gain = np.where(used, errors.cross / np.where(used, variances, 1.0), 0.0)
-    factor = _root(errors.covariance - np.einsum("apm,aqm->pq", gain, errors.cross))
-    coefficients = np.sqrt(variances) * normal[:, size:].reshape(len(normal), 2, -1)
-    return normal[:, :size] @ factor.T + np.einsum("apm,kam->kp", gain, coefficients), coefficients
+    size = errors.mean.size
+    drawn = normal @ _root(field_and_parameters(errors)).T
+    return drawn[:, :size], drawn[:, size:].reshape(len(normal), 2, -1)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from sunarc.findings import Message, Messages
 
 _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is marginal; the active one stays."
 _REFUSED = "The fit is refused."
+_ASKED = "Where the odds are above 1 the fit is kept as a candidate that a person may serve; else it is used."
 _AGREE = "{alternatives}; {agreeing} of {of} sightings since agree"
 _MORE_DAYS = "collect sightings on further clear days"
 
@@ -98,6 +99,29 @@ MESSAGES = Messages(
         "distinguish these",
         _REFUSED,
         "check clock, site and mirroring, or raise --level-within",
+    ),
+    camera_tilted=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; no other zone or latitude makes it level",
+        "The fit is used.",
+        "check that the camera is tilted",
+    ),
+    camera_tilted_by_clock=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead it is level, which is "
+        "{odds:.2g} times as probable as such a tilt",
+        _ASKED,
+        "check the clock's zone (--utc-offset); where the camera is tilted, give --level-within",
+    ),
+    camera_tilted_by_longitude=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f} it is level, which is "
+        "{odds:.2g} times as probable as such a tilt",
+        _ASKED,
+        "check the longitude (east is positive); where the camera is tilted, give --level-within",
+    ),
+    camera_tilted_by_latitude=Message(
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a latitude of {latitude:.1f} it is level, which is "
+        "{odds:.2g} times as probable as such a tilt",
+        _ASKED,
+        "check the latitude (north is positive); where the camera is tilted, give --level-within",
     ),
     principal_point_outside=Message(
         "the principal point ({x_px:.0f}, {y_px:.0f}) px is outside the image", _REFUSED, _MORE_DAYS

@@ -133,8 +133,8 @@ def _log_bayes_factor(solved: Calibration, found: Moved, usable: FilteredSightin
     return log_bayes_factor(
         row,
         usable,
-        one=(replace(solved.camera, rotation_cam_enu=solved.poses[ended]), _residuals(solved, usable)),
-        two=(replace(found.calibration.camera, rotation_cam_enu=after), _residuals(found.calibration, numbered)),
+        one=(_lens_in(solved, solved.poses[ended]), _residuals(solved, usable)),
+        two=(_lens_in(found.calibration, after), _residuals(found.calibration, numbered)),
         turn_rad=math.radians(_turn_deg(found.calibration.poses[ended], after)),
     )
 
@@ -149,7 +149,7 @@ def _parted_at(row: int, points: SunPoints, usable: FilteredSightings, begin: Ca
         if fitted.evidence.n_used == 0:
             return None  # refused before a pose of either side was there
         first = int(usable.epoch[row])
-        cameras = [replace(fitted.camera, rotation_cam_enu=pose) for pose in fitted.poses[first:]]
+        cameras = [_lens_in(fitted, pose) for pose in fitted.poses[first:]]
         better = best_row(slice(max(row - _SIDE // 2, 0), row + _SIDE // 2), usable, cameras)
         if better == row:
             break
@@ -180,12 +180,17 @@ def best_row(near: slice, usable: FilteredSightings, cameras: Sequence[Camera]) 
     return int(near.start + np.argmin(wrong))
 
 
+def _lens_in(solved: Calibration, pose: tuple[float, float, float]) -> Camera:
+    """Return the camera in a pose, without its displacement: a field takes up what a move within the sightings does."""
+    return replace(solved.camera, rotation_cam_enu=pose, displacement=None)
+
+
 def _residuals(solved: Calibration, usable: FilteredSightings) -> FloatArray:
-    """Return observed minus predicted, (n, 2) px; what the camera cannot see is far off."""
+    """Return observed minus predicted by the lens alone, (n, 2) px; what the camera cannot see is far off."""
     predicted = np.full(usable.pixels.shape, np.nan)
     for epoch, pose in enumerate(solved.poses):
         in_epoch = usable.epoch == epoch
-        predicted[in_epoch] = project_fast(replace(solved.camera, rotation_cam_enu=pose), usable.directions[in_epoch])
+        predicted[in_epoch] = project_fast(_lens_in(solved, pose), usable.directions[in_epoch])
     return finite(usable.pixels - predicted)
 
 

@@ -48,7 +48,9 @@ def calibrate(
     ] = "auto",
     method: Annotated[str, typer.Option(help="robust or paper.")] = "robust",
     mirrored: Annotated[str, typer.Option(help="no, yes or auto.")] = "no",
-    level_within: Annotated[float, typer.Option(help="A camera tilted by more degrees is refused.")] = 5.0,
+    level_within: Annotated[
+        float | None, typer.Option(help="A camera tilted by more degrees is refused; unless given, it is asked about.")
+    ] = None,
     start: Annotated[
         Path | None, typer.Option(help="Begin at the camera of this file: a calibration document or another format.")
     ] = None,

@@ -31,6 +31,9 @@ _GROUPS = {
 }
 _NAMES = [name for names in _GROUPS.values() for name in names]
 _ORDERS = np.arange(2, 10)
+_SCHEMAS = ("sunarc.calibration/1", "sunarc.calibration/2")
+_LEAST_UNKNOWN = 0.02
+"""1-sigma of the field, as a share of its amplitude, that always stays unknown."""
 _ROUNDS = 6
 """Newton steps from the closed form, which is 0.01 px off: two leave rounding."""
 _SAME_PX = 1e-6
@@ -52,8 +55,8 @@ class CameraModel:
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
-        if document.get("schema") != "sunarc.calibration/1":
-            raise ValueError(f"{document.get('schema')!r} is no sunarc.calibration/1; use a client of its version")
+        if document.get("schema") not in _SCHEMAS:
+            raise ValueError(f"{document.get('schema')!r} is none of {_SCHEMAS}; use a client of its version")
         model, backward, uncertainty = (document[key] for key in ("model", "backward_model", "uncertainty"))
         self.id: str = document["id"]
         self.width, self.height = int(document["image"]["width"]), int(document["image"]["height"])
@@ -64,7 +67,7 @@ class CameraModel:
         self._backward = tuple(np.asarray(backward[key], dtype=np.float64) for key in ("radial", "decentering"))
         self._fitted = [_NAMES.index(name) for name in uncertainty["parameters"]]
         self._covariance = np.asarray(uncertainty["covariance"], dtype=np.float64)
-        self._field: Mapping[str, Any] = uncertainty["field"]
+        self._field = _Field(uncertainty["field"], parameters=len(self._fitted))
 
     def project(self, direction: ArrayLike) -> Projection:
         """Return where vectors (..., 3), east-north-up, of any length but 0, land; NaN beyond the camera's field."""
@@ -116,7 +119,8 @@ class CameraModel:
         point = point + _shift(p[19:], radius, point)
         x = p[0] * point[:, 0] + p[2] * point[:, 1] + p[3]
         pixels = np.stack([self.width - 1.0 - x if self._mirrored else x, p[1] * point[:, 1] + p[4]], axis=-1)
-        return np.where((theta <= self._max_angle)[:, None], pixels, np.nan)
+        pixels = np.where((theta <= self._max_angle)[:, None], pixels, np.nan)
+        return pixels + self._field.mean(pixels)
 
     def _directions(self, pixels: FloatArray) -> FloatArray:
         """Return unit vectors (n, 3): the closed form, and Newton's method on the sphere from there."""
@@ -134,6 +138,7 @@ class CameraModel:
 
     def _closed_form(self, pixels: FloatArray) -> FloatArray:
         p, (radial, decentering) = self._parameters, self._backward
+        pixels = pixels - self._field.mean(pixels)
         px = self.width - 1.0 - pixels[:, 0] if self._mirrored else pixels[:, 0]
         y = (pixels[:, 1] - p[4]) / p[1]
         point = np.stack([(px - p[3] - p[2] * y) / p[0], y], axis=-1)
@@ -167,15 +172,7 @@ class CameraModel:
             up, down = (self._pixels(unit, self._parameters + sign * step) for sign in (1.0, -1.0))
             rows[..., column] = (up - down) / (2.0 * step[index])
         result = rows @ self._covariance @ np.swapaxes(rows, 1, 2)
-        field = self._field
-        if field["amplitude_px"] > 0.0:
-            half, center = np.asarray(field["half_px"]), np.asarray(field["center_px"])
-            place = np.asarray(field["orders"]).reshape(-1, 2) * ((pixels - center + half) / half)[:, None, :]
-            waves = np.prod(np.sin(0.5 * np.pi * place) / np.sqrt(half), axis=-1)
-            cross = np.asarray(field["cross"], dtype=np.float64)
-            mixed = np.einsum("nip,apm,nm->nia", rows, cross, waves, optimize=True)
-            result = result + mixed + np.swapaxes(mixed, 1, 2) + field["amplitude_px"] ** 2 * np.eye(2)
-        return np.asarray(result)
+        return np.asarray(result + self._field.covariance(rows, pixels))
 
     def _sigma_deg(self, unit: FloatArray, pixels: FloatArray) -> FloatArray:
         """Return (n,): the pixel's covariance taken to the sphere, 1-sigma per axis, degrees."""
@@ -185,6 +182,53 @@ class CameraModel:
         covariance = inverse @ self._pixel_covariance(seen, pixels[valid]) @ np.swapaxes(inverse, 1, 2)
         result[valid] = np.degrees(np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2)))
         return result
+
+
+class _Field:
+    """What displaces the image beside the lens, and what is not known of it: sine waves on a box."""
+
+    def __init__(self, document: Mapping[str, Any], *, parameters: int) -> None:
+        self._amplitude = float(document["amplitude_px"])
+        self._half, self._center = np.asarray(document["half_px"]), np.asarray(document["center_px"])
+        self._orders = np.asarray(document["orders"]).reshape(-1, 2)
+        waves = len(self._orders)
+        self._variances = self._of_unit_amplitude(float(document["length_px"]))
+        self._mean = np.asarray(document.get("mean", np.zeros((2, waves))), dtype=np.float64).reshape(2, waves)
+        self._cross = np.asarray(document["cross"], dtype=np.float64).reshape(2, parameters, waves)
+        self._known = np.asarray(document.get("known", []), dtype=np.float64).reshape(-1, waves or 1)
+        self._coupling = np.asarray(document.get("coupling", [[], []]), dtype=np.float64).reshape(2, -1, waves or 1)
+
+    def _of_unit_amplitude(self, length: float) -> FloatArray:
+        """Return (m,): the variances of the waves' coefficients of a field of amplitude 1 and a length in px."""
+        frequency = 0.5 * np.pi * self._orders / self._half
+        return np.asarray(2.0 * np.pi * length**2 * np.exp(-0.5 * length**2 * np.sum(frequency**2, axis=-1)))
+
+    def _waves(self, pixels: FloatArray) -> FloatArray:
+        """Return (n, m): the waves at pixels (n, 2); 0 beyond the box."""
+        place = (pixels - self._center) / self._half + 1.0
+        inside = np.all((place > 0.0) & (place < 2.0), axis=-1, keepdims=True)
+        waves = np.prod(np.sin(0.5 * np.pi * self._orders * place[:, None, :]) / np.sqrt(self._half), axis=-1)
+        return np.where(inside, waves, 0.0)
+
+    def mean(self, pixels: FloatArray) -> FloatArray | float:
+        """Return by how much what the lens puts at pixels (n, 2) is displaced, (n, 2) px."""
+        return self._waves(pixels) @ self._mean.T if np.any(self._mean) else 0.0
+
+    def covariance(self, rows: FloatArray, pixels: FloatArray) -> FloatArray | float:
+        """Return (n, 2, 2) px² beside that of the parameters, with the pixel's derivatives (n, 2, p) by them."""
+        if self._amplitude == 0.0:
+            return 0.0
+        waves = self._waves(pixels)
+        mixed = np.einsum("nip,apm,nm->nia", rows, self._cross, waves, optimize=True)
+        own = waves**2 @ self._variances
+        reduction = np.sum((waves @ self._known.T) ** 2, axis=-1) / np.where(own > 0.0, own, 1.0)
+        unknown = self._amplitude**2 - reduction
+        result = mixed + np.swapaxes(mixed, 1, 2)
+        result = result + np.maximum(unknown, (_LEAST_UNKNOWN * self._amplitude) ** 2)[..., None, None] * np.eye(2)
+        if self._coupling.size:
+            coupled = np.stack([waves @ part.T for part in self._coupling], axis=1)
+            result = result + coupled @ np.swapaxes(coupled, 1, 2)
+        return np.asarray(result)
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -152,7 +152,7 @@ def _camera(document: Mapping[str, Any]) -> Variable:
         dimensions=(),
         values=np.array(0, dtype=np.int32),
         attributes={
-            "long_name": "camera model (schema sunarc.calibration/1)",
+            "long_name": "camera model (schema sunarc.calibration/2)",
             "mirrored": int(image["mirrored"]),
             "latitude": float(site["latitude"]),
             "longitude": float(site["longitude"]),

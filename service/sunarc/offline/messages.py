@@ -68,21 +68,6 @@ MESSAGES = Messages(
         "Its calibrations are refused.",
         "give --mirrored {mirrored}; or correct the latitude's sign",
     ),
-    camera_tilted=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees",
-        "Its calibrations are refused.",
-        "check site and times; nothing simple makes it level",
-    ),
-    camera_tilted_by_clock=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees; with clocks {hours:g} h ahead it is level",
-        "Its calibrations are refused where the tilt is not real.",
-        "add {hours:g} to --utc-offset where it is not",
-    ),
-    camera_tilted_by_latitude=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.0f} degrees; at a latitude of {latitude:.1f} it is level",
-        "Its calibrations are refused where the tilt is not real.",
-        "correct --latitude (its sign: north is positive) where it is not",
-    ),
     sightings_disagree=Message(
         "{share:.2f} of the sightings agree on a camera, {least:.2f} have to",
         "The camera has no epochs.",

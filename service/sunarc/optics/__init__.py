@@ -1,6 +1,7 @@
 """Camera model: projection, back-projection and derivatives."""
 
 from sunarc.optics.camera import PARAMETER_NAMES, Camera, Param
+from sunarc.optics.displacement import Displacement
 from sunarc.optics.fast import InverseTable, inverse_table
 from sunarc.optics.forward import project, project_fast, project_with_jacobian, project_with_rows_fast
 from sunarc.optics.inverse import unproject
@@ -12,6 +13,7 @@ __all__ = [
     "PARAMETER_NAMES",
     "PROJECTIONS",
     "Camera",
+    "Displacement",
     "InverseTable",
     "Param",
     "PoseAngles",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
+from sunarc.optics.displacement import Displacement
 from sunarc.optics.projections import PROJECTIONS, Projection
 
 RADIAL_ORDERS = tuple(range(2, 10))
@@ -72,6 +73,7 @@ class Camera:
     decentering : p1 … p4 of Eq. 12.
     mirrored : the image is a mirror image: x becomes width - 1 - x before the model.
     max_angle : radians off the axis up to which the model answers.
+    displacement : what displaces the image beside the lens; None: nothing.
     """
 
     width: int
@@ -86,6 +88,7 @@ class Camera:
     decentering: tuple[float, ...] = (0.0,) * 4
     mirrored: bool = False
     max_angle: float = math.radians(100.0)
+    displacement: Displacement | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""
@@ -99,6 +102,10 @@ class Camera:
             raise InputError(field="radial, decentering", problem="wrong length", remedy="give k2 … k9 and p1 … p4")
         if not np.all(np.isfinite(self.to_vector())) or not math.isfinite(self.max_angle):
             raise InputError(field="camera", problem="a parameter is not finite", remedy="give finite numbers")
+
+    def lens_alone(self) -> Camera:
+        """Return this camera without its displacement."""
+        return self if self.displacement is None else replace(self, displacement=None)
 
     def to_vector(self) -> FloatArray:
         """Return the 23 parameters in the order of `Param`."""

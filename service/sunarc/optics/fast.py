@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
+from sunarc.optics.displacement_table import DisplacementTable, displacement_table
 from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope
 from sunarc.optics.inverse import unproject
 from sunarc.optics.kernels import InverseConstants, directions_of
@@ -36,6 +37,7 @@ class InverseTable:
     pieces : (n, 8) coefficients.
     rounds : fixed-point rounds that take out the decentering; None where they do not converge and the exact inverse
         answers everywhere.
+    displacement : takes out the camera's displacement, where it has one.
     """
 
     constants: InverseConstants
@@ -43,6 +45,7 @@ class InverseTable:
     rotation: FloatArray
     pieces: FloatArray
     rounds: int | None
+    displacement: DisplacementTable | None
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
         """Return what `unproject` returns for pixels (..., 2), to about 1e-8 px."""
@@ -54,11 +57,13 @@ class InverseTable:
     def write_directions(self, pixels: FloatArray, result: FloatArray) -> None:
         """Write into `result` (..., 3) what `directions` returns; both arrays are contiguous."""
         flat, into = pixels.reshape(-1, 2), result.reshape(-1, 3)
+        if self.displacement is not None:
+            flat = self.displacement.taken_out(flat)
         if self.rounds is None:
-            into[:] = unproject(self.camera, flat)
+            into[:] = unproject(self.camera.lens_alone(), flat)
         elif directions_of(self.constants, self.rotation, self.pieces, self.rounds, flat, into):
             coarse = np.isinf(into[:, 0])
-            into[coarse] = unproject(self.camera, flat[coarse])
+            into[coarse] = unproject(self.camera.lens_alone(), flat[coarse])
 
 
 def inverse_table(camera: Camera) -> InverseTable:
@@ -77,6 +82,7 @@ def inverse_table(camera: Camera) -> InverseTable:
     step = largest / _PIECES
     pieces = np.concatenate([_cubic(scale, scale_slope * step), _cubic(cosine, cosine_slope * step)], axis=1)
     p1, p2, p3, p4 = camera.decentering
+    beside = camera.displacement
     constants = InverseConstants(
         1.0 / camera.focal_length_px[0],
         1.0 / camera.focal_length_px[1],
@@ -97,6 +103,7 @@ def inverse_table(camera: Camera) -> InverseTable:
         rotation=rotation_matrix(camera.rotation_cam_enu),
         pieces=np.ascontiguousarray(pieces),
         rounds=_rounds(camera, largest),
+        displacement=None if beside is None else displacement_table(beside, width=camera.width, height=camera.height),
     )
 
 

@@ -58,7 +58,8 @@ def project_fast(camera: Camera, direction_enu: FloatArray) -> FloatArray:
     """Return what `project` returns for directions (n, 3)."""
     rotation = rotation_matrix(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
-    return np.asarray(pixels_of(*kernel_lens(camera), rotation, directions))
+    pixels = np.asarray(pixels_of(*kernel_lens(camera), rotation, directions))
+    return pixels if camera.displacement is None else pixels + camera.displacement.at(pixels)
 
 
 def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -66,6 +67,9 @@ def project_with_rows_fast(camera: Camera, direction_enu: FloatArray) -> tuple[F
     rotation, jacobian = rotation_matrix(camera.rotation_cam_enu), right_jacobian(camera.rotation_cam_enu)
     directions = np.ascontiguousarray(direction_enu, dtype=np.float64)
     pixels, rows = pixels_and_rows_of(*kernel_lens(camera), rotation, jacobian, directions)
+    if camera.displacement is not None:
+        shift, slopes = camera.displacement.with_slopes(pixels)
+        pixels, rows = pixels + shift, rows + slopes @ rows
     return pixels, rows
 
 

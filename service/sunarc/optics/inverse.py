@@ -31,7 +31,10 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     -------
     (..., 3) unit vectors, east-north-up; NaN where no direction within `max_angle` lands on the pixel.
     """
-    x_hat, y_hat = calibrated(camera, np.asarray(pixel, dtype=np.float64))
+    place = np.asarray(pixel, dtype=np.float64)
+    if camera.displacement is not None:
+        place = camera.displacement.taken_out(place.reshape(-1, 2)).reshape(place.shape)
+    x_hat, y_hat = calibrated(camera, place)
     x_hat, y_hat = _without_decentering(camera, x_hat, y_hat)
     radius = np.hypot(x_hat, y_hat)
     theta = _angle_of_radius(camera, radius)

@@ -25,7 +25,7 @@ from sunarc.sky import Site
 
 
 def truth_document(camera: Camera, site: Site, *, name: str, created_at: datetime) -> dict[str, Any]:
-    """Return a camera as a calibration document ("sunarc.calibration/1"): without uncertainty, and without evidence."""
+    """Return a camera as a calibration document ("sunarc.calibration/2"): without uncertainty, and without evidence."""
     truth = Calibration(
         camera=camera,
         poses=(camera.rotation_cam_enu,),

@@ -16,6 +16,7 @@ from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import irls_converged, linear_system
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +26,7 @@ SCALES = Scales(0.002, 120.0, 2.0, 0.7)
 
 
 def _fit(
-    n_days: int, *, sigma_px: float = 0.2, stated_px: float = 0.2, seed: int = 1
+    n_days: int, *, sigma_px: float = 0.2, stated_px: float = 0.2, seed: int = 1, with_field: bool = False
 ) -> tuple[RobustFit, FilteredSightings]:
     """Return a fit of days whose sightings are spread over the sky, with known scales."""
     n = n_days * PER_DAY
@@ -33,7 +34,8 @@ def _fit(
     problem = small_problem(camera)
     seen = observed(camera, spread_directions(n, seed=seed), sigma_px=sigma_px, seed=seed)
     grid = scale_grid(width=640, height=480, floor_px=0.002, radial_px=2.0, decentering_px=0.7)
-    bins = Bins(member=np.arange(n) // 2, count=n // 2)
+    together = 1 if with_field else 2
+    bins = Bins(member=np.arange(n) // together, count=n // together)
     information = np.full(n, stated_px**-2)
     at = problem.unknowns([camera])
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
@@ -45,11 +47,13 @@ def _fit(
         system=system,
         unknowns=unknowns,
         posterior=PosteriorCovariance(
-            covariance=fit.covariance, cross=fit.cross, amplitude_px=SCALES.amplitude_px, length_px=SCALES.length_px
+            fit.covariance,
+            Field(amplitude_px=SCALES.amplitude_px, length_px=SCALES.length_px, basis=grid.basis, cross=fit.cross),
         ),
         scales=SCALES,
         grid=grid,
         residual=problem.residuals(unknowns, seen),
+        field_mean=fit.coefficients if with_field else None,
         weight=np.ones(n),
         sigma_px=stated_px,
         inflation=np.ones(n),
@@ -133,3 +137,17 @@ def test_more_than_five_days_are_left_out_in_five_parts() -> None:
     found = held_out(fit, usable)
     assert found is not None
     assert found.rmse_px / found.expected_px == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
+    fit, usable = _fit(4, with_field=True)
+    larger = Scales(0.5, 120.0, 2.0, 0.7)
+    bent = 0.6 * np.stack([np.sin(usable.pixels[:, 0] / 90.0), np.cos(usable.pixels[:, 1] / 90.0)], axis=-1)
+    moved = replace(fit.system, residual=fit.system.residual + bent)
+    fit = replace(fit, system=moved, scales=larger, residual=fit.residual + bent)
+    with_field, camera_alone = held_out(fit, usable), held_out(replace(fit, field_mean=None), usable)
+    assert with_field is not None
+    assert camera_alone is not None
+    # 0.28 px are the noise; 120 sightings tell most of the field
+    assert 0.28 < with_field.rmse_px < 0.6 * camera_alone.rmse_px
+    assert with_field.rmse_px / with_field.expected_px == pytest.approx(1.0, abs=0.15)

@@ -77,8 +77,8 @@ def test_with_one_amplitude_it_is_the_mixture_s_covariance(
     # 1.5 % of the probability is left out
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found.covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.06)
-    assert found.amplitude_px == pytest.approx(float(grid.amplitudes[5]))
-    assert grid.lengths[0] <= found.length_px <= grid.lengths[-1]
+    assert found.field.amplitude_px == pytest.approx(float(grid.amplitudes[5]))
+    assert grid.lengths[0] <= found.field.length_px <= grid.lengths[-1]
 
 
 def test_with_one_choice_it_is_that_fit_s_own(system: LinearSystem, grid: HyperparameterGrid, problem: Problem) -> None:
@@ -93,8 +93,8 @@ def test_with_one_choice_it_is_that_fit_s_own(system: LinearSystem, grid: Hyperp
     fit = marginal_fit(system.normal(), grid.basis, scales)
     found = marginalised_covariance(system.normal(), single, problem, fit.unknowns)
     np.testing.assert_allclose(found.covariance, fit.covariance, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(found.cross, fit.cross, rtol=1e-9, atol=1e-15)
-    assert found.length_px == pytest.approx(scales.length_px)
+    np.testing.assert_allclose(found.field.cross, fit.cross, rtol=1e-9, atol=1e-15)
+    assert found.field.length_px == pytest.approx(scales.length_px)
 
 
 def test_a_fit_that_is_off_is_charged_with_its_distance(
@@ -113,7 +113,7 @@ def test_the_covariance_is_positive_and_of_every_unknown(posterior: PosteriorCov
     np.testing.assert_allclose(posterior.covariance, posterior.covariance.T, atol=1e-12)
     scale = np.sqrt(np.diag(posterior.covariance))
     assert np.min(np.linalg.eigvalsh(posterior.covariance / np.outer(scale, scale))) > 0.0
-    assert posterior.cross.shape[:2] == (2, at.size)
+    assert posterior.field.cross.shape[:2] == (2, at.size)
 
 
 def test_the_share_within_an_ellipse_is_that_of_draws() -> None:

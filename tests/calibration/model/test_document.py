@@ -1,4 +1,4 @@
-"""The document's field: which waves travel."""
+"""The document: the field travels whole, documents of the first schema are read as before, other shapes are refused."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures.calibration import current_document, distinctive_calibration
 
+from sunarc.calibration import from_document, hemisphere, project_with_covariance
 from sunarc.calibration.model.document import _field
 from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.errors import InputError
 
 
 @pytest.fixture
@@ -16,17 +19,70 @@ def field() -> Field:
     basis = wave_basis(width=640, height=480, shortest_px=160.0, longest_px=160.0)
     cross = np.zeros((2, 3, len(basis.orders)))
     cross[0, 0, :3] = 1.0, 2e-5, 5e-6
-    cross[1, 1, 4:6] = 3e-9, -1e-7  # a parameter of smaller unit has a scale of its own
     return Field(amplitude_px=0.3, length_px=160.0, basis=basis, cross=cross)
 
 
-def test_waves_travel_that_share_a_hundred_thousandth_with_some_parameter(field: Field) -> None:
+def test_a_field_travels_whole_and_none_has_no_waves(field: Field) -> None:
     document = _field(field)
-    travelling = [0, 1, 4, 5]
-    assert document["orders"] == field.basis.orders[travelling].tolist()
-    np.testing.assert_allclose(document["cross"], field.cross[:, :, travelling], rtol=1e-7)
-
-
-def test_a_field_that_hangs_together_with_nothing_or_is_none_has_no_waves(field: Field) -> None:
-    assert _field(replace(field, cross=0.0 * field.cross))["orders"] == []
+    assert document["orders"] == field.basis.orders.tolist()
+    np.testing.assert_allclose(document["cross"], field.cross, rtol=1e-7)
     assert _field(replace(field, amplitude_px=0.0))["orders"] == []
+
+
+def test_a_displacement_travels_with_its_field_and_without_one(field: Field) -> None:
+    mean = np.zeros((2, len(field.basis.orders)))
+    mean[0, 7], mean[1, 3] = 12.0, -5.0
+    shift = field.basis.displacement(mean)
+    np.testing.assert_allclose(_field(field, shift)["mean"], mean)
+    alone = _field(replace(field, amplitude_px=0.0), shift)
+    np.testing.assert_allclose(alone["mean"], mean)
+    assert alone["known"] == []
+    assert alone["coupling"] == [[], []]
+
+
+def test_a_document_of_the_first_schema_is_read_as_before() -> None:
+    made = distinctive_calibration()
+    document = current_document(made)
+    field = document["uncertainty"]["field"]
+    for key in ("mean", "known", "coupling"):
+        del field[key]
+    with pytest.raises(InputError) as refused:
+        from_document(document)
+    assert refused.value.field.startswith("uncertainty.field")
+    # the first schema left out waves of small cross terms
+    field["orders"], field["cross"] = field["orders"][:-5], [[row[:-5] for row in part] for part in field["cross"]]
+    first = from_document(document | {"schema": "sunarc.calibration/1"})
+    assert first.camera == made.camera.lens_alone()
+    sky = hemisphere(30)
+    cross = np.concatenate([made.field.cross[..., :-5], np.zeros((*made.field.cross.shape[:2], 5))], axis=-1)
+    alone = replace(made.field, cross=cross, known=np.zeros(0), coupling=np.zeros(0))
+    expected = project_with_covariance(replace(made, camera=made.camera.lens_alone(), field=alone), sky)
+    found = project_with_covariance(first, sky)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-9)
+
+
+def test_the_document_says_what_the_calibration_does() -> None:
+    made, sky = distinctive_calibration(), hemisphere(30)
+    read = from_document(current_document(made))
+    for one, other in zip(project_with_covariance(read, sky), project_with_covariance(made, sky), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mean", [[1.0], [2.0]]),
+        ("known", [[1.0]]),
+        ("coupling", [[[1.0]], [[2.0]]]),
+        ("orders", [[1, 10**6]]),
+        ("mean", None),
+        ("coupling", [[], 5]),
+    ],
+)
+def test_a_field_of_other_shapes_is_refused(key: str, value: object) -> None:
+    document = current_document(distinctive_calibration())
+    document["uncertainty"]["field"][key] = value
+    with pytest.raises(InputError) as refused:
+        from_document(document)
+    assert refused.value.field.startswith("uncertainty.field")

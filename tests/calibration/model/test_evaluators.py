@@ -84,7 +84,7 @@ def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:
 
 def numbers(read: dict[str, Any]) -> list[float]:
     """Return what the jq line in the C evaluator's head writes."""
-    model, backward = read["model"], read["backward_model"]
+    model, backward, field = read["model"], read["backward_model"], read["uncertainty"]["field"]
     return [
         read["image"]["width"],
         int(read["image"]["mirrored"]),
@@ -99,6 +99,11 @@ def numbers(read: dict[str, Any]) -> list[float]:
         model["max_angle_deg"],
         *backward["radial"],
         *backward["decentering"],
+        *field["center_px"],
+        *field["half_px"],
+        len(field["orders"]),
+        *(order for pair in field["orders"] for order in pair),
+        *(value for part in field["mean"] for value in part),
     ]
 
 

@@ -14,6 +14,7 @@ from sunarc.calibration.model.covariance import project_with_covariance, sigma_d
 from sunarc.calibration.model.direction_table import Lookup, lookup
 from sunarc.calibration.model.maps import back_projection_map
 from sunarc.optics import project, unproject
+from sunarc.optics.cubic_spline import spline_weights
 from sunarc.sky import angles_from_direction
 
 
@@ -95,7 +96,7 @@ def test_the_kernels_in_python_are_the_compiled_ones(ready: Lookup) -> None:
 
 @pytest.mark.parametrize("place", [0.0, 0.3, 5.5, 93.999, 94.0, 95.0])
 def test_the_weights_of_a_cubic_spline(place: float) -> None:
-    node, *weights = module.spline_weights.py_func(place, 94)
+    node, *weights = spline_weights.py_func(place, 94)
     assert sum(weights) == pytest.approx(1.0)
     # a cubic B-spline reproduces lines: nodes -1, 0, 1, 2 about the place
     assert sum(w * (node + k - 1.0) for k, w in enumerate(weights)) == pytest.approx(place)

@@ -71,7 +71,7 @@ def test_the_defaults_are_those_of_the_documents() -> None:
     """Each is written down: a change of a default is a change of every fit."""
     options, lens, paper = CalibrationOptions(), LensTolerances(), PaperOptions()
     assert (options.method, options.projection, options.mirrored) == ("robust", "equisolid", "no")
-    assert (options.level_within_deg, options.max_angle_deg, options.max_rmse_px) == (5.0, 100.0, 3.0)
+    assert (options.level_within_deg, options.max_angle_deg, options.max_rmse_px) == (None, 100.0, 3.0)
     assert (options.max_rejected, options.max_sky_deg) == (0.6, 2.0)
     assert (options.site_error_m, options.field_floor_px) == (30.0, 0.002)
     assert (lens.radial_px, lens.radial_length_deg, lens.decentering_px, lens.decentering_higher) == (

@@ -14,8 +14,8 @@ from sunarc.calibration.model.direction_table import (
     _in_image,
     polar_spline,
     ring_and_spoke,
-    spline_weights,
 )
+from sunarc.optics.cubic_spline import spline_weights
 from sunarc.optics.fast import inverse_table
 
 CONSTANTS = inverse_table(ideal_camera()).constants

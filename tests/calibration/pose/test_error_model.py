@@ -85,7 +85,7 @@ def test_derivatives_are_finite_differences_of_the_changed_camera(calibration: C
     rows = numerical_derivative(lambda change: project(moved(camera, model, change), directions), np.zeros(20))
     np.testing.assert_allclose(found.rows, rows, rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(found.pixels, project(camera, directions), atol=1e-9)
-    np.testing.assert_allclose(found.basis_values, model.basis.values(found.pixels))
+    np.testing.assert_allclose(found.basis_values, model.field.basis.values(found.pixels))
 
 
 def test_the_joint_covariance_has_the_stated_one_in_its_blocks(calibration: Calibration) -> None:
@@ -130,7 +130,7 @@ def test_the_covariance_of_the_parameters_with_the_prediction(calibration: Calib
     expected = model.covariance @ flat.T
     for n in range(3):
         for axis in (0, 1):
-            expected[:, 2 * n + axis] += model.cross[axis] @ at.basis_values[n]
+            expected[:, 2 * n + axis] += model.field.cross[axis] @ at.basis_values[n]
     np.testing.assert_allclose(with_parameters(model, at), expected, rtol=1e-10)
 
 
@@ -138,7 +138,7 @@ def test_the_covariance_of_the_prediction_with_the_field_s_coefficients(calibrat
     model = error_model_of(calibration)
     at = predicted(model, calibration.camera, spread_directions(3))
     for axis in (0, 1):
-        expected = at.rows.reshape(6, 20) @ model.cross[axis]
+        expected = at.rows.reshape(6, 20) @ model.field.cross[axis]
         expected[axis::2] += at.basis_values * model.variances
         np.testing.assert_allclose(with_coefficients(model, at, axis), expected, rtol=1e-10)
 
@@ -155,8 +155,8 @@ def test_without_a_field_there_are_no_waves() -> None:
 def test_a_field_shorter_than_16_px_is_taken_as_16() -> None:
     calibration = stated_calibration(small_camera(), amplitude_px=0.1)
     short = replace(calibration, field=replace(calibration.field, length_px=3.0))
-    assert error_model_of(short).length_px == 16.0
-    assert error_model_of(calibration).length_px == 160.0
+    assert error_model_of(short).field.length_px == 16.0
+    assert error_model_of(calibration).field.length_px == 160.0
 
 
 def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibration: Calibration) -> None:
@@ -165,9 +165,9 @@ def test_waves_that_a_document_left_out_come_back_without_cross_terms(calibratio
     basis = replace(calibration.field.basis, orders=orders[kept])
     thin = replace(calibration, field=replace(calibration.field, basis=basis, cross=calibration.field.cross[..., kept]))
     whole, found = error_model_of(calibration), error_model_of(thin)
-    assert len(found.basis.orders) == len(whole.basis.orders)
-    np.testing.assert_allclose(found.cross[..., kept], whole.cross[..., kept])
-    np.testing.assert_array_equal(found.cross[..., ~kept], 0.0)
+    assert len(found.field.basis.orders) == len(whole.field.basis.orders)
+    np.testing.assert_allclose(found.field.cross[..., kept], whole.field.cross[..., kept])
+    np.testing.assert_array_equal(found.field.cross[..., ~kept], 0.0)
 
 
 def test_a_calibration_without_its_pose_is_refused() -> None:

@@ -180,8 +180,8 @@ def test_conditioning_is_that_of_the_joint_gaussian(model: CameraErrorModel) -> 
     found = conditioned(model, at, seen)
     np.testing.assert_allclose(found.mean, (gain @ residual.ravel())[:p], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(found.covariance, after[:p, :p], rtol=1e-7, atol=1e-14)
-    np.testing.assert_allclose(found.cross[0], after[:p, p : p + m], rtol=1e-6, atol=1e-10)
-    np.testing.assert_allclose(found.cross[1], after[:p, p + m :], rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(found.field.cross[0], after[:p, p : p + m], rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(found.field.cross[1], after[:p, p + m :], rtol=1e-6, atol=1e-10)
 
 
 def test_conditioning_twice_is_conditioning_on_both(model: CameraErrorModel) -> None:

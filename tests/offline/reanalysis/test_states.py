@@ -135,6 +135,7 @@ def test_a_wrong_zone_is_named_with_the_hours(hours: float) -> None:
     (finding,) = first_analysis(Sightings(ahead, known(STILL.made.site))).findings
     assert finding.code == "camera_tilted_by_clock"
     assert finding.data["hours"] == hours
+    assert float(finding.data["odds"]) > 1.0
     assert 10.0 * abs(hours) - 2.0 < float(finding.data["tilt_deg"]) < 15.0 * abs(hours) + 2.0
 
 

@@ -22,7 +22,7 @@ from sunarc.exports import FILE_NAMES, FORMATS, MEDIA_TYPES, Exported, Format, e
 
 _DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "The calibration document, schema sunarc.calibration/1.",
+        "description": "The calibration document, schema sunarc.calibration/2.",
         "headers": {"ETag": {"description": "Changes with the document.", "schema": {"type": "string"}}},
         "content": {"application/json": {"schema": {"type": "object", "additionalProperties": True}}},
     },
@@ -31,7 +31,7 @@ _DOCUMENT: dict[int | str, dict[str, Any]] = {
 
 _EXPORTED: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "The calibration document, schema sunarc.calibration/1, or another format of it.",
+        "description": "The calibration document, schema sunarc.calibration/2, or another format of it.",
         "headers": {
             "ETag": {"description": "Changes with the document.", "schema": {"type": "string"}},
             "Sunarc-Fit-Error": {

@@ -145,7 +145,7 @@ def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radia
         radial_px=radial_px,
         clock_error_s=_clock_error(job.points),
         circle=None if job.circle is None else asdict(job.circle),
-        start=None if job.start is None else asdict(job.start),
+        start=None if job.start is None else asdict(job.start.lens_alone()),
     )
 
 
@@ -187,4 +187,5 @@ def no_field(camera: Camera, *, size: int) -> Field:
     """Return a field of amplitude 0 beside `size` parameters."""
     length = min(camera.width, camera.height)
     basis = wave_basis(width=camera.width, height=camera.height, shortest_px=length, longest_px=length)
-    return Field(amplitude_px=0.0, length_px=float(length), basis=basis, cross=np.zeros((2, size, len(basis.orders))))
+    cross = np.zeros((2, size, len(basis.orders)))
+    return Field(amplitude_px=0.0, length_px=float(length), basis=basis, cross=cross)

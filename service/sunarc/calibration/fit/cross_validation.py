@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.marginal_likelihood import MarginalFit, marginal_fit
+from sunarc.calibration.fit.field_posterior import seen_field
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
 
 _FOLDS = 5
@@ -39,21 +41,30 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
         if np.setdiff1d(usable.epoch[in_fold], usable.epoch[~in_fold]).size:
             continue  # a pose that no other day has cannot be predicted
         inside = np.bincount(system.member[in_fold], minlength=system.rows.shape[0]) == 0
-        without = marginal_fit(system.normal_of(inside), fit.grid.basis, fit.scales)
+        normal = system.normal_of(inside)
+        without = marginal_fit(normal, fit.grid.basis, fit.scales)
         counted = in_fold & (fit.weight > 0.0)
         bin_of = system.member[counted]
-        prediction_error = fit.residual[counted] - (system.rows @ (without.unknowns - system.at))[bin_of]
+        predicted = system.rows @ (without.unknowns - system.at)
+        if fit.field_mean is not None:
+            predicted = predicted + system.basis_values @ without.coefficients.T
+        prediction_error = fit.residual[counted] - predicted[bin_of]
         found += float(np.sum(prediction_error**2))
         # two axes
         noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
-        expected += float(np.sum(_variance(fit, without)[bin_of] + noise))
+        expected += float(np.sum(_variance(fit, without, normal)[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
 
 
-def _variance(fit: RobustFit, without: MarginalFit) -> FloatArray:
+def _variance(fit: RobustFit, without: MarginalFit, normal: NormalEquations) -> FloatArray:
     """Return (bins,): trace of the covariance of the prediction by a fit without some days, px²."""
-    rows, basis_values = fit.system.rows, fit.system.basis_values
+    rows = fit.system.rows
+    field = Field(
+        amplitude_px=fit.scales.amplitude_px, length_px=fit.scales.length_px, basis=fit.grid.basis, cross=without.cross
+    )
+    if fit.field_mean is not None:
+        field = seen_field(field, normal, without.covariance)
     by_parameters = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
-    mixed = np.einsum("nap,apm,nm->n", rows, without.cross, basis_values, optimize=True)
-    return np.asarray(np.maximum(by_parameters + 2.0 * mixed + 2.0 * fit.scales.amplitude_px**2, 0.0))
+    by_field = np.trace(field.covariance(rows, fit.system.basis_values), axis1=-2, axis2=-1)
+    return np.asarray(np.maximum(by_parameters + by_field, 0.0))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged
@@ -32,14 +33,23 @@ _KNOWN = 0.15
 
 
 class _Conditional(NamedTuple):
-    """Second moments (p, p) about the free fit where p3 and p4 are known, and the log evidence of that cell."""
+    """Second moments about the free fit where p3 and p4 are known, and the log evidence of that cell.
+
+    moments (p, p) of the unknowns; cross (2, p, m) with the field's coefficients.
+    """
 
     moments: FloatArray
+    cross: FloatArray
     log_evidence: float
 
 
-def mixed_over_decentering(
-    posterior: PosteriorCovariance, problem: Problem, system: LinearSystem, unknowns: FloatArray, scales: Scales
+def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
+    posterior: PosteriorCovariance,
+    problem: Problem,
+    system: LinearSystem,
+    unknowns: FloatArray,
+    scales: Scales,
+    mean: FloatArray | None = None,
 ) -> PosteriorCovariance:
     """Return the covariance with p3 and p4 integrated out.
 
@@ -49,33 +59,50 @@ def mixed_over_decentering(
     problem, system : of the fit; the system about `unknowns`.
     unknowns : the fit, (p,).
     scales : those of the fit.
+    mean : (2, m) coefficients of the field in the prediction; None: it has no part there.
     """
     inner = posterior.covariance[HIGHER, HIGHER]
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
         return posterior
-    free = marginal_fit(system.normal(), system.basis, scales).covariance
-    conditionals = [_conditional(problem, system, unknowns, node, scales) for node in _NODES]
+    free = marginal_fit(system.normal(), system.basis, scales)
+    about = np.zeros_like(free.coefficients) if mean is None else mean
+    conditionals = [_conditional(problem, system, unknowns, node, scales, about) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
     log_mass = np.array([_log_evidence(system, scales), *(node.log_evidence for node in conditionals)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
-    excess = np.einsum("k,kpq->pq", share, np.stack([node.moments - free for node in conditionals]), optimize=True)
-    return replace(posterior, covariance=posterior.covariance + _positive_part(excess, free))
+    excess = np.tensordot(share, np.stack([node.moments - free.covariance for node in conditionals]), 1)
+    part, positive = _positive_part(excess, free.covariance)
+    covariance = posterior.covariance + part
+    if mean is None:
+        return posterior._replace(covariance=covariance)
+    with_field = np.tensordot(share, np.stack([node.cross - free.cross for node in conditionals]), 1)
+    field = replace(posterior.field, cross=posterior.field.cross + positive @ with_field)
+    return PosteriorCovariance(covariance, seen_field(field, system.normal(), covariance))
 
 
-def _positive_part(excess: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return a symmetric matrix (p, p) without what it takes from a covariance, in units of that one."""
+def _positive_part(excess: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a symmetric matrix (p, p) without what it takes from a covariance, in units of that one.
+
+    And the projection (p, p) that does so.
+    """
     scale = np.sqrt(np.diag(reference))
     # in units of the Gaussian's covariance, positive and negative parts do not depend on the unknowns' units
     root = np.linalg.cholesky(reference / np.outer(scale, scale) + _RIDGE * np.eye(scale.size))
     left = np.linalg.solve(root, excess / np.outer(scale, scale))
     values, vectors = np.linalg.eigh(np.linalg.solve(root, left.T))
     shape = (scale[:, None] * root) @ vectors
-    return np.asarray((shape * np.maximum(values, 0.0)) @ shape.T)
+    back = np.linalg.solve(root, np.diag(1.0 / scale))
+    return (shape * np.maximum(values, 0.0)) @ shape.T, (shape * (values > 0.0)) @ vectors.T @ back
 
 
-def _conditional(
-    problem: Problem, system: LinearSystem, unknowns: FloatArray, node: tuple[float, ...], scales: Scales
+def _conditional(  # noqa: PLR0917 - the fit, piece by piece
+    problem: Problem,
+    system: LinearSystem,
+    unknowns: FloatArray,
+    node: tuple[float, ...],
+    scales: Scales,
+    field_mean: FloatArray,
 ) -> _Conditional:
     """Return the fit with p3 and p4 held at a place."""
     fixed = np.array(node)
@@ -85,14 +112,17 @@ def _conditional(
     conditioned = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
     start[HIGHER] = 0.0
-    found, _ = irls_converged(conditioned, system.moved(conditioned, start), scales)
+    found, coefficients = irls_converged(conditioned, system.moved(conditioned, start), scales)
     about = system.moved(conditioned, found)
-    covariance = marginal_fit(about.normal(), about.basis, scales).covariance.copy()
+    there = marginal_fit(about.normal(), about.basis, scales)
+    covariance, cross = there.covariance.copy(), there.cross.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
+    cross[:, HIGHER] = 0.0
     shift = found - unknowns
     shift[HIGHER] = fixed - unknowns[HIGHER]
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
+        cross=cross + shift[:, None] * (coefficients - field_mean)[:, None, :],
         log_evidence=_log_evidence(about, scales) - 0.5 * float(fixed @ fixed) + _CELL,
     )
 

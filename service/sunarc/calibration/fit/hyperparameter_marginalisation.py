@@ -9,17 +9,18 @@ lies within the 95 % ellipses, in the mean over the sky.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, log_weights, normalised
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Turned, posterior_covariances
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.covariance import hemisphere
-from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.model.residual_field import Field, WaveBasis
 
 _NOMINAL_COVERAGE = 0.95
 _ELLIPSE = -2.0 * math.log(1.0 - _NOMINAL_COVERAGE)
@@ -33,32 +34,27 @@ _COS_DOUBLED = np.cos((np.arange(8) + 0.5) * math.pi / 8.0)
 """Directions round a quarter of an ellipse, as the cosine of twice their angle."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PosteriorCovariance:
-    """How far a fit may be off, the scales not being known.
-
-    Attributes
-    ----------
-    covariance : (p, p) of the unknowns.
-    cross : (2, p, m) with the field's coefficients.
-    amplitude_px, length_px : of the field, as far as it is not known.
-    """
+class PosteriorCovariance(NamedTuple):
+    """How far a fit may be off, the scales not being known: the covariance (p, p) of the unknowns, and the field."""
 
     covariance: FloatArray
-    cross: FloatArray
-    amplitude_px: float
-    length_px: float
+    field: Field
 
 
 class _Field(NamedTuple):
-    """The field under one amplitude and length: the sums in its axes, and its shrinkage (r,)."""
+    """The field under one amplitude and length: the sums in its axes, its shrinkage (r,), and the amplitude, px."""
 
     turned: Turned
     shrink: FloatArray
+    amplitude_px: float
 
     def pull(self, values: FloatArray) -> FloatArray:
         """Return (2, p, n): J' of each component with the field's posterior at places of basis values (n, m)."""
         return np.asarray((self.turned.rows * self.shrink) @ (values @ self.turned.axes.transform).T)
+
+    def reduction(self, values: FloatArray) -> FloatArray:
+        """Return (n,): by how much sightings reduce the variance of either component there, the parameters given."""
+        return np.asarray((values @ self.turned.axes.transform) ** 2 @ (self.amplitude_px**2 - self.shrink))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +62,7 @@ class _Choices:
     """The plausible scales, those of one field together.
 
     share (k,): probabilities. amplitude, length (k,): px. fields: one for each `field` (k,) of them. covariance
-    (k, p, p); shift (k, p): from the fit that is doubted.
+    (k, p, p); shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean.
     """
 
     share: FloatArray
@@ -76,6 +72,7 @@ class _Choices:
     field: IntArray
     covariance: FloatArray
     shift: FloatArray
+    field_shift: FloatArray
 
     def tilted(self, tilt: float) -> FloatArray:
         """Return the shares, each times a power of its amplitude."""
@@ -93,21 +90,35 @@ class _Choices:
 
 
 def marginalised_covariance(
-    normal: NormalEquations, grid: HyperparameterGrid, problem: Problem, unknowns: FloatArray
+    normal: NormalEquations,
+    grid: HyperparameterGrid,
+    problem: Problem,
+    unknowns: FloatArray,
+    mean: FloatArray | None = None,
 ) -> PosteriorCovariance:
-    """Return how far the unknowns may be off, whatever the scales are."""
-    choices = _plausible(normal, grid, unknowns)
-    weight = choices.tilted(_honest_tilt(choices, _at_probes(choices, grid.basis, problem, unknowns)))
+    """Return how far the unknowns may be off, whatever the scales are; `normal` is about them.
+
+    `mean` (2, m) are the coefficients of the field that is part of the prediction; None: it has no part in it, and its
+    errors are those before any sighting.
+    """
+    choices = _plausible(normal, grid, unknowns, mean)
+    moments = _at_probes(choices, grid.basis, problem, unknowns, predicted=mean is not None)
+    weight = choices.tilted(_honest_tilt(choices, moments))
     power = weight * choices.amplitude**2
-    return PosteriorCovariance(
-        covariance=(choices.shift.T * weight) @ choices.shift + np.tensordot(weight, choices.covariance, 1),
-        cross=choices.mean_cross(weight),
-        amplitude_px=math.sqrt(float(power.sum())),
-        length_px=math.exp(float(power @ np.log(choices.length) / power.sum())),
-    )
+    amplitude = math.sqrt(float(power.sum()))
+    length = math.exp(float(power @ np.log(choices.length) / power.sum()))
+    covariance = (choices.shift.T * weight) @ choices.shift + np.tensordot(weight, choices.covariance, 1)
+    cross = choices.mean_cross(weight)
+    unseen = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
+    if mean is None:
+        return PosteriorCovariance(covariance, unseen)
+    cross = cross + np.einsum("k,kp,kam->apm", weight, choices.shift, choices.field_shift, optimize=True)
+    return PosteriorCovariance(covariance, seen_field(replace(unseen, cross=cross), normal, covariance))
 
 
-def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray) -> _Choices:
+def _plausible(
+    normal: NormalEquations, grid: HyperparameterGrid, unknowns: FloatArray, mean: FloatArray | None = None
+) -> _Choices:
     """Return the scales that hold nearly all of the probability, tilted towards large fields or not."""
     weight = normalised(log_weights(normal, grid))
     # large fields of small probability decide the tilt: they must not be cut off beforehand
@@ -119,15 +130,17 @@ def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: Floa
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
     precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in grid.lens_scales])
-    fields, covariance, fitted = [], [], []
+    fields, covariance, fitted, coefficients = [], [], [], []
     for number, (amplitude, length) in enumerate(pairs):
         turned = Turned.of(normal, grid.basis, float(grid.lengths[length]))
         shrink = turned.axes.shrinkage(grid.amplitudes[amplitude : amplitude + 1])[0]
         here = precision[k[field.ravel() == number]]
         covariance.append(posterior_covariances(normal.jj - turned.absorbed(shrink), normal, here))
         pull = normal.jr - turned.explained(shrink) - here * normal.at
-        fitted.append(normal.at + np.einsum("kpq,kq->kp", covariance[-1], pull))
-        fields.append(_Field(turned, shrink))
+        step = np.einsum("kpq,kq->kp", covariance[-1], pull)
+        fitted.append(normal.at + step)
+        coefficients.append(np.stack([turned.coefficients(shrink, one) for one in step]))
+        fields.append(_Field(turned, shrink, float(grid.amplitudes[amplitude])))
     share = weight.ravel()[retained]
     return _Choices(
         share=share / share.sum(),
@@ -137,23 +150,35 @@ def _plausible(normal: NormalEquations, grid: HyperparameterGrid, unknowns: Floa
         field=field.ravel(),
         covariance=np.concatenate(covariance),
         shift=np.concatenate(fitted) - unknowns,
+        field_shift=np.concatenate(coefficients) - (0.0 if mean is None else mean),
     )
 
 
-def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray) -> FloatArray:
+def _at_probes(
+    choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray, *, predicted: bool = False
+) -> FloatArray:
     """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky.
 
-    Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted.
+    Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted. Without a
+    mean of the field in the prediction its own block is that before any sighting.
     """
     rows, basis_values = _probes(problem, unknowns, basis)
     n, size = rows.shape[0], unknowns.size
-    by_unknowns = (rows.reshape(-1, size) @ choices.covariance).reshape(-1, n, 2, size)
-    moments = by_unknowns @ np.swapaxes(rows, -1, -2)
-    pulls = np.stack([np.moveaxis(field.pull(basis_values), -1, 0) for field in choices.fields])
-    mixed = -by_unknowns @ np.swapaxes(pulls[choices.field], -1, -2)
+    pulls = np.stack([np.moveaxis(field.pull(basis_values), -1, 0) for field in choices.fields])[choices.field]
+    unknown = np.broadcast_to(choices.amplitude[:, None] ** 2, (choices.share.size, n))
     moved = (choices.shift @ rows.reshape(-1, size).T).reshape(-1, n, 2)
-    moments += mixed + np.swapaxes(mixed, -1, -2) + moved[..., :, None] * moved[..., None, :]
-    return np.asarray(moments + choices.amplitude[:, None, None, None] ** 2 * np.eye(2))
+    if predicted:
+        moved = moved + np.moveaxis(choices.field_shift @ basis_values.T, 1, -1)
+        reduction = np.stack([field.reduction(basis_values) for field in choices.fields])[choices.field]
+        unknown = np.maximum(unknown - reduction, 0.0)
+        effective = rows - pulls
+        moments = effective @ choices.covariance[:, None] @ np.swapaxes(effective, -1, -2)
+    else:
+        by_unknowns = (rows.reshape(-1, size) @ choices.covariance).reshape(-1, n, 2, size)
+        mixed = -by_unknowns @ np.swapaxes(pulls, -1, -2)
+        moments = by_unknowns @ np.swapaxes(rows, -1, -2) + mixed + np.swapaxes(mixed, -1, -2)
+    moments = moments + moved[..., :, None] * moved[..., None, :]
+    return np.asarray(moments + unknown[..., None, None] * np.eye(2))
 
 
 def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:

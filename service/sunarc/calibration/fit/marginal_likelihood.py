@@ -132,14 +132,19 @@ def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> M
     covariance = posterior_covariances(normal.jj - turned.absorbed(shrink), normal, precision[None])[0]
     # the field is integrated out already: this is the mean of the unknowns' marginal
     step = covariance @ vector
-    residual = turned.residual - step @ turned.rows
     return MarginalFit(
         unknowns=normal.at + step,
         gain=float(step @ vector),
-        coefficients=(shrink * residual) @ turned.axes.transform.T,
+        coefficients=turned.coefficients(shrink, step),
         covariance=covariance,
         cross=-(covariance @ (turned.rows * shrink)) @ turned.axes.transform.T,
     )
+
+
+def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> FloatArray:
+    """Return (2, m): the most probable coefficients of the field beside the unknowns at `normal.at`."""
+    turned = Turned.of(normal, basis, scales.length_px)
+    return turned.coefficients(turned.axes.shrinkage(np.array([scales.amplitude_px]))[0], np.zeros(normal.at.size))
 
 
 def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
@@ -201,6 +206,10 @@ class Turned(NamedTuple):
         """Return the sums in the axes of a field of some length in px."""
         axes = normal.ff.axes(basis, length_px)
         return cls(axes, normal.jf @ axes.transform, normal.fr @ axes.transform)
+
+    def coefficients(self, shrink: FloatArray, step: FloatArray) -> FloatArray:
+        """Return (2, m): the most probable coefficients of the field where the unknowns are a step (p,) away."""
+        return np.asarray((shrink * (self.residual - step @ self.rows)) @ self.axes.transform.T)
 
     def explained(self, shrink: FloatArray) -> FloatArray:
         """Return (p,): what the field takes from the sightings' pull on the parameters."""

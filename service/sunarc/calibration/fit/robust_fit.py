@@ -10,6 +10,7 @@ no smooth error explains.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from sunarc.calibration.fit.hyperparameter_grid import (
 )
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares
-from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, Scales, marginal_fit, prior_precision
+from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, Scales, field_at, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
@@ -65,7 +66,8 @@ class RobustFit:
     posterior : their covariance and the field's part in it, over all plausible scales.
     scales : those of the fit, as found in the data.
     grid : the scales that were tried, and the field's basis functions.
-    residual : (n, 2) observed minus modelled, px.
+    residual : (n, 2) observed minus modelled by the lens alone, px.
+    field_mean : (2, m) coefficients of the most probable field; None where none is more probable.
     weight : (n,) how much each sighting counted, 0 to 1.
     sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
     inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
@@ -79,6 +81,7 @@ class RobustFit:
     scales: Scales
     grid: HyperparameterGrid
     residual: FloatArray
+    field_mean: FloatArray | None
     weight: FloatArray
     sigma_px: float
     inflation: FloatArray
@@ -87,12 +90,17 @@ class RobustFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
-    """Where the rounds stand; `proven_field_px` is the field's 1-sigma where the sightings prove one, else 0."""
+    """Where the rounds stand, and the log odds of a field."""
 
     unknowns: FloatArray
     residuals: FloatArray
     scales: Scales
-    proven_field_px: float = 0.0
+    field_odds: float = -math.inf
+
+    @property
+    def proven_field_px(self) -> float:
+        """The field's 1-sigma where the sightings prove one, else 0."""
+        return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
 
 
 class _Course(NamedTuple):
@@ -159,15 +167,18 @@ def fit_robustly(
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(problem, weighed, bins, state, sigma=noise.sigma_px)
     system = linear_system(problem, observed, bins, unknowns, information=information, basis=grid.basis)
-    gaussian = marginalised_covariance(system.normal(), grid, problem, unknowns)
+    normal = system.normal()
+    mean = field_at(normal, grid.basis, state.scales) if state.field_odds > 0.0 else None
+    gaussian = marginalised_covariance(normal, grid, problem, unknowns, mean)
     return RobustFit(
         problem=problem,
         system=system,
         unknowns=unknowns,
-        posterior=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales),
+        posterior=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales, mean),
         scales=state.scales,
         grid=grid,
         residual=problem.residuals(unknowns, observed),
+        field_mean=mean,
         weight=noise.weight,
         sigma_px=noise.sigma_px,
         inflation=noise.inflation,
@@ -250,7 +261,7 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
         unknowns=unknowns,
         residuals=problem.residuals(unknowns, observed) - smooth,
         scales=scales,
-        proven_field_px=scales.amplitude_px if log_odds_of_a_field(log_weight) > STRONG_EVIDENCE else 0.0,
+        field_odds=log_odds_of_a_field(log_weight),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,9 +13,8 @@ from sunarc.calibration.fit.cross_validation import held_out
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.optics import Camera, Param
+from sunarc.optics import Camera, Displacement, Param
 from sunarc.optics.camera import POSE
 from sunarc.optics.pose import right_jacobian
 
@@ -22,30 +22,31 @@ from sunarc.optics.pose import right_jacobian
 def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions) -> Fitted:
     """Return the cameras of all epochs, and the covariance and field of the last one's."""
     last = fit.problem.n_epochs - 1
-    cameras = [fit.problem.camera(fit.unknowns, epoch) for epoch in range(last + 1)]
+    displacement = None if fit.field_mean is None else fit.grid.basis.displacement(fit.field_mean)
+    cameras = [replace(fit.problem.camera(fit.unknowns, epoch), displacement=displacement) for epoch in range(last + 1)]
     selected = np.r_[np.arange(N_LENS), np.arange(fit.problem.size)[fit.problem.pose_slice(last)]]
     to_parameters = np.zeros((len(Param), N_LENS + 3))
     to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
     to_parameters[POSE, N_LENS:] = _rotation_derivative(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
-    field = Field(
-        amplitude_px=fit.posterior.amplitude_px,
-        length_px=fit.posterior.length_px,
-        basis=fit.grid.basis,
-        cross=np.stack([to_parameters @ part[selected] for part in fit.posterior.cross]),
-    )
+    field = fit.posterior.field
     return Fitted(
         cameras=cameras,
         parameter_names=FREE_NAMES,
         covariance=to_parameters @ fit.posterior.covariance[np.ix_(selected, selected)] @ to_parameters.T,
-        field=field,
-        residual=fit.residual,
+        field=replace(field, cross=np.stack([to_parameters @ part[selected] for part in field.cross])),
+        residual=fit.residual if displacement is None else _beside(fit.residual, displacement, usable.pixels),
         used=fit.weight > 0.0,
         sigma_px=fit.sigma_px,
         inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable),
     )
+
+
+def _beside(residual: FloatArray, displacement: Displacement, pixels: FloatArray) -> FloatArray:
+    """Return what the lens leaves over (n, 2) without the displacement there."""
+    return np.asarray(residual - displacement.at(pixels - residual))
 
 
 def _rotation_derivative(fitted: Camera, tidy: Camera) -> FloatArray:

@@ -40,7 +40,11 @@ NO_BACKWARD = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error
 
 
 def fit_backward(camera: Camera) -> BackwardModel:
-    """Return the backward model of a camera, with its largest error inside the image and 90 degrees off the axis."""
+    """Return the backward model of a camera, with its largest error inside the image and 90 degrees off the axis.
+
+    It is of the lens alone: a displacement is taken out of the pixel before.
+    """
+    camera = camera.lens_alone()
     rays, pixels = _synthetic(camera)
     if pixels.shape[0] < 40:
         return NO_BACKWARD
@@ -81,6 +85,8 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     (..., 3) unit vectors, east-north-up; NaN where the projection has no angle for the radius.
     """
     pixel = np.asarray(pixels, dtype=np.float64)
+    if camera.displacement is not None:
+        pixel = camera.displacement.taken_out(pixel.reshape(-1, 2)).reshape(pixel.shape)
     x_hat, y_hat = calibrated(camera, pixel)
     radial = np.array(model.radial) * _scale(camera) ** _ORDERS
     coefficients = np.array([*model.decentering[:2], *radial, *model.decentering[2:]])

@@ -1,9 +1,9 @@
 """How sure one is of a direction or a pixel.
 
-The truth is camera plus field, the prediction the camera alone. Before the sightings are looked at their errors are
-jointly Gaussian; the covariance of the prediction's error is J C J' + (cross terms) + A², where C and the cross terms
-are those of the fit with the field marginalised (the estimate's error is uncorrelated with the data, so only the
-field's own block stays the prior's).
+The truth is camera plus field, the prediction is the camera with the field's mean as its displacement. The errors of
+both are jointly Gaussian: the covariance of the prediction's error is J C J' + (cross terms) + (what is not known of
+the field), see `Field`. Where the field has no part in the prediction it is unknown by its whole amplitude: the
+estimate's error is uncorrelated with the data, so only the field's own block stays the prior's.
 """
 
 from __future__ import annotations
@@ -121,9 +121,7 @@ def _chunk(calibration: Uncertain, directions: FloatArray) -> tuple[FloatArray, 
     weighted = (rows.reshape(2 * rows.shape[0], size) @ calibration.covariance).reshape(rows.shape)
     visible = np.all(np.isfinite(pixels), axis=-1)
     if field.amplitude_px > 0.0 and np.any(visible):
-        basis_values = field.basis.values(np.where(visible[:, None], pixels, 0.0))
-        mixed = rows @ np.stack([basis_values @ field.cross[a].T for a in (0, 1)], axis=-1)
-        both = mixed + np.swapaxes(mixed, -1, -2) + field.amplitude_px**2 * np.eye(2)
+        both = field.covariance(rows, field.basis.values(np.where(visible[:, None], pixels, 0.0)))
     else:
         both = np.zeros((1, 2, 2))
     covariance = np.einsum("nap,nbp->nab", weighted, rows) + both

@@ -18,6 +18,7 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.model.covariance import Uncertain, direction_covariance, uncertainties
 from sunarc.jit import njit
 from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
+from sunarc.optics.cubic_spline import spline_weights
 from sunarc.optics.kernels import InverseConstants, calibrated_of, decentering_of
 
 Rows = FloatArray | NDArray[np.float32]
@@ -167,16 +168,6 @@ def ring_and_spoke(  # noqa: PLR0917 - compiled functions take positions
     ring = min(math.sqrt(x_hat * x_hat + y_hat * y_hat) * rings_per_radius, rings - 1.0)
     spoke = math.atan2(y_hat, x_hat) * (spokes / (2.0 * math.pi))
     return ring, spoke + spokes if spoke < 0.0 else spoke
-
-
-@njit(nogil=True)
-def spline_weights(position: float, last: int) -> tuple[int, float, float, float, float]:
-    """Return the first of four nodes and the weights of a cubic spline."""
-    node = min(int(position), last)
-    s = position - node
-    t = 1.0 - s
-    third = (-3.0 * s * s * s + 3.0 * s * s + 3.0 * s + 1.0) / 6.0
-    return node, t * t * t / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, third, s * s * s / 6.0
 
 
 @njit(nogil=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict, fields, replace
 from datetime import datetime
 from typing import Any
 
@@ -12,21 +12,23 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.backward import BackwardModel
+from sunarc.calibration.model.document_reader import DocumentReader
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
-from sunarc.optics import PARAMETER_NAMES, Camera, pose_angles
+from sunarc.optics import PARAMETER_NAMES, Camera, Displacement, pose_angles
+from sunarc.optics.displacement import HIGHEST_ORDER
 from sunarc.sky import Site
 from sunarc.utc import rfc3339
 
-SCHEMA = "sunarc.calibration/1"
+SCHEMA = "sunarc.calibration/2"
+_EARLIER = "sunarc.calibration/1"
+"""Without the field's mean: the prediction is the lens alone."""
+READ_SCHEMAS = (SCHEMA, _EARLIER)
 
 Document = dict[str, Any]
-
-_SMALLEST_SHARE = 1e-5
-"""Waves that hang together with no parameter by more than this share of the one that does most do not travel."""
 
 
 def to_document(
@@ -91,7 +93,7 @@ def _uncertainty(calibration: Calibration) -> Document:
     return {
         "parameters": list(calibration.parameter_names),
         "covariance": calibration.covariance.tolist(),
-        "field": _field(calibration.field),
+        "field": _field(calibration.field, calibration.camera.displacement),
         "sky_rms_deg": _number(calibration.sky_rms_deg),
         "sky_max_deg": _number(calibration.sky_max_deg),
     }
@@ -111,18 +113,31 @@ def _model(camera: Camera) -> Document:
     }
 
 
-def _field(field: Field) -> Document:
-    size = np.max(np.abs(field.cross), axis=0, initial=0.0)
-    share = np.max(size / np.maximum(np.max(size, axis=1, keepdims=True, initial=0.0), 1e-300), axis=0, initial=0.0)
-    significant = np.flatnonzero(share > _SMALLEST_SHARE) if field.amplitude_px > 0.0 else np.zeros(0, dtype=np.int64)
+def _field(field: Field, displacement: Displacement | None = None) -> Document:
+    """Return the field; that of amplitude 0 has the waves of the displacement, as a simulated camera's may."""
+    if field.amplitude_px == 0.0:
+        basis = replace(field.basis, orders=np.zeros((0, 2), dtype=np.int64))
+        basis = basis if displacement is None else WaveBasis.of(displacement)
+        cross = np.zeros((2, field.cross.shape[1], len(basis.orders)))
+        field = Field(amplitude_px=0.0, length_px=field.length_px, basis=basis, cross=cross)
     return {
         "amplitude_px": field.amplitude_px,
         "length_px": field.length_px,
         "center_px": list(field.basis.center_px),
         "half_px": list(field.basis.half_px),
-        "orders": field.basis.orders[significant].tolist(),
-        "cross": [[[float(f"{v:.8g}") for v in row] for row in part] for part in field.cross[:, :, significant]],
+        "orders": field.basis.orders.tolist(),
+        "mean": _rounded(field.basis.coefficients_of(displacement), digits=10),
+        "cross": _rounded(field.cross, digits=8),
+        "known": _rounded(field.known, digits=8),
+        "coupling": _rounded(field.coupling, digits=8),
     }
+
+
+def _rounded(values: FloatArray, *, digits: int) -> list[Any]:
+    """Return nested lists of numbers of some significant digits: a document is read by people, and sent often."""
+    if values.ndim > 1:
+        return [_rounded(part, digits=digits) for part in values]
+    return [float(f"{value:.{digits}g}") for value in values]
 
 
 def _time(time: datetime | None) -> str | None:
@@ -151,12 +166,13 @@ def from_document(document: object) -> Calibration:
     InputError
         Names the key that is missing or not what it should be.
     """
-    read = _Reader(document)
-    if read.value("schema") != SCHEMA:
+    read = DocumentReader(document)
+    if read.value("schema") not in READ_SCHEMAS:
         remedy = f"give a {SCHEMA} document, or use the version of sunarc that wrote this one"
         raise InputError(
             field="schema", problem=f"{read.value('schema')!r}, which this version does not read", remedy=remedy
         )
+    earlier = read.value("schema") == _EARLIER
     camera = _read_camera(read)
     names = tuple(str(n) for n in read.items("uncertainty.parameters"))
     if any(n not in PARAMETER_NAMES for n in names):
@@ -164,12 +180,15 @@ def from_document(document: object) -> Calibration:
     method = read.value("method")
     if method not in ("robust", "paper"):
         raise InputError(field="method", problem=f"{method!r} is unknown", remedy="use robust or paper")
+    field = _read_field(read, len(names), earlier=earlier)
+    if not earlier:
+        camera = replace(camera, displacement=_read_mean(read, field.basis))
     return Calibration(
         camera=camera,
         poses=(camera.rotation_cam_enu,),
         parameter_names=names,
         covariance=read.array("uncertainty.covariance", (len(names), len(names))),
-        field=_read_field(read, len(names)),
+        field=field,
         sky_rms_deg=read.number("uncertainty.sky_rms_deg"),
         sky_max_deg=read.number("uncertainty.sky_max_deg"),
         metrics=_read_metrics(read),
@@ -190,13 +209,13 @@ def from_document(document: object) -> Calibration:
     )
 
 
-def _read_findings(read: _Reader) -> tuple[Finding, ...]:
+def _read_findings(read: DocumentReader) -> tuple[Finding, ...]:
     """Return the findings; documents of version 0.2 have sentences alone."""
     coded = read.value("verdict.findings", needed=False) is not None
     return tuple(from_json(one) for one in read.items("verdict.findings" if coded else "verdict.reasons"))
 
 
-def _read_camera(read: _Reader) -> Camera:
+def _read_camera(read: DocumentReader) -> Camera:
     width, height = read.number("image.width"), read.number("image.height")
     focal, center = read.numbers("model.focal_length_px", 2), read.numbers("model.principal_point_px", 2)
     rotation, shift = read.numbers("model.rotation_cam_enu", 3), read.numbers("model.translation", 3)
@@ -222,26 +241,43 @@ def _size(key: str, value: float) -> int:
     return int(value)
 
 
-def _read_field(read: _Reader, size: int) -> Field:
+def _read_field(read: DocumentReader, size: int, *, earlier: bool) -> Field:
     key = "uncertainty.field"
     orders = read.array(f"{key}.orders", (len(read.items(f"{key}.orders")), 2)).astype(np.int64)
-    if np.any(orders < 1):
-        raise InputError(field=f"{key}.orders", problem="a number below 1", remedy="give numbers of half waves")
+    if np.any((orders < 1) | (orders > HIGHEST_ORDER)):
+        remedy = f"give numbers of half waves, 1 to {HIGHEST_ORDER}"
+        raise InputError(field=f"{key}.orders", problem="a number is out of bounds", remedy=remedy)
     center, half = read.numbers(f"{key}.center_px", 2), read.numbers(f"{key}.half_px", 2)
-    return Field(
+    unseen = Field(
         amplitude_px=read.number(f"{key}.amplitude_px"),
         length_px=read.number(f"{key}.length_px"),
         basis=WaveBasis(center_px=(center[0], center[1]), half_px=(half[0], half[1]), orders=orders),
         cross=read.array(f"{key}.cross", (2, size, orders.shape[0])),
     )
+    if earlier:
+        # the waves that had next to no cross term did not travel
+        basis = unseen.basis.completed(length_px=unseen.length_px) if unseen.amplitude_px > 0.0 else unseen.basis
+        return replace(unseen, basis=basis, cross=unseen.basis.spread(unseen.cross, basis))
+    rows = [len(one) if isinstance(one, list) else 0 for one in read.items(f"{key}.coupling")]
+    return replace(
+        unseen,
+        known=read.array(f"{key}.known", (len(read.items(f"{key}.known")), orders.shape[0])),
+        coupling=read.array(f"{key}.coupling", (2, max(rows, default=0), orders.shape[0])),
+    )
 
 
-def _read_metrics(read: _Reader) -> Metrics:
+def _read_mean(read: DocumentReader, basis: WaveBasis) -> Displacement | None:
+    """Return what displaces the image; None where the mean is 0."""
+    mean = read.array("uncertainty.field.mean", (2, basis.orders.shape[0]))
+    return basis.displacement(mean) if np.any(mean) else None
+
+
+def _read_metrics(read: DocumentReader) -> Metrics:
     numbers = read.numbers_of("metrics", Metrics)
     return Metrics(**numbers | {"n": read.count("metrics.n")})
 
 
-def _read_evidence(read: _Reader) -> Provenance:
+def _read_evidence(read: DocumentReader) -> Provenance:
     options = read.value("evidence.options")
     return Provenance(
         days=tuple(str(d) for d in read.items("evidence.days")),
@@ -257,77 +293,18 @@ def _read_evidence(read: _Reader) -> Provenance:
         start=read.value("evidence.start", needed=False),
         selection=read.value("evidence.selection", needed=False) or {},
         pose_spread_deg=_read_spread(read),
-        moves=tuple(_read_move(_Reader(each)) for each in read.value("evidence.moves", needed=False) or ()),
+        moves=tuple(_read_move(DocumentReader(each)) for each in read.value("evidence.moves", needed=False) or ()),
     )
 
 
-def _read_move(read: _Reader) -> Move:
+def _read_move(read: DocumentReader) -> Move:
     x, y, z = read.numbers("pose_before", 3)
     numbers = {name: read.number(name) for name in ("before_unix_s", "after_unix_s", "turn_deg")}
     return Move(**numbers, pose_before=(x, y, z))
 
 
-def _read_spread(read: _Reader) -> tuple[float, float, float] | None:
+def _read_spread(read: DocumentReader) -> tuple[float, float, float] | None:
     if read.value("evidence.pose_spread_deg", needed=False) is None:
         return None
     east, north, up = read.numbers("evidence.pose_spread_deg", 3)
     return east, north, up
-
-
-class _Reader:
-    """Reads values by dotted keys, and names the key where one is wrong."""
-
-    def __init__(self, document: object) -> None:
-        self._document = document
-
-    def value(self, key: str, *, needed: bool = True) -> Any:  # noqa: ANN401 - JSON holds anything
-        found: Any = self._document
-        for part in key.split("."):
-            if not isinstance(found, Mapping) or part not in found:
-                if not needed:
-                    return None
-                raise InputError(field=key, problem="missing", remedy="give a whole calibration document")
-            found = found[part]
-        return found
-
-    def items(self, key: str) -> list[Any]:
-        found = self.value(key)
-        if not isinstance(found, list | tuple):
-            raise InputError(field=key, problem="not a list", remedy="give a list")
-        return list(found)
-
-    def number(self, key: str, *, needed: bool = True) -> float:
-        """Return a number; null is NaN."""
-        found = self.value(key, needed=needed)
-        if found is None:
-            return math.nan
-        if isinstance(found, bool) or not isinstance(found, int | float):
-            raise InputError(field=key, problem=f"{found!r} is no number", remedy="give a number")
-        return float(found)
-
-    def numbers_of(self, key: str, kind: type[Metrics | Site]) -> dict[str, Any]:
-        """Return the numbers that a dataclass holds, by name; those with a default only where there is one."""
-        optional = {f.name: f.default is not MISSING for f in fields(kind)}
-        found = {name: self.number(f"{key}.{name}", needed=not may_miss) for name, may_miss in optional.items()}
-        return {name: number for name, number in found.items() if math.isfinite(number) or not optional[name]}
-
-    def count(self, key: str) -> int:
-        """Return a whole number; 0 where there is none."""
-        found = self.number(key, needed=False)
-        return int(found) if math.isfinite(found) else 0
-
-    def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        return tuple(float(v) for v in self.array(key, (count,)))
-
-    def array(self, key: str, shape: tuple[int, ...]) -> FloatArray:
-        try:
-            found = np.array(self.items(key), dtype=np.float64)
-        except (TypeError, ValueError) as fault:
-            raise InputError(field=key, problem="not an array of numbers", remedy=f"give shape {shape}") from fault
-        if found.size == 0 and 0 in shape:
-            return np.zeros(shape)
-        if found.shape != shape:
-            raise InputError(field=key, problem=f"shape {found.shape}", remedy=f"give shape {shape}")
-        if not np.all(np.isfinite(found)):
-            raise InputError(field=key, problem="a number is not finite", remedy="give finite numbers")
-        return found

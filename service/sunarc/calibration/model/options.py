@@ -82,7 +82,8 @@ class CalibrationOptions:
     method : "robust" (the service's) or "paper" (the reference).
     projection : the lens's ideal projection.
     mirrored : whether the image is a mirror image; "auto" tries both and reports which it took.
-    level_within_deg : a camera tilted by more is refused (the fit itself searches tilts to 75 degrees).
+    level_within_deg : a camera tilted by more is refused; None: one tilted by any angle up to 75 degrees is accepted,
+        unless times of another zone or another latitude, which would make it level, are more probable than a tilt.
     max_angle_deg : how far off the axis the model is asked to answer.
     max_rmse_px : a fit whose used sightings scatter by more, and by 1.5 times more than they state, is refused.
     max_rejected : a fit that had to leave out a larger share of the sightings is refused.
@@ -95,7 +96,7 @@ class CalibrationOptions:
     method: Method = "robust"
     projection: Projection = "equisolid"
     mirrored: Mirrored = "no"
-    level_within_deg: Annotated[float, Gt(0.0), Le(90.0)] = 5.0
+    level_within_deg: Annotated[float, Gt(0.0), Le(90.0)] | None = None
     max_angle_deg: Annotated[float, Gt(0.0), Le(180.0)] = 100.0
     max_rmse_px: Positive = 3.0
     max_rejected: Annotated[float, Gt(0.0), Le(1.0)] = 0.6

@@ -9,16 +9,19 @@ Computing 30 (2020).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.optics import Displacement
 
 _MARGIN_LENGTHS = 1.2
 _REACH = 3.6
-"""Waves are kept up to this many inverse lengths: the rest holds 0.03 % of the variance."""
+"""Waves are kept up to this many inverse lengths: the rest holds exp(-3.6² / 2), 0.15 % of the variance."""
+LEAST_UNKNOWN = 0.02
+"""1-sigma of a field, as a share of its amplitude, that always stays unknown: about what the waves left out hold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,11 +39,12 @@ class WaveBasis:
     orders: IntArray
 
     def values(self, pixels: ArrayLike) -> FloatArray:
-        """Return (..., m): the waves at pixels (..., 2)."""
+        """Return (..., m): the waves at pixels (..., 2); 0 beyond the box."""
         pixel = np.asarray(pixels, dtype=np.float64)
         along_x = self._sines(pixel[..., 0], 0)[..., self.orders[:, 0] - 1]
         along_y = self._sines(pixel[..., 1], 1)[..., self.orders[:, 1] - 1]
-        return np.asarray(along_x * along_y)
+        inside = np.all(np.abs(pixel - self.center_px) < self.half_px, axis=-1)
+        return np.asarray(along_x * along_y * inside[..., None])
 
     def variances(self, *, length_px: float) -> FloatArray:
         """Return (m,): the coefficients' variances of a field of unit amplitude and a length in px."""
@@ -52,6 +56,38 @@ class WaveBasis:
         """Return this basis with all the waves on its box that a field of this length needs."""
         reach = _REACH / length_px
         return WaveBasis(center_px=self.center_px, half_px=self.half_px, orders=_orders(self.half_px, reach))
+
+    @classmethod
+    def of(cls, displacement: Displacement) -> WaveBasis:
+        """Return the basis that a displacement is written in."""
+        orders = np.array(displacement.orders, dtype=np.int64).reshape(-1, 2)
+        return cls(center_px=displacement.center_px, half_px=displacement.half_px, orders=orders)
+
+    def displacement(self, coefficients: FloatArray) -> Displacement:
+        """Return the displacement with coefficients (2, m) of its x and y components."""
+        return Displacement(
+            center_px=self.center_px,
+            half_px=self.half_px,
+            orders=tuple((int(x), int(y)) for x, y in self.orders),
+            x_px=tuple(coefficients[0].tolist()),
+            y_px=tuple(coefficients[1].tolist()),
+        )
+
+    def spread(self, terms: FloatArray, complete: WaveBasis) -> FloatArray:
+        """Return terms (..., m) on a basis of more functions on the same box; those that it does not have are lost."""
+        index = {(int(x), int(y)): k for k, (x, y) in enumerate(complete.orders)}
+        shared = [(k, index[int(x), int(y)]) for k, (x, y) in enumerate(self.orders) if (int(x), int(y)) in index]
+        result = np.zeros((*terms.shape[:-1], len(complete.orders)))
+        if shared:
+            old, new = np.array(shared).T
+            result[..., new] = terms[..., old]
+        return result
+
+    def coefficients_of(self, displacement: Displacement | None) -> FloatArray:
+        """Return (2, m): the coefficients of a displacement on the same box in this basis; 0 without one."""
+        if displacement is None:
+            return np.zeros((2, len(self.orders)))
+        return WaveBasis.of(displacement).spread(np.array([displacement.x_px, displacement.y_px]), self)
 
     def _sines(self, coordinate: FloatArray, axis: int) -> FloatArray:
         half = self.half_px[axis]
@@ -83,19 +119,61 @@ def _orders(half_px: tuple[float, float], reach: float) -> IntArray:
     return np.stack([nx[frequency <= reach], ny[frequency <= reach]], axis=-1)
 
 
+def _nothing() -> FloatArray:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Field:
-    """The discrepancy field of a calibration: how large, how smooth, and how it hangs together with the parameters.
+    """What a calibration does not know of the field: its errors about the camera's displacement.
+
+    With D the variances of the coefficients before any sighting, `WaveBasis.variances` times the square of the
+    amplitude, the errors of the coefficients have the covariance D - Kᵀ K for either component, and beside it Bᵀ B
+    over both.
 
     Attributes
     ----------
-    amplitude_px : 1-sigma of a component.
+    amplitude_px : 1-sigma of a component before any sighting.
     length_px : distance over which it changes.
-    basis : its waves.
-    cross : (2, n, m) covariance between the n estimated parameters and the coefficients of the x and y components.
+    basis : its m waves.
+    cross : (2, p, m) covariance between the p estimated parameters' errors and those of the coefficients of the x and y
+        components.
+    known : K, (r, m): what the sightings tell of the field of either component, the parameters given; nothing: r = 0.
+    coupling : B, (2, q, m): what the parameters' errors leave open in the field.
     """
 
     amplitude_px: float
     length_px: float
     basis: WaveBasis
     cross: FloatArray
+    known: FloatArray = field(default_factory=_nothing)
+    coupling: FloatArray = field(default_factory=_nothing)
+
+    def __post_init__(self) -> None:
+        """Give what is left out its shape: nothing is known but how field and parameters hang together."""
+        waves = len(self.basis.orders)
+        object.__setattr__(self, "known", self.known.reshape(-1, waves) if waves else np.zeros((0, 0)))
+        object.__setattr__(self, "coupling", self.coupling.reshape(2, -1, waves) if waves else np.zeros((2, 0, 0)))
+
+    def reduction(self, values: FloatArray) -> FloatArray:
+        """Return (n, r): K φ at places of basis values (n, m), px, as if the waves had the whole of A² there.
+
+        They are 0.15 % short of it, and shorter near the box's edge: what is known is a share of what there is.
+        """
+        own = values**2 @ self.basis.variances(length_px=self.length_px)
+        return np.asarray((values @ self.known.T) / np.sqrt(np.where(own > 0.0, own, 1.0))[:, None])
+
+    def covariance(self, rows: FloatArray, values: FloatArray) -> FloatArray:
+        """Return (n, 2, 2), px²: what the field adds to the covariance of the prediction's errors.
+
+        Parameters
+        ----------
+        rows : (n, 2, p) derivatives of the prediction by the parameters.
+        values : (n, m) of the basis there.
+        """
+        mixed = rows @ np.stack([values @ self.cross[a].T for a in (0, 1)], axis=-1)
+        coupled = np.stack([values @ self.coupling[a].T for a in (0, 1)], axis=1)
+        unknown = np.maximum(self.amplitude_px**2 - np.sum(self.reduction(values) ** 2, axis=-1), 0.0)
+        unknown = np.maximum(unknown, (LEAST_UNKNOWN * self.amplitude_px) ** 2)
+        both = mixed + np.swapaxes(mixed, -1, -2) + coupled @ np.swapaxes(coupled, -1, -2)
+        return np.asarray(both + unknown[:, None, None] * np.eye(2))

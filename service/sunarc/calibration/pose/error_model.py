@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray, IntArray, Rows, picked
-from sunarc.calibration.model.residual_field import WaveBasis
+from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration
 from sunarc.errors import InputError
 from sunarc.optics import PARAMETER_NAMES, Camera, angle_limit, project_with_rows_fast, rotation_matrix, rotation_vector
@@ -33,18 +33,15 @@ class CameraErrorModel:
     rotation : (3,) where among those the small turn about the camera's own axes stands, radians.
     mean : (p,) expected error of the estimate (true minus estimated).
     covariance : (p, p) of the errors.
-    cross : (2, p, m) their covariance with the field's coefficients.
-    amplitude_px, length_px, basis, variances : of the field; (m,) the coefficients' variances before any sighting.
+    field : on all the waves that it needs.
+    variances : (m,) of the field's coefficients before any sighting.
     """
 
     selected: IntArray
     rotation: IntArray
     mean: FloatArray
     covariance: FloatArray
-    cross: FloatArray
-    amplitude_px: float
-    length_px: float
-    basis: WaveBasis
+    field: Field
     variances: FloatArray
 
     def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
@@ -100,35 +97,28 @@ def error_model_of(calibration: Calibration) -> CameraErrorModel:
     rotation = np.array([names.index(name) for name in PARAMETER_NAMES[POSE]])
     to_rotation = np.eye(len(names))
     to_rotation[np.ix_(rotation, rotation)] = right_jacobian(-np.array(calibration.camera.rotation_cam_enu))
-    field = calibration.field
-    length = max(field.length_px, _SHORTEST_LENGTH_PX)
-    basis = field.basis.completed(length_px=length) if field.amplitude_px > 0.0 else _none(field.basis)
+    stated = calibration.field
+    length = max(stated.length_px, _SHORTEST_LENGTH_PX)
+    basis = stated.basis.completed(length_px=length) if stated.amplitude_px > 0.0 else _none(stated.basis)
     return CameraErrorModel(
         selected=np.array([PARAMETER_NAMES.index(name) for name in names]),
         rotation=rotation,
         mean=np.zeros(len(names)),
         covariance=to_rotation @ calibration.covariance @ to_rotation.T,
-        cross=to_rotation @ _spread(field.basis, field.cross, basis),
-        amplitude_px=field.amplitude_px,
-        length_px=length,
-        basis=basis,
-        variances=field.amplitude_px**2 * basis.variances(length_px=length),
+        field=Field(
+            amplitude_px=stated.amplitude_px,
+            length_px=length,
+            basis=basis,
+            cross=to_rotation @ stated.basis.spread(stated.cross, basis),
+            known=stated.basis.spread(stated.known, basis),
+            coupling=stated.basis.spread(stated.coupling, basis),
+        ),
+        variances=stated.amplitude_px**2 * basis.variances(length_px=length),
     )
 
 
 def _none(basis: WaveBasis) -> WaveBasis:
     return replace(basis, orders=np.zeros((0, 2), dtype=np.int64))
-
-
-def _spread(basis: WaveBasis, cross: FloatArray, complete: WaveBasis) -> FloatArray:
-    """Return the cross terms (2, p, m) on a basis of more functions; those that it does not have are lost."""
-    index = {(int(x), int(y)): k for k, (x, y) in enumerate(complete.orders)}
-    shared = [(k, index[int(x), int(y)]) for k, (x, y) in enumerate(basis.orders) if (int(x), int(y)) in index]
-    result = np.zeros((2, cross.shape[1], len(complete.orders)))
-    if shared:
-        old, new = np.array(shared).T
-        result[..., new] = cross[..., old]
-    return result
 
 
 def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatArray) -> Predicted:
@@ -137,7 +127,7 @@ def predicted(error_model: CameraErrorModel, camera: Camera, directions: FloatAr
     to_rotation = np.linalg.inv(right_jacobian(-np.array(camera.rotation_cam_enu)))
     selected = np.ascontiguousarray(rows[..., error_model.selected])
     selected[..., error_model.rotation] = selected[..., error_model.rotation] @ to_rotation
-    return Predicted(pixels=pixels, rows=selected, basis_values=error_model.basis.values(np.nan_to_num(pixels)))
+    return Predicted(pixels=pixels, rows=selected, basis_values=error_model.field.basis.values(np.nan_to_num(pixels)))
 
 
 def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
@@ -145,32 +135,52 @@ def joint_covariance(error_model: CameraErrorModel, prediction: Predicted) -> Fl
     n = prediction.rows.shape[0]
     flat = prediction.rows.reshape(2 * n, prediction.rows.shape[-1])
     result = flat @ error_model.covariance @ flat.T
-    if error_model.amplitude_px > 0.0:
+    if error_model.field.amplitude_px > 0.0:
         mixed = (flat @ _with_field(error_model, prediction)).reshape(2 * n, 2 * n)
         result += mixed + mixed.T
         separation = prediction.pixels[:, None] - prediction.pixels
-        smooth = error_model.amplitude_px**2 * np.exp(-0.5 * np.sum(separation**2, axis=-1) / error_model.length_px**2)
-        result += np.kron(smooth, np.eye(2))
+        smooth = error_model.field.amplitude_px**2 * np.exp(
+            -0.5 * np.sum(separation**2, axis=-1) / error_model.field.length_px**2
+        )
+        reduction = error_model.field.reduction(prediction.basis_values)
+        coupled = _coupled(error_model, prediction)
+        result += np.kron(smooth - reduction @ reduction.T, np.eye(2)) + coupled @ coupled.T
     return np.asarray(result)
+
+
+def field_and_parameters(error_model: CameraErrorModel) -> FloatArray:
+    """Return (p + 2m, p + 2m): the covariance of the errors of the parameters and of the coefficients, x before y."""
+    cross = np.concatenate(list(error_model.field.cross), axis=-1)
+    coupling = np.concatenate(list(error_model.field.coupling), axis=-1)
+    own = np.diag(error_model.variances) - error_model.field.known.T @ error_model.field.known
+    field = np.kron(np.eye(2), own) + coupling.T @ coupling
+    return np.block([[error_model.covariance, cross], [cross.T, field]])
 
 
 def with_parameters(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the prediction's."""
     flat = prediction.rows.reshape(-1, prediction.rows.shape[-1])
     result = error_model.covariance @ flat.T
-    return np.asarray(result + _with_field(error_model, prediction) if error_model.amplitude_px > 0.0 else result)
+    return np.asarray(result + _with_field(error_model, prediction) if error_model.field.amplitude_px > 0.0 else result)
 
 
 def with_coefficients(error_model: CameraErrorModel, prediction: Predicted, axis: int) -> FloatArray:
     """Return (2n, m): the covariance of the prediction's errors with the coefficients of one component of the field."""
-    result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.cross[axis]
-    result[axis::2] += prediction.basis_values * error_model.variances
-    return np.asarray(result)
+    result = prediction.rows.reshape(-1, prediction.rows.shape[-1]) @ error_model.field.cross[axis]
+    values = prediction.basis_values
+    result[axis::2] += values * error_model.variances - (values @ error_model.field.known.T) @ error_model.field.known
+    return np.asarray(result + _coupled(error_model, prediction) @ error_model.field.coupling[axis])
+
+
+def _coupled(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
+    """Return (2n, q): what the parameters' errors leave open in the field, where the sun was seen."""
+    both = np.stack([prediction.basis_values @ error_model.field.coupling[axis].T for axis in (0, 1)], axis=1)
+    return both.reshape(2 * both.shape[0], both.shape[2])
 
 
 def _with_field(error_model: CameraErrorModel, prediction: Predicted) -> FloatArray:
     """Return (p, 2n): the covariance of the parameters' errors with the field where the sun was seen."""
-    both = np.stack([error_model.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
+    both = np.stack([error_model.field.cross[axis] @ prediction.basis_values.T for axis in (0, 1)], axis=-1)
     return both.reshape(both.shape[0], 2 * both.shape[1])
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
 from sunarc.calibration.model.options import CalibrationOptions, Mirrored
-from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose.error_model import (
@@ -223,8 +222,8 @@ def _mixed(fits: list[CameraErrorModel], log_weight: FloatArray) -> CameraErrorM
     difference = np.array([fit.mean - mean for fit in fits])
     covariance = np.einsum("k,kpq->pq", weight, np.array([fit.covariance for fit in fits]))
     covariance += np.einsum("k,kp,kq->pq", weight, difference, difference)
-    cross = np.einsum("k,kapm->apm", weight, np.array([fit.cross for fit in fits]))
-    return replace(fits[0], mean=mean, covariance=covariance, cross=cross)
+    cross = np.einsum("k,kapm->apm", weight, np.array([fit.field.cross for fit in fits]))
+    return replace(fits[0], mean=mean, covariance=covariance, field=replace(fits[0].field, cross=cross))
 
 
 def handed_over(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, wander_rad: float) -> Fitted:
@@ -241,12 +240,7 @@ def handed_over(fit: PoseFit, start: Calibration, usable: FilteredSightings, *, 
         cameras=[fit.camera],
         parameter_names=start.parameter_names,
         covariance=to_vector @ covariance @ to_vector.T,
-        field=Field(
-            amplitude_px=error_model.amplitude_px,
-            length_px=start.field.length_px,
-            basis=error_model.basis,
-            cross=to_vector @ error_model.cross,
-        ),
+        field=replace(error_model.field, length_px=start.field.length_px, cross=to_vector @ error_model.field.cross),
         residual=residual,
         used=fit.inlier,
         sigma_px=fit.sigma_px,

@@ -162,9 +162,11 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: Sightin
     gain = cho_solve(factor, shared.T).T
     residual = sightings.residual.ravel() - at.rows.reshape(sightings.residual.size, -1) @ error_model.mean
     covariance = error_model.covariance - gain @ shared.T
+    field = error_model.field
+    cross = np.stack([field.cross[axis] - gain @ with_coefficients(error_model, at, axis) for axis in (0, 1)])
     return replace(
         error_model,
         mean=error_model.mean + gain @ residual,
         covariance=0.5 * (covariance + covariance.T),
-        cross=np.stack([error_model.cross[axis] - gain @ with_coefficients(error_model, at, axis) for axis in (0, 1)]),
+        field=replace(field, cross=cross),
     )

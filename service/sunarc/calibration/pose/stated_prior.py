@@ -72,6 +72,7 @@ def calibrate_with_prior(
     site : where the camera stands.
     options : what makes the answer acceptable; its projection and handedness are the prior's.
     """
+    prior = prior.lens_alone()
     hand: Mirrored = "yes" if prior.mirrored else "no"
     options = replace(options, method="robust", projection=prior.projection, mirrored=hand)
     usable = filter_sightings(points, site=site)

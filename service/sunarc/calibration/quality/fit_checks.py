@@ -12,6 +12,7 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import arc_length_deg
+from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
 
 _FEWEST = 20
@@ -79,7 +80,12 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
-    return Verdict(accepted=True, findings=tuple(found))
+    question = tilt_question(calibration.camera, calibration.site)
+    if question is None or options.level_within_deg is not None:
+        return Verdict(accepted=True, findings=tuple(found))
+    # a camera that was bumped has been level before, by the same clock and at the same place
+    doubtful = float(question.data["odds"]) > 1.0 and calibration.evidence.options.get("free") != "pose"
+    return Verdict(accepted=not doubtful, marginal=doubtful, findings=(question, *found))
 
 
 def _against_scatter(
@@ -104,7 +110,7 @@ def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> 
 
 def _against_camera(calibration: Calibration, options: CalibrationOptions) -> Iterator[Finding]:
     camera, tilt = calibration.camera, calibration.pose.theta_zz_deg
-    if tilt > options.level_within_deg:
+    if options.level_within_deg is not None and tilt > options.level_within_deg:
         yield Finding("tilt_too_large", {"tilt_deg": tilt, "limit_deg": options.level_within_deg})
     x, y = camera.principal_point_px
     if not (0.0 <= x <= camera.width and 0.0 <= y <= camera.height):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import sunarc
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import IntArray
 from sunarc.calibration import (
     Calibration,
     SunPoints,
@@ -19,20 +19,17 @@ from sunarc.calibration import (
     estimate_pose,
     find_pose_steps,
     select_sightings,
+    tilt_question,
     to_document,
 )
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.epochs import Epoch, joined
 from sunarc.offline.reanalysis.look import key_of
 from sunarc.offline.reanalysis.states import Camera, State
-from sunarc.optics import rotation_matrix
 from sunarc.utc import utc_time
 
 _FEWEST_FOR_STEPS = 150
 """Sightings of a pose in which small steps are searched for: a step that few show is as large as a state of its own."""
-_TILTED_DEG, _LEVEL_DEG = 8.0, 5.0
-_TURN_DEG_PER_H = 15.0
-_LARGEST_ZONE_H = 14.0
 
 
 class Fitted(NamedTuple):
@@ -122,37 +119,5 @@ def doubts(calibration: Calibration, camera: Camera) -> tuple[Finding, ...]:
     wanted = camera.options.mirrored
     if wanted != "auto" and calibration.camera.mirrored != (wanted == "yes"):
         found.append(Finding("camera_mirrored", {"mirrored": "yes" if calibration.camera.mirrored else "no"}))
-    tilted = _tilted(calibration, camera)
+    tilted = tilt_question(calibration.camera, camera.site)
     return (*found, tilted) if tilted is not None else tuple(found)
-
-
-def _tilted(calibration: Calibration, camera: Camera) -> Finding | None:
-    """Return that a camera is tilted, and with which clock or latitude it were level; None where it nearly is.
-
-    A wrong zone turns the sky about its pole, a wrong latitude about the east, and the fit turns the camera with it.
-    """
-    axis = rotation_matrix(calibration.camera.rotation_cam_enu)[2]
-    tilt_deg = _zenith_deg(axis)
-    if tilt_deg <= _TILTED_DEG:
-        return None
-    latitude = math.radians(camera.site.latitude)
-    pole = np.array([0.0, math.cos(latitude), math.sin(latitude)])
-    hours = np.arange(-_LARGEST_ZONE_H, _LARGEST_ZONE_H + 0.25, 0.5)
-    tilts = [_zenith_deg(_turned(axis, pole, math.radians(_TURN_DEG_PER_H * hour))) for hour in hours.tolist()]
-    best = int(np.argmin(tilts))
-    if tilts[best] < _LEVEL_DEG:
-        return Finding("camera_tilted_by_clock", {"tilt_deg": tilt_deg, "hours": float(hours[best])})
-    level_at = camera.site.latitude + math.degrees(math.atan2(axis[1], axis[2]))
-    if math.degrees(math.asin(abs(float(axis[0])))) < _LEVEL_DEG and abs(level_at) <= 90.0:
-        return Finding("camera_tilted_by_latitude", {"tilt_deg": tilt_deg, "latitude": level_at})
-    return Finding("camera_tilted", {"tilt_deg": tilt_deg})
-
-
-def _turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
-    """Return a vector turned about an axis (Rodrigues' formula)."""
-    across, along = np.cross(axis, vector), axis * float(axis @ vector)
-    return np.asarray(along + (vector - along) * math.cos(angle) + across * math.sin(angle))
-
-
-def _zenith_deg(direction: FloatArray) -> float:
-    return math.degrees(math.acos(min(max(float(direction[2]), -1.0), 1.0)))
