@@ -153,6 +153,21 @@ def test_what_is_refused_is_answered_and_seen_and_nothing_else_stops(
     assert hub.put(body_of(imager), after=5).json() == {"committed": 6}
 
 
+def test_the_token_of_one_camera_is_none_of_anothers(hub: Hub, imager: Archive) -> None:
+    hub.archive.add_feed_token("mast", token_digest("the token of the camera mast"), now=NOW, former_until=NOW)
+    assert hub.put(body_of(imager), token="the token of the camera mast").status_code == 401  # noqa: S106
+    assert hub.put(body_of(imager), camera="mast").status_code == 401
+    assert hub.reasons() == ["forged_token", "forged_token"]
+
+
+def test_a_body_of_two_gigabytes_is_refused_before_it_is_read(hub: Hub) -> None:
+    headers = {"content-length": str(2 * 10**9), "authorization": f"Bearer {TOKEN}", "sunarc-installation": "here"}
+    path = "/v1/cameras/roof/feed?after=0"
+    answer = hub.client.request("PUT", path, content=b"", headers={**headers, "sunarc-revision": head_revision()})
+    assert answer.status_code == 413
+    assert hub.reasons() == ["body_too_large"]
+
+
 @pytest.mark.parametrize("after", ["-2", "x", str(2**63), ""])
 def test_a_number_that_is_none_is_refused(hub: Hub, after: str) -> None:
     assert hub.put(gzip.compress(b""), after=after).status_code == 422

@@ -196,6 +196,11 @@ EVENT = {"camera": "roof", "time": AHEAD, "kind": "k", "severity": "info", "text
         ("sun_point", row_of(x_px="1"), "malformed"),
         ("sun_point", row_of(x_px=True), "malformed"),
         ("sun_point", row_of(reason="\0"), "malformed"),
+        ("sun_point", row_of(reason="half a pair \ud83d"), "malformed"),
+        ("sun_point", row_of(reason="ein Wölkchen ☁"), None),
+        ("sun_point", {name: value for name, value in row_of().items() if name != "snr"}, None),
+        ("sun_point", dict(reversed(row_of().items())), None),
+        ("sun_point", row_of(x_px=10**400), "malformed"),
         ("sun_point", row_of(a_new_column=1), "malformed"),
         ("sun_point", row_of(camera="mast"), "other_camera"),
         ("sun_point", row_of(pose_epoch="roof-9"), "contradiction"),
@@ -221,6 +226,15 @@ def test_a_row_that_cannot_be_stored_is_set_apart_and_the_others_are_stored(
     assert len(hub.sun_points("roof")) == 2 + (reason is None and kind == "sun_point")
     for found in hub.quarantine():
         assert (found.seq, found.kind, found.camera) == (after + 2, kind, "roof")
+
+
+def test_of_rows_of_one_key_in_one_batch_the_last_is_stored(imager: Archive, hub: Archive) -> None:
+    feed(imager, hub)
+    position = imager.outbox_position()
+    rows = [("sun_point", row_of(number, x_px=float(x))) for number, x in ((1, 5), (2, 6), (1, 7))]
+    made = batch_of(*rows, after=position.committed)
+    hub.take_feed(replace(made, installation=position.installation), now=NOW)
+    assert [point.x_px for point in hub.sun_points("roof")] == [7.0, 6.0]
 
 
 def test_a_document_of_a_newer_version_or_a_damaged_one_is_set_apart(imager: Archive, hub: Archive) -> None:

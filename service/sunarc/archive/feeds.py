@@ -15,7 +15,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 from sunarc.archive.feed_rows import FED, REMOVED, STATUS, problem_of, typed
 from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal
 from sunarc.archive.json_text import json_text
-from sunarc.archive.rows import upsert, upsert_all
+from sunarc.archive.rows import upsert, upsert_all, upsert_records
 from sunarc.archive.store import Store
 from sunarc.archive.tables import calibration, event, feed, fleet, quarantine
 from sunarc.calibration import READ_SCHEMAS
@@ -195,11 +195,13 @@ def _stored(
 
 
 def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
-    table, key = FED[kind.removesuffix(REMOVED)]
     if kind.endswith(REMOVED):
-        for row in rows:
-            values = typed(kind.removesuffix(REMOVED), row.data or {})
-            connection.execute(delete(table).where(*(table.c[name] == values[name] for name in key)))
+        _remove(connection, kind.removesuffix(REMOVED), rows)
+        return
+    table, key = FED[kind]
+    if kind == "sun_point" and connection.dialect.name == "postgresql":
+        for columns, alike in groupby((row.data or {} for row in rows), key=tuple):
+            upsert_records(connection, table, list(alike), columns=columns, key=key)
         return
     values_of_rows = [typed(kind, row.data or {}) for row in rows]
     if kind == "event":
@@ -211,7 +213,15 @@ def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[F
             if not upsert(connection, table, values, key=key, of="camera"):
                 raise IntegrityError(None, None, ValueError(f"{kind} {values['id']} is another camera's"))
     else:
-        upsert_all(connection, table, values_of_rows, key=key)
+        for _, alike in groupby(values_of_rows, key=lambda values: values.keys()):
+            upsert_all(connection, table, list(alike), key=key)
+
+
+def _remove(connection: Connection, kind: str, rows: Sequence[FeedRow]) -> None:
+    table, key = FED[kind]
+    for row in rows:
+        values = typed(kind, row.data or {})
+        connection.execute(delete(table).where(*(table.c[name] == values[name] for name in key)))
 
 
 def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
