@@ -98,7 +98,7 @@ def test_the_mean_of_the_conditional_evidences_is_about_the_free_one(
         module._conditional(problem, here, small, place, SCALES, NO_FIELD).log_evidence for place in module._NODES
     ]
     total = float(np.logaddexp.reduce(places))
-    assert total == pytest.approx(module._log_evidence(here, SCALES), abs=2.0)
+    assert total == pytest.approx(module._log_evidence(here.normal(), here.basis, SCALES), abs=2.0)
 
 
 def test_the_positive_part_keeps_what_adds_and_drops_what_takes() -> None:

@@ -174,3 +174,15 @@ def test_the_sign_of_the_decentering_is_found(problem: Problem, precision: Float
     residual = problem.residuals(found, exact)
     assert float(np.sqrt(np.mean(residual**2))) < 0.03
     assert seen.pixels.shape == (120, 2)
+
+
+def test_starts_that_image_every_sighting_alike_are_one(
+    problem: Problem, truth: FloatArray, seen: Observations
+) -> None:
+    slightly, far = truth.copy(), truth.copy()
+    slightly[Whitened.CENTER_X] += 1e-4
+    far[Whitened.CENTER_X] += 0.5
+    found = multistart._distinct(problem, seen, [truth, slightly, far, far.copy()])
+    assert len(found) == 2
+    assert found[0] is truth
+    assert found[1] is far

@@ -18,10 +18,11 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
-from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit
+from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged
 from sunarc.calibration.least_squares.priors import HIGHER
 from sunarc.calibration.least_squares.problem import Problem
+from sunarc.calibration.model.residual_field import WaveBasis
 
 _SPACING = 1.0
 _NODES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
@@ -64,11 +65,12 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     inner = posterior.covariance[HIGHER, HIGHER]
     if float(np.sqrt(np.max(np.diag(inner)))) < _KNOWN:
         return posterior
-    free = marginal_fit(system.normal(), system.basis, scales)
+    normal = system.normal()
+    free = marginal_fit(normal, system.basis, scales)
     about = np.zeros_like(free.coefficients) if mean is None else mean
     conditionals = [_conditional(problem, system, unknowns, node, scales, about) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
-    log_mass = np.array([_log_evidence(system, scales), *(node.log_evidence for node in conditionals)])
+    log_mass = np.array([_log_evidence(normal, system.basis, scales), *(node.log_evidence for node in conditionals)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
     excess = np.tensordot(share, np.stack([node.moments - free.covariance for node in conditionals]), 1)
@@ -78,7 +80,7 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
         return posterior._replace(covariance=covariance)
     with_field = np.tensordot(share, np.stack([node.cross - free.cross for node in conditionals]), 1)
     field = replace(posterior.field, cross=posterior.field.cross + positive @ with_field)
-    return PosteriorCovariance(covariance, seen_field(field, system.normal(), covariance))
+    return PosteriorCovariance(covariance, seen_field(field, normal, covariance))
 
 
 def _positive_part(excess: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -114,7 +116,8 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     start[HIGHER] = 0.0
     found, coefficients = irls_converged(conditioned, system.moved(conditioned, start), scales)
     about = system.moved(conditioned, found)
-    there = marginal_fit(about.normal(), about.basis, scales)
+    normal = about.normal()
+    there = marginal_fit(normal, about.basis, scales)
     covariance, cross = there.covariance.copy(), there.cross.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     cross[:, HIGHER] = 0.0
@@ -123,15 +126,15 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
         cross=cross + shift[:, None] * (coefficients - field_mean)[:, None, :],
-        log_evidence=_log_evidence(about, scales) - 0.5 * float(fixed @ fixed) + _CELL,
+        log_evidence=_log_evidence(normal, about.basis, scales) - 0.5 * float(fixed @ fixed) + _CELL,
     )
 
 
-def _log_evidence(system: LinearSystem, scales: Scales) -> float:
+def _log_evidence(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
     """Return the log evidence about where a system was made, under one choice of scales."""
     found = log_evidences(
-        system.normal(),
-        system.basis,
+        normal,
+        basis,
         amplitudes=np.array([scales.amplitude_px]),
         lengths=np.array([scales.length_px]),
         lens_scales=np.array([[scales.radial_px, scales.decentering_px]]),

@@ -189,7 +189,7 @@ def _log_evidence(normal: NormalEquations, turned: Turned, amplitudes: FloatArra
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * turned.axes.power), axis=1)
     terms = np.empty((amplitudes.size, precision.shape[0]))
     varied = np.ascontiguousarray(precision[:, _VARIED])
-    evidence_terms(matrices, vectors, normal.at, precision[0], varied, _VARIED.start, _RIDGE, terms)
+    evidence_terms(matrices, vectors, normal.at, precision[0], varied, int(_VARIED.start), _RIDGE, terms)
     prior = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
     return np.asarray(-0.5 * (square[:, None] + prior - terms + determinant[:, None]))
 

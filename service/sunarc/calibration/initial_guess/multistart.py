@@ -29,6 +29,8 @@ _THINNED = (1, 2, 3)
 _FOCAL_STEPS = (-0.5, 0.5)
 """Further focal lengths, in prior sigmas: 15 % shorter and longer where no image circle is known."""
 _SETTLING = 3
+_SAME_PX = 0.02
+"""px; a small part of any noise for which the valley matters."""
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
@@ -48,7 +50,7 @@ def best_start(problem: Problem, observed: Observations, start: FloatArray, *, p
     """
     few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
     starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
-    rested = [at_rest(problem, few, at, precision=precision) for at in starts]
+    rested = [at_rest(problem, few, at, precision=precision) for at in _distinct(problem, few, starts)]
     return lowest(problem, observed, rested, precision=precision)
 
 
@@ -133,6 +135,16 @@ def _plain_starts(problem: Problem, few: Observations, start: FloatArray) -> lis
         other[Whitened.FOCAL_LENGTH] += step
         found.append(least_squares(problem, few.select(slice(None, None, 2)), other))
     return [*found, staged_least_squares(problem, few, start)]
+
+
+def _distinct(problem: Problem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
+    """Return the starts without those that image all sightings where an earlier one does: they end in one valley."""
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for at in starts:
+        residual = problem.residuals(at, observed)
+        if all(np.max(np.abs(residual - other)) > _SAME_PX for _, other in found):
+            found.append((at, residual))
+    return [at for at, _ in found]
 
 
 def _widest_scatter(residual: FloatArray, observed: Observations) -> float:
