@@ -45,6 +45,7 @@ def exported(made: Made) -> dict[str, tuple[str, str, str]]:
     """Return every family that a service exports of which all is known: labels, kind, help."""
     made.board.note(**{name: some(kind, made.noon) for name, kind in typing.get_type_hints(Notes).items()})
     made.board.set_condition("drift", Reason(code="drift", severity="degraded", text="it moved", remedy="wait"))
+    made.archive.name_sinks(["mqtt"])
     text = made.client.get("/metrics").text
     helps = dict(re.findall(r"^# HELP (\w+) (.*)$", text, re.MULTILINE))
     kinds = dict(re.findall(r"^# TYPE (\w+) (\w+)$", text, re.MULTILINE))

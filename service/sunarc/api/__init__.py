@@ -11,5 +11,6 @@ from sunarc.api.hub_app import create_hub_app
 from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
+from sunarc.api.routes.fleet import members
 
-__all__ = ["ApiOptions", "BoundedConnection", "create_app", "create_hub_app", "token_digest"]
+__all__ = ["ApiOptions", "BoundedConnection", "create_app", "create_hub_app", "members", "token_digest"]

@@ -9,7 +9,6 @@ from fastapi import FastAPI
 from prometheus_client import CollectorRegistry
 from starlette.staticfiles import StaticFiles
 
-import sunarc
 from sunarc.api.app import STATIC, add_camera_routes, complete, new_application, new_context
 from sunarc.api.context import refuse_refit
 from sunarc.api.options import ApiOptions
@@ -24,6 +23,7 @@ from sunarc.sky import Site
 def create_hub_app(
     *,
     archive: Archive,
+    status: Callable[[], StatusSnapshot],
     now: Callable[[], datetime],
     options: ApiOptions,
     registry: CollectorRegistry | None = None,
@@ -36,17 +36,17 @@ def create_hub_app(
     Parameters
     ----------
     archive : the fleet's.
+    status : returns how the hub is.
     now : real time.
     options : limits and the token for reading.
     registry : where Prometheus's numbers are registered; a new one by default.
     stopping : returns whether the hub is about to stop: streams of events end then.
     """
-    started_at = now()
     context = new_context(
         archive=archive,
         camera="",  # the hub has none of its own
         site=Site(latitude=0.0, longitude=0.0),
-        status=lambda: StatusSnapshot(version=sunarc.__version__, started_at=started_at),
+        status=status,
         request_refit=refuse_refit,
         frame_clock=now,
         latest_image=lambda: None,
@@ -62,7 +62,7 @@ def create_hub_app(
     app.include_router(feed_routes(receiver))
     add_camera_routes(app, context)
     app.include_router(camera_routes(context))
-    app.include_router(fleet_routes(archive, now, numbers))
+    app.include_router(fleet_routes(archive, now, numbers, status))
     app.include_router(fleet_page(STATIC))
     app.mount("/static", StaticFiles(directory=STATIC))
     complete(app, context)

@@ -10,7 +10,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -21,20 +21,21 @@ from fastapi import FastAPI
 
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
+from sunarc.app.pushing import imager_states, push_workers
 from sunarc.app.service import Service
 from sunarc.app.status_line import FirstFrame, StatusLine
+from sunarc.app.supervision import supervised
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.heartbeats import Heartbeat, Monitored
 from sunarc.runtime.preflight import listen, prepare_state
-from sunarc.runtime.supervisor import Supervisor
-from sunarc.runtime.systemd import credential, notifier_from, watchdog_interval_s
+from sunarc.runtime.supervisor import Supervised
+from sunarc.runtime.systemd import credential, notifier_from
 from sunarc.settings import Settings
 
-_STOP_WITHIN_S = 4.0
 _KEEP_ALIVE_S = 20
-_LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds
+LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds
 _LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
 
 
@@ -87,8 +88,10 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         stack.enter_context(listening)
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(
-            _supervised(
-                service,
+            supervised(
+                (*service.workers(), *_push_workers(service)),
+                clock=clock,
+                board=service.board,
                 feed=notifier.watchdog,
                 on_failed=lambda: _stop_serving(server),
                 monitored=_monitored(service, server=server, schedule=schedule),
@@ -216,7 +219,7 @@ def _stop_serving(server: uvicorn.Server) -> None:
 
 
 def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple[Monitored, ...]:
-    stale_after_s = min(service.settings.supervisor.stale_after_s, _LOOP_STALE_S)
+    stale_after_s = min(service.settings.supervisor.stale_after_s, LOOP_STALE_S)
     return (
         Monitored(name="web", heartbeat=server.heartbeat, stale_after_s=stale_after_s),
         Monitored(
@@ -227,31 +230,16 @@ def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple
     )
 
 
-@contextmanager
-def _supervised(
-    service: Service,
-    *,
-    feed: Callable[[], None],
-    on_failed: Callable[[], None],
-    monitored: Sequence[Monitored],
-    on_check: Sequence[Callable[[], None]],
-) -> Iterator[Supervisor]:
-    interval_s = watchdog_interval_s(os.environ, pid=os.getpid())
-    supervisor = Supervisor(
-        service.workers(),
+def _push_workers(service: Service) -> tuple[Supervised, ...]:
+    return push_workers(
+        service.settings.push,
+        archive=service.archive,
+        states=imager_states(service.camera, service.board),
         clock=service.clock,
         board=service.board,
-        feed=feed,
-        check_every_s=1.0 if interval_s is None else min(interval_s / 3.0, 1.0),
-        on_failed=on_failed,
-        monitored=monitored,
-        on_check=on_check,
+        client=service.settings.name,
+        every_s=1.0,
     )
-    supervisor.start()
-    try:
-        yield supervisor
-    finally:
-        supervisor.stop(within_s=_STOP_WITHIN_S)
 
 
 def _schedule(service: Service) -> Schedule:

@@ -1,7 +1,7 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings outbox feeds fleet` · `values feed_values` what goes in and comes out ·
+epoch_closing sighting_revisions file_sightings outbox feeds fleet notices` · `values feed_values` its values ·
 `tables types` the schema · `engine server store` connections and transactions · `schema migrating` revisions ·
 `outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership space_reserve` the file on
 disk · `images` composites · `csv_files` sightings as CSV.
@@ -31,6 +31,14 @@ from sunarc.archive.feed_values import (
 from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
+from sunarc.archive.notices import (
+    CameraState,
+    Notice,
+    NoticeKind,
+    SinkState,
+    condition_changes,
+    stored_changes,
+)
 from sunarc.archive.outbox import OutboxPosition
 from sunarc.archive.recovery import Recovery, prepare_database, upgrade_present
 from sunarc.archive.schema import (
@@ -75,6 +83,7 @@ __all__ = [
     "CalibrationState",
     "CameraArchive",
     "CameraRecord",
+    "CameraState",
     "Check",
     "Day",
     "DayAir",
@@ -89,6 +98,8 @@ __all__ = [
     "FleetCamera",
     "ImageKey",
     "ImageStore",
+    "Notice",
+    "NoticeKind",
     "OutboxPosition",
     "PoseEpoch",
     "Quarantined",
@@ -99,11 +110,13 @@ __all__ = [
     "Refusal",
     "Reserve",
     "SightingTable",
+    "SinkState",
     "SunPoint",
     "SunPointColumns",
     "backup",
     "backup_into",
     "check",
+    "condition_changes",
     "downgrade",
     "feed_lines",
     "head_revision",
@@ -122,6 +135,7 @@ __all__ = [
     "require_unlocked",
     "restore",
     "server_url",
+    "stored_changes",
     "sun_point_of",
     "upgrade",
     "upgrade_present",

@@ -18,6 +18,7 @@ from sunarc.archive.feeds import Feeds
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.fleet import FleetRegistry
+from sunarc.archive.notices import Notices
 from sunarc.archive.outbox import Outbox
 from sunarc.archive.recovery import Recovery, rebuild
 from sunarc.archive.schema import UPGRADE_SERVER, require_file, require_head
@@ -38,6 +39,7 @@ class Archive(
     Outbox,
     Feeds,
     FleetRegistry,
+    Notices,
 ):
     """The database: values in, values out; safe to use from any thread."""
 

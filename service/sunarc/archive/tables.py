@@ -263,3 +263,33 @@ fleet = Table(
     Column("status", JsonObject, nullable=False),
     Column("status_at", UtcTime),
 )
+
+notice = Table(
+    "notice",
+    metadata,
+    Column("seq", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("id", Text, nullable=False),
+    Column("camera", Text, nullable=False),
+    Column("time", UtcTime, nullable=False),
+    Column("kind", Text, nullable=False),
+    Column("data", JsonObject, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+notice_position = Table(
+    "notice_position",
+    metadata,
+    Column("camera", Text, primary_key=True),
+    Column("event", BigInteger, nullable=False),
+    Column("calibration", Text, nullable=False),
+    Column("conditions", JsonObject, nullable=False),
+    Column("since", UtcTime, nullable=False),
+)
+
+notice_sink = Table(
+    "notice_sink",
+    metadata,
+    Column("sink", Text, primary_key=True),
+    Column("seq", BigInteger, nullable=False),
+    Column("refused", Integer, nullable=False),
+)

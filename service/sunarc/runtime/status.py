@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 from pydantic import Field as PydanticField
+from pydantic import TypeAdapter
 
 from sunarc.findings import Data, Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Returned, Time, described
@@ -59,6 +60,9 @@ class Reason(Returned):
             remedy=messages.remedy_of(finding),
             data=finding.data,
         )
+
+
+_REASON = TypeAdapter(Reason)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,6 +171,11 @@ class StatusSnapshot:
     def findings(self) -> list[dict[str, Any]]:
         """The reasons as the JSON of codes and data."""
         return [Finding(reason.code, reason.data).as_json() for reason in self.reasons]
+
+    @property
+    def conditions(self) -> dict[str, dict[str, Any]]:
+        """The reasons as JSON, by code."""
+        return {reason.code: _REASON.dump_python(reason, mode="json") for reason in self.reasons}
 
     @property
     def health(self) -> Health:

@@ -17,7 +17,7 @@ from sunarc.detection import DiscOptions
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky import Site
-from sunarc.workers import CaptureOptions, ClockOptions, HubOptions, RefitOptions, SensorOptions
+from sunarc.workers import CaptureOptions, ClockOptions, HubOptions, PushOptions, RefitOptions, SensorOptions
 
 
 class _WithStore(BaseModel):
@@ -45,11 +45,12 @@ class _WithStore(BaseModel):
 
 
 class HubSettings(_WithStore):
-    """What a hub takes of the settings: where its archive is, and the web server."""
+    """What a hub takes of the settings: where its archive is, the web server, and receivers of messages."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     api: ApiOptions = ApiOptions()
+    push: PushOptions = PushOptions()
 
 
 class Settings(_WithStore):
@@ -72,6 +73,7 @@ class Settings(_WithStore):
     disk : how much of the disk images may have.
     api : the web server.
     hub : where the archive's rows are sent to.
+    push : receivers of messages about conditions, events and calibrations.
     supervisor : limits of restarts and heartbeats of the workers.
     """
 
@@ -95,6 +97,7 @@ class Settings(_WithStore):
     disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()
     hub: HubOptions = HubOptions()
+    push: PushOptions = PushOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 
     @property

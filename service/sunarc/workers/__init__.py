@@ -1,4 +1,4 @@
-"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`, `feeding`."""
+"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`, `feeding`, `pushing`."""
 
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge
@@ -16,6 +16,11 @@ from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
+from sunarc.workers.pushing.mqtt import MqttBroker
+from sunarc.workers.pushing.options import PushOptions
+from sunarc.workers.pushing.push import PushWorker, Sink
+from sunarc.workers.pushing.record import NoticeWorker
+from sunarc.workers.pushing.webhook import Webhook, webhook_name
 from sunarc.workers.sensor import SensorOptions
 from sunarc.workers.sightings.detect import DetectWorker
 from sunarc.workers.sightings.frozen_frames import FrozenFrames
@@ -41,16 +46,23 @@ __all__ = [
     "FrozenFrames",
     "HubConnection",
     "HubOptions",
+    "MqttBroker",
+    "NoticeWorker",
     "OverdueSightings",
     "ProvisionalPoseEstimator",
+    "PushOptions",
+    "PushWorker",
     "RefitOptions",
     "RefitWorker",
     "ReplayWorker",
     "SensorOptions",
     "SightingWriteBuffer",
+    "Sink",
     "SunExposures",
     "SunPredictor",
     "WatchWorker",
+    "Webhook",
     "image_document",
     "points_of",
+    "webhook_name",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sunarc.calibration import messages as calibration
 from sunarc.findings import Finding, Message, Messages
+from sunarc.runtime.messages import worker_code
 from sunarc.runtime.status import Reason, Severity
 
 _BY_OTHERS = "Days are evaluated by the other slots."
@@ -95,6 +96,22 @@ MESSAGES = Messages(
         "the hub refuses this imager's rows ({status:g}): {error}",
         "Rows wait in the outbox, without a limit; measurements go on.",
         "see the hub's /v1/quarantine; make a token there with `sunarc hub token`, or accept the installation",
+    ),
+    # messages to receivers
+    push_failing=Message(
+        "no message reached {name} for {hours:g} h: {error}",
+        "Messages wait in the archive and are sent later, in their order.",
+        "check the receiver, the network, and the settings in [push] (address, certificate, login)",
+    ),
+    push_refused=Message(
+        "{name} refuses messages, {n:g} until now, the last of kind {kind}: {error}",
+        "They are not sent again; later ones are.",
+        "correct the receiver, or its address in push.webhooks; the next message that it takes ends this notice",
+    ),
+    push_overflow=Message(
+        "{lost:g} messages were removed: a receiver left more than {most:g} of them waiting",
+        "The oldest messages are lost to that receiver.",
+        f"correct the receiver, or remove it from [push]; {_NO_NOTICE}",
     ),
     # camera and exposures
     camera_lost=Message(
@@ -234,6 +251,11 @@ MESSAGES = Messages(
 _ALL = Messages(calibration.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
+
+
+def condition_of(code: str, name: str, **data: float | str) -> Reason:
+    """Return a condition of one receiver, whose name ends its code."""
+    return Reason.of(Finding(code, {"name": name, **data}), MESSAGES, code=worker_code(code, name))
 
 
 def condition(code: str, *, severity: Severity = "degraded", **data: float | str) -> Reason:

@@ -10,20 +10,17 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import Response, StreamingResponse
-from pydantic import TypeAdapter
 from starlette.concurrency import run_in_threadpool
 
 from sunarc.api.context import ApiContext
 from sunarc.api.middleware.head_requests import asked_by_head
 from sunarc.api.problems import answers
-from sunarc.archive import Event
+from sunarc.archive import NoticeKind, condition_changes, stored_changes
 from sunarc.errors import InputError
-from sunarc.runtime.status import Reason, StatusSnapshot
+from sunarc.runtime.status import StatusSnapshot
 from sunarc.utc import rfc3339
 
-Kind = Literal[
-    "state", "calibration", "bump", "day", "event", "condition_set", "condition_cleared", "worker", "frame"
-]  # what `event:` says
+Kind = NoticeKind | Literal["state", "worker", "frame"]  # what `event:` says
 
 MEDIA_TYPE = "text/event-stream"
 _POLL_S = 0.5
@@ -34,10 +31,7 @@ _RETRY_MS = 3000
 """After which a client that was cut off comes back."""
 _MOST_MISSED = 500
 """Events that a client hears of that comes back; of more, the newest ones."""
-_OWN_KINDS = ("bump", "day")
-"""Kinds of events in the archive that have a name of their own in the stream."""
 _ID = re.compile(r"(\d{1,15})\.(.*)", re.ASCII)
-_EVENT, _REASON = TypeAdapter(Event), TypeAdapter(Reason)
 _EXAMPLE = (
     'event: calibration\\nid: 17.20130514T150508Z-52ee44\\ndata: {"calibration": "20130514T150508Z-52ee44"}\\n\\n'
 )
@@ -103,7 +97,7 @@ class Follower:
 
     def state(self) -> Message:
         """Return how things are now."""
-        conditions = [_REASON.dump_python(reason, mode="json") for reason in self._status.reasons]
+        conditions = list(self._status.conditions.values())
         data = {"health": self._status.health, "calibration": self._calibration() or None, "conditions": conditions}
         return Message("state", data, self.position.text)
 
@@ -117,16 +111,12 @@ class Follower:
         return [*stored, *(Message(kind, data, self.position.text) for kind, data in changed)]
 
     def _stored(self) -> Iterator[Message]:
-        archive, camera = self._context.archive, self._context.camera
-        for event in archive.events_after(self.position.event, camera=camera, limit=_MOST_MISSED):
-            self.position = self.position._replace(event=event.id or 0)
-            kind: Any = event.kind if event.kind in _OWN_KINDS else "event"
-            yield Message(kind, _EVENT.dump_python(event, mode="json"), self.position.text)
-        current, before = self._calibration(), self.position.calibration
-        if current != before:
-            self.position = self.position._replace(calibration=current)
-            data = {"calibration": current or None, "previous": before or None}
-            yield Message("calibration", data, self.position.text)
+        archive, known = self._context.archive, self.position
+        events = archive.events_after(known.event, camera=self._context.camera, limit=_MOST_MISSED)
+        changes = stored_changes(events, self._calibration(), after_event=known.event, known=known.calibration)
+        for kind, data, event, calibration in changes:
+            self.position = Position(event, calibration)
+            yield Message(kind, data, self.position.text)
 
     def _calibration(self) -> str:
         record = self._context.record_or_none(None)
@@ -135,11 +125,7 @@ class Follower:
 
 def _changes(before: StatusSnapshot, now: StatusSnapshot) -> Iterator[tuple[Kind, Mapping[str, Any]]]:
     """Yield what two snapshots of the status differ in."""
-    old, new = ({reason.code: reason for reason in snapshot.reasons} for snapshot in (before, now))
-    for code in new.keys() - old.keys():
-        yield ("condition_set", _REASON.dump_python(new[code], mode="json"))
-    for code in old.keys() - new.keys():
-        yield ("condition_cleared", _REASON.dump_python(old[code], mode="json"))
+    yield from condition_changes(before.conditions, now.conditions)
     states = {worker.name: worker.state for worker in before.workers}
     for worker in now.workers:
         if states.get(worker.name) != worker.state:

@@ -8,17 +8,21 @@ from datetime import datetime, timedelta
 from pathlib import Path as FilePath
 from typing import Annotated, Literal, get_args
 
-from fastapi import APIRouter, Query
-from fastapi.responses import FileResponse, Response
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import FileResponse, JSONResponse, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 from pydantic import BaseModel
 
-from sunarc.api.schemas.calibration import Alive
+from sunarc.api.problems import answers
+from sunarc.api.routes.health import readiness
+from sunarc.api.routes.metrics import push_metrics
+from sunarc.api.schemas.calibration import Alive, Readiness
 from sunarc.api.schemas.parameters import row_limit
 from sunarc.archive import Archive, FleetCamera, Quarantined
 from sunarc.json_fields import Time, described
+from sunarc.runtime.status import StatusSnapshot
 
 SILENT = timedelta(minutes=15)
 """A camera that sent nothing for so long is silent: imagers tell of themselves every minute."""
@@ -46,7 +50,9 @@ class Quarantine(BaseModel):
     rows: Annotated[list[Quarantined], described("The newest first.")]
 
 
-def fleet_routes(archive: Archive, now: Callable[[], datetime], registry: CollectorRegistry) -> APIRouter:
+def fleet_routes(
+    archive: Archive, now: Callable[[], datetime], registry: CollectorRegistry, status: Callable[[], StatusSnapshot]
+) -> APIRouter:
     """Return the routes that tell of the fleet."""
     routes = APIRouter(tags=["fleet"])
 
@@ -69,11 +75,11 @@ def fleet_routes(archive: Archive, now: Callable[[], datetime], registry: Collec
         """Tell that the process answers."""
         return Alive()
 
-    @routes.get("/readyz")
-    def readyz() -> Alive:
-        """Tell that the database answers; 503 where it does not."""
+    @routes.get("/readyz", response_model=Readiness, responses=answers(503))
+    def readyz(request: Request) -> Readiness | JSONResponse:
+        """Tell that the database answers (503 where it does not), and what of the hub's own work fails."""
         archive.cameras()
-        return Alive()
+        return readiness(status(), request.url.path)
 
     @routes.get(
         "/metrics",
@@ -165,6 +171,7 @@ class FleetCollector(Collector):
         for camera in cameras:
             states.add_metric([camera.camera, state_of(camera, now)], 1.0)
         yield states
+        yield from push_metrics(self._archive)
 
 
 def _unix_s(time: datetime | None) -> float | None:

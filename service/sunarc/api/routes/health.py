@@ -32,10 +32,7 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
         """Tell whether the service is ready or degraded (200), or not ready (503), each reason with a remedy."""
-        snapshot = context.status()
-        if snapshot.health == "not_ready":
-            return _not_ready(snapshot, request.url.path)
-        return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
+        return readiness(context.status(), request.url.path)
 
     @routes.get("/v1/status")
     def status() -> Status:
@@ -52,6 +49,13 @@ def health_routes(context: ApiContext, registry: CollectorRegistry) -> APIRouter
         return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
 
     return routes
+
+
+def readiness(snapshot: StatusSnapshot, path: str) -> Readiness | JSONResponse:
+    """Return the answer of a path that tells whether the service is ready."""
+    if snapshot.health == "not_ready":
+        return _not_ready(snapshot, path)
+    return Readiness(status=snapshot.health, reasons=snapshot.reasons, findings=snapshot.findings)
 
 
 def _not_ready(snapshot: StatusSnapshot, path: str) -> JSONResponse:

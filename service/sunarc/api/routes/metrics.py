@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 
 from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
+from sunarc.archive import Archive
 from sunarc.json_fields import descriptions
 from sunarc.runtime.status import (
     CameraStatus,
@@ -77,6 +78,7 @@ class StatusCollector(Collector):
         yield from _facts(snapshot, self._stored_step_at)
         yield from _counts(snapshot.capture)
         yield from self._calibration()
+        yield from push_metrics(self._context.archive)
 
     def _calibration(self) -> Iterator[Metric]:
         record = self._context.archive.current_calibration(self._context.camera)
@@ -88,6 +90,17 @@ class StatusCollector(Collector):
                 "sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", summary_now.sky_rms_deg
             )
             yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(summary_now.valid_from))
+
+
+def push_metrics(archive: Archive) -> Iterator[Metric]:
+    """Yield how receivers of messages stand; nothing without any."""
+    states = archive.sink_states()
+    waiting: dict[tuple[str, ...], float] = {(name,): float(state.waiting) for name, state in states.items()}
+    yield _labelled("sunarc_push_waiting", "Messages that a receiver has not had yet.", ("receiver",), waiting)
+    refused = CounterMetricFamily("sunarc_push_refused", "Messages that a receiver refused.", labels=("receiver",))
+    for name, state in states.items():
+        refused.add_metric((name,), float(state.refused))
+    yield refused
 
 
 def _workers(snapshot: StatusSnapshot) -> Iterator[Metric]:

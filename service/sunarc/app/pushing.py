@@ -1,0 +1,107 @@
+"""The workers that send messages to receivers elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from functools import partial
+
+from sunarc.api import members
+from sunarc.archive import Archive, CameraArchive, CameraState, FleetCamera
+from sunarc.runtime.clock import Clock
+from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.supervisor import Supervised
+from sunarc.workers import MqttBroker, NoticeWorker, PushOptions, PushWorker, Sink, Webhook, webhook_name
+
+
+def push_workers(
+    options: PushOptions,
+    *,
+    archive: Archive,
+    states: Callable[[], Mapping[str, CameraState]],
+    clock: Clock,
+    board: StatusRegistry,
+    client: str,
+    every_s: float,
+) -> tuple[Supervised, ...]:
+    """Return the worker that writes notices and one for each receiver; without any receiver none.
+
+    Parameters
+    ----------
+    options : the receivers.
+    archive : where notices are.
+    states : returns how every camera is, by name.
+    clock : real time.
+    board : where receivers that fail are shown.
+    client : what this service is called at a broker.
+    every_s : seconds between two looks at the cameras.
+
+    Raises
+    ------
+    ConfigurationError : a file of the options cannot be read.
+    """
+    names = [*(["mqtt"] if options.mqtt else []), *map(webhook_name, options.webhooks)]
+    if not names:
+        archive.name_sinks(())  # else notices would wait for ever
+        return ()
+    notices = NoticeWorker(archive=archive, states=states, sinks=names, clock=clock, board=board, every_s=every_s)
+    sinks: list[Sink] = [Webhook(url, secret_file=options.webhook_secret_file, clock=clock) for url in options.webhooks]
+    if options.mqtt is not None:
+        sinks.append(MqttBroker(options, states=lambda: notices.latest, clock=clock, client=client))
+    workers = [PushWorker(archive=archive, sink=sink, clock=clock, board=board) for sink in sinks]
+    return (
+        Supervised(name="notices", make_worker=lambda: notices),
+        *(
+            Supervised(name=f"push_{sink.name}", make_worker=partial(_same, worker))
+            for sink, worker in zip(sinks, workers, strict=True)
+        ),
+    )
+
+
+def _same(worker: PushWorker) -> PushWorker:
+    return worker
+
+
+def imager_states(camera: CameraArchive, board: StatusRegistry) -> Callable[[], Mapping[str, CameraState]]:
+    """Return a function that tells how an imager's camera is."""
+
+    def states() -> Mapping[str, CameraState]:
+        snapshot, record = board.snapshot(), camera.current_calibration()
+        state = CameraState(
+            health=snapshot.health,
+            conditions=snapshot.conditions,
+            calibration=None if record is None else record.id,
+            calibrated_at=None if record is None else record.created_at,
+            sky_rms_deg=None if record is None else record.document.get("uncertainty", {}).get("sky_rms_deg"),
+        )
+        return {camera.name: state}
+
+    return states
+
+
+def fleet_states(archive: Archive, now: Callable[[], datetime]) -> Callable[[], Mapping[str, CameraState]]:
+    """Return a function that tells how the cameras of a hub are, by what they last reported."""
+
+    def states() -> Mapping[str, CameraState]:
+        # What was registered and sent nothing yet has no state that could change.
+        known = [camera for camera in archive.fleet() if camera.received_at is not None]
+        return {
+            camera.camera: CameraState(
+                health=camera.state,
+                conditions=_fleet_conditions(camera, silent=camera.state == "silent"),
+                calibration=camera.calibration,
+                calibrated_at=camera.calibrated_at,
+                sky_rms_deg=camera.sky_rms_deg,
+            )
+            for camera in members(tuple(known), now())
+        }
+
+    return states
+
+
+def _fleet_conditions(camera: FleetCamera, *, silent: bool) -> Mapping[str, Mapping[str, object]]:
+    """Return what an imager reported of itself, and what the hub finds."""
+    reported = (camera.status or {}).get("conditions")
+    codes = [str(code) for code in reported] if isinstance(reported, list) else []
+    codes += [*(["silent"] if silent else []), *(["quarantine"] if camera.n_quarantined else [])]
+    return {code: {"code": code} for code in codes}

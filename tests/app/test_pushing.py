@@ -1,0 +1,70 @@
+"""Who is told what: the wiring of imagers and hubs."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from tests.fixtures.archive import new_archive
+from tests.fixtures.fleet import NOW, feed, new_imager, sighting
+
+from sunarc.app.pushing import fleet_states, imager_states, push_workers
+from sunarc.archive import CameraArchive, Refusal, open_archive, upgrade
+from sunarc.errors import ConfigurationError
+from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.status import Reason, StatusRegistry
+from sunarc.sky import Site
+from sunarc.workers import PushOptions
+
+HOOK = "http://127.0.0.1:9/hook"
+
+
+def test_without_receivers_there_is_no_worker_and_with_them_one_for_each(
+    tmp_path: Path, clock: VirtualClock, board: StatusRegistry
+) -> None:
+    with new_archive(tmp_path) as archive:
+
+        def names(options: PushOptions) -> list[str]:
+            found = push_workers(
+                options, archive=archive, states=dict, clock=clock, board=board, client="roof", every_s=1.0
+            )
+            return [worker.name for worker in found]
+
+        assert names(PushOptions()) == []
+        secret = tmp_path / "secret"
+        options = PushOptions(mqtt="mqtt://127.0.0.1:9", webhooks=(HOOK,), webhook_secret_file=secret)
+        with pytest.raises(ConfigurationError):  # before anything starts
+            names(options)
+        secret.write_text("0123456789abcdef")
+        notices, hook, mqtt = names(options)
+        assert (notices, mqtt) == ("notices", "push_mqtt")
+        assert hook.startswith("push_webhook_127.0.0.1_")
+
+
+def test_an_imager_tells_its_conditions_with_their_texts(tmp_path: Path, board: StatusRegistry) -> None:
+    board.set_condition("dusty", Reason(code="dusty", severity="degraded", text="it is", remedy="wipe"))
+    with new_archive(tmp_path) as archive:
+        camera = CameraArchive(archive, name="roof", site=Site(latitude=36.6, longitude=-97.5))
+        state = imager_states(camera, board)()["roof"]
+    assert (state.health, state.calibration) == ("degraded", None)
+    assert state.conditions["dusty"]["text"] == "it is"
+    assert state.conditions["dusty"]["since"] == "2026-05-01T12:00:00Z"
+
+
+def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> None:
+    upgrade(tmp_path / "hub.sqlite")
+    with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
+        hub.add_feed_token("mast", "digest", now=NOW, former_until=NOW)  # registered, and silent from the beginning
+        imager.add_sun_points([sighting(1)])
+        imager.queue_status({"health": "degraded", "conditions": ["camera_lost"]})
+        feed(imager, hub)
+        now = [NOW]
+        states = fleet_states(hub, lambda: now[0])
+        assert {name: list(state.conditions) for name, state in states().items()} == {"roof": ["camera_lost"]}
+        assert states()["roof"].health == "degraded"
+        refusal = Refusal(reason="forged_token", text="it is")
+        hub.refuse_feed(camera="roof", installation="x", refusal=refusal, now=NOW)
+        now[0] += timedelta(hours=1)
+        assert set(states()["roof"].conditions) == {"camera_lost", "silent", "quarantine"}
+        assert states()["roof"].health == "silent"

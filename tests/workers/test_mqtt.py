@@ -1,0 +1,240 @@
+"""MQTT, with a real broker that is stopped, killed and started: nothing lost, and the retained state right."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.fixtures.mosquitto import Listener, Mosquitto, broker, retained
+from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
+from tests.workers.test_webhook import certificate
+
+from sunarc.archive import CameraState
+from sunarc.errors import ConfigurationError
+from sunarc.workers import MqttBroker, PushOptions
+from sunarc.workers.pushing import mqtt, push
+
+__all__ = ["broker"]
+EVENTS, STATE, THERE = "sunarc/roof/events", "sunarc/roof/state", "sunarc/roof/availability"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Pushing]:
+    with pushing(tmp_path) as one:
+        yield one
+
+
+def sink(bench: Pushing, port: int, scheme: str = "mqtt", **options: Any) -> MqttBroker:  # noqa: ANN401 - of PushOptions
+    chosen = PushOptions(mqtt=f"{scheme}://127.0.0.1:{port}", **options)
+    return MqttBroker(chosen, states=bench.states, clock=bench.clock, client="roof")
+
+
+def test_messages_and_the_retained_state(bench: Pushing, broker: Mosquitto) -> None:
+    listener = Listener(broker.port, EVENTS)
+    worker = bench.worker(sink(bench, broker.port))
+    bench.look("mqtt")
+    bench.happen(3, "mqtt")
+    assert step(worker) == 1.0
+    bench.conditions["dusty"] = DUSTY
+    bench.look("mqtt")
+    step(worker)
+    listener.wait_for(4)
+    assert [message["type"] for message in listener.of(EVENTS)] == ["bump"] * 3 + ["condition_set"]
+    assert [message["data"].get("text") for message in listener.of(EVENTS)][:3] == ["0", "1", "2"]
+    kept = retained(broker.port)
+    assert kept[THERE] == "online"
+    assert (kept[STATE]["health"], kept[STATE]["problem"], kept[STATE]["conditions"]) == ("degraded", "ON", [DUSTY])
+    assert EVENTS not in kept
+    worker._sink.close(orderly=True)
+    assert retained(broker.port)[THERE] == "offline"
+    listener.close()
+
+
+@pytest.mark.parametrize("kill", [False, True])
+def test_a_broker_that_is_stopped_and_started_loses_nothing(bench: Pushing, broker: Mosquitto, *, kill: bool) -> None:
+    worker = bench.worker(sink(bench, broker.port))
+    bench.look("mqtt")
+    listener = Listener(broker.port, EVENTS)
+    bench.happen(2, "mqtt")
+    step(worker)
+    listener.wait_for(2)
+    broker.stop(kill=kill)
+    bench.conditions["dusty"] = DUSTY
+    bench.happen(3, "mqtt")
+    assert [step(worker) for _ in range(3)] == [1.0, 2.0, 4.0]
+    bench.conditions.clear()
+    bench.look("mqtt")
+    broker.start()
+    after = Listener(broker.port, EVENTS)
+    assert step(worker) == 1.0
+    after.wait_for(5)
+    after.listen(0.2)
+    told = [(message["type"], message["data"].get("text")) for message in after.of(EVENTS)]
+    bumps = [("bump", str(number)) for number in range(3)]
+    assert told == [*bumps, ("condition_set", DUSTY["text"]), ("condition_cleared", DUSTY["text"])]
+    # a broker without a disk has forgotten all that it kept
+    kept = retained(broker.port)
+    assert (kept[STATE]["health"], kept[THERE]) == ("ready", "online")
+    assert len([topic for topic in kept if topic.startswith("homeassistant/")]) == 5
+    worker._sink.close(orderly=False)
+    after.close()
+
+
+def test_a_service_that_is_killed_goes_on_where_it_was(bench: Pushing, broker: Mosquitto) -> None:
+    listener = Listener(broker.port, EVENTS, THERE)
+    bench.look("mqtt")
+    bench.happen(2, "mqtt")
+    first = bench.worker(sink(bench, broker.port))
+    step(first)
+    first._sink.close(orderly=False)  # as the kernel closes what a process had
+    listener.wait_for(4)
+    assert listener.of(THERE)[-1] == "offline"  # the last will
+    bench.restart()
+    bench.happen(2, "mqtt")
+    second = bench.worker(sink(bench, broker.port))
+    step(second)
+    listener.wait_for(7)
+    listener.listen(0.2)
+    assert [message["data"]["text"] for message in listener.of(EVENTS)] == ["0", "1", "0", "1"]
+    assert len({message["id"] for message in listener.of(EVENTS)}) == 4
+    assert listener.of(THERE)[-1] == "online"
+    second._sink.close(orderly=True)
+    listener.close()
+
+
+def test_a_receipt_that_is_lost_doubles_one_message_under_its_id(
+    bench: Pushing, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listener = Listener(broker.port, EVENTS)
+    bench.look("mqtt")
+    bench.happen(2, "mqtt")
+    worker = bench.worker(sink(bench, broker.port))
+    with monkeypatch.context() as patched:
+        patched.setattr(bench.archive, "notice_done", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):  # killed between the receipt and the note of it
+            step(worker)
+    worker._sink.close(orderly=False)
+    step(bench.worker(sink(bench, broker.port)))
+    listener.wait_for(3)
+    ids = [message["id"] for message in listener.of(EVENTS)]
+    assert len(ids) == 3
+    assert ids[0] == ids[1] != ids[2]
+    listener.close()
+
+
+def test_an_idle_connection_is_kept_and_states_are_sent_when_they_change(bench: Pushing, broker: Mosquitto) -> None:
+    listener = Listener(broker.port, STATE, THERE)
+    bench.look("mqtt")
+    worker = bench.worker(sink(bench, broker.port))
+    for _ in range(4):
+        bench.look("mqtt")
+        step(worker)
+    listener.listen(0.2)
+    assert [topic for topic, _, _ in listener.heard] == [THERE, STATE]
+    worker._sink.close(orderly=True)
+    listener.close()
+
+
+def password(folder: Path, *lines: str) -> Mosquitto:
+    subprocess.run(["mosquitto_passwd", "-b", "-c", folder / "passwords", "sunarc", "word"], check=True)
+    (folder / "passwords").chmod(0o600)
+    return Mosquitto(folder, f"password_file {folder / 'passwords'}", "allow_anonymous false", *lines)
+
+
+def test_a_login_is_refused_and_taken(bench: Pushing, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    del broker  # without mosquitto this is skipped there
+    monkeypatch.setattr(push, "_FAILING_S", 0.0)
+    locked, login = password(bench.folder), bench.folder / "login"
+    locked.start()
+    bench.look("mqtt")
+    bench.happen(1, "mqtt")
+    for text, codes in (("sunarc:wrong", {"push_failing_mqtt"}), ("sunarc:word", set())):
+        login.write_text(text)
+        worker = bench.worker(sink(bench, locked.port, mqtt_login_file=login))
+        step(worker)
+        assert bench.codes() == codes
+        if codes:
+            (reason,) = bench.board.snapshot().reasons
+            assert "Not authorized" in str(reason.data["error"])
+        worker._sink.close(orderly=True)
+    locked.stop()
+
+
+# paho leaves a connection whose certificate is refused to the garbage collector
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_certificate_is_checked(bench: Pushing, broker: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    del broker
+    monkeypatch.setattr(push, "_FAILING_S", 0.0)
+    certificate(bench.folder)
+    files = (f"certfile {bench.folder / 'cert.pem'}", f"keyfile {bench.folder / 'key.pem'}", "allow_anonymous true")
+    sealed = Mosquitto(bench.folder, *files)
+    sealed.start()
+    bench.look("mqtt")
+    bench.happen(1, "mqtt")
+    step(bench.worker(sink(bench, sealed.port, "mqtts")))
+    (reason,) = bench.board.snapshot().reasons
+    assert "CERTIFICATE_VERIFY_FAILED" in str(reason.data["error"])
+    monkeypatch.setenv("SSL_CERT_FILE", str(bench.folder / "cert.pem"))
+    worker = bench.worker(sink(bench, sealed.port, "mqtts"))
+    step(worker)
+    assert (bench.codes(), bench.archive.sink_states()["mqtt"].waiting) == (set(), 0)
+    worker._sink.close(orderly=True)
+    sealed.stop()
+
+
+def test_a_broker_that_answers_nothing_holds_up_nobody(bench: Pushing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt, "_WITHIN_S", 0.3)
+    bench.look("mqtt")
+    bench.happen(1, "mqtt")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        worker = bench.worker(sink(bench, silent.getsockname()[1]))
+        begun_s = bench.clock.monotonic()
+        assert step(worker) == 1.0
+        assert bench.clock.monotonic() - begun_s < 2.0
+
+
+@pytest.mark.parametrize("text", ["", "sunarc", ":word"])
+def test_a_login_that_is_none_is_refused(bench: Pushing, text: str) -> None:
+    (bench.folder / "login").write_text(text)
+    with pytest.raises(ConfigurationError):
+        sink(bench, 1883, mqtt_login_file=bench.folder / "login")
+
+
+def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:
+    """By its documentation: topics, a unique id, a device, and templates over the JSON of the state."""
+    state = CameraState(health="ready", calibration="c", calibrated_at=None, sky_rms_deg=0.01)
+    *entities, (topic, told) = mqtt.retained("a roof/1", replace(state), availability=THERE)
+    assert topic == "sunarc/a_roof_1/state"
+    fields = json.loads(told)
+    ids, devices = set(), set()
+    for name, text in entities:
+        described = json.loads(text)
+        assert re.fullmatch(r"homeassistant/(sensor|binary_sensor)/[a-zA-Z0-9_-]+/[a-zA-Z0-9_-]+/config", name)
+        assert (described["state_topic"], described["availability_topic"]) == (topic, THERE)
+        (field,) = re.findall(r"\{\{ value_json\.(\w+) \}\}", described["value_template"])
+        assert field in fields
+        ids.add(described["unique_id"])
+        devices.add(tuple(described["device"]["identifiers"]))
+    assert (len(ids), len(devices)) == (5, 1)
+
+
+def test_a_worker_runs_and_stops(bench: Pushing, broker: Mosquitto) -> None:
+    bench.look("mqtt")
+    stop = threading.Event()
+    thread = threading.Thread(target=bench.worker(sink(bench, broker.port)).run, args=(stop, lambda: None))
+    listener = Listener(broker.port, THERE)
+    thread.start()
+    listener.wait_for(1)
+    stop.set()
+    listener.wait_for(2)
+    thread.join(5.0)
+    assert listener.of(THERE) == ["online", "offline"]
+    listener.close()
