@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from sunarc.archive import write_sightings
+from sunarc.cli import calibrate as module
 from sunarc.optics import Camera, PoseAngles, project, rotation_from_pose_angles
 from sunarc.sky import Site, sun_angles, sun_directions
 
@@ -207,3 +208,19 @@ def test_a_document_that_is_none_is_one_line_and_exit_2(sunarc: Sunarc, tmp_path
         answer = sunarc("project", "--calibration", str(file), stdin="zenith_deg,azimuth_deg\n1,2\n")
         assert answer.code == 2
         assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "mean", "said"),
+    [
+        (0.0, [[], []], "none"),
+        (0.3, [[0.0], [0.0]], "not in the prediction"),
+        (0.3, [[0.0], [1.0]], " in the prediction"),
+    ],
+)
+def test_the_field_is_shown_with_its_part_in_the_prediction(
+    amplitude: float, mean: list[list[float]], said: str
+) -> None:
+    found = module._field({"amplitude_px": amplitude, "length_px": 420.0, "mean": mean})
+    assert found.endswith(said)
+    assert ("0.300 px over 420 px" in found) == (amplitude > 0.0)

@@ -221,10 +221,19 @@ def _print_calibration(document: dict[str, Any]) -> None:
             "1-sigma over the sky",
             "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
         ],
-        ["verdict", "accepted" if verdict["accepted"] else "refused"],
+        ["field beside the lens", _field(document["uncertainty"]["field"])],
+        ["verdict", "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"],
         *(["", reason] for reason in verdict["reasons"]),
     ]
     Console(soft_wrap=True).print(table(("", ""), rows))
+
+
+def _field(field: dict[str, Any]) -> str:
+    """Return how large and how smooth the field is, and whether the prediction has its mean."""
+    if field["amplitude_px"] == 0.0:
+        return "none"
+    part = "in the prediction" if any(map(any, field["mean"])) else "not in the prediction"
+    return f"1-sigma {field['amplitude_px']:.3f} px over {field['length_px']:.0f} px, {part}"
 
 
 def _rmse(metrics: dict[str, Any]) -> str:
