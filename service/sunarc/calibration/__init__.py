@@ -4,7 +4,7 @@
 fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
 comparison of every sighting with the calibration · `ensemble` joint draws of the errors · `pose_change_points`,
 `pose_step_search`, `pose_step_evidence` pose changes within a record · `projection_choice` the projection of an unknown
-lens · `reproduce` a stored fit again. The maths: docs/maths.md.
+lens · `star_prediction` pixels of the stars · `reproduce` a stored fit again. The maths: docs/maths.md.
 """
 
 from sunarc.calibration.calibrate import calibrate
@@ -46,6 +46,7 @@ from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spr
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.star_prediction import predict_stars
 
 __all__ = [
     "BACK_PROJECTED",
@@ -106,6 +107,7 @@ __all__ = [
     "measure_day",
     "measures",
     "pose_spread_deg",
+    "predict_stars",
     "prior_knowledge",
     "project_with_covariance",
     "reproduce_calibration",

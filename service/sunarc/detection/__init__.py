@@ -10,7 +10,9 @@ from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.photo.static_mask import static_mask
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
 from sunarc.detection.stars.detect import detect_stars
-from sunarc.detection.stars.values import Stars
+from sunarc.detection.stars.matching import StarMatches, match_stars
+from sunarc.detection.stars.still import sky_motion, standing_still
+from sunarc.detection.stars.values import PredictedStars, Stars
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
@@ -25,7 +27,9 @@ __all__ = [
     "Lens",
     "Method",
     "Planes",
+    "PredictedStars",
     "Sensor",
+    "StarMatches",
     "Stars",
     "Verdict",
     "bayer_of",
@@ -37,7 +41,10 @@ __all__ = [
     "detect_sun_in_photo",
     "detect_sun_in_stack",
     "locate",
+    "match_stars",
     "planes_of",
     "radial_bias_px",
+    "sky_motion",
+    "standing_still",
     "static_mask",
 ]

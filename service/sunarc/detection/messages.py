@@ -9,6 +9,8 @@ from sunarc.findings import Finding, Message, Messages
 _ACCEPTED = "Accepted."
 _NO_SUN = "No sun in this image."
 _REJECTED = "A position is given and not used."
+_NO_STARS = "No star of this image is used."
+_BETTER_START = "check time and place, and the calibration that predicts the stars"
 _BY_RIM = "The bright region is not the sun, or too little of it is seen; a position is given and not used."
 _PREDICT = "none: a prediction from a calibration decides"
 _FILTER = "set detection.clear_level_per_us if there is a filter before the lens"
@@ -80,6 +82,30 @@ MESSAGES = Messages(
     blob_one_sided=Message("its rim is round in only {share:.2f} of the directions", _BY_RIM),
     blob_uneven=Message("its rim is uneven by {scatter:.3f} of its radius", _BY_RIM),
     blob_centre_uncertain=Message("its centre is known to {sigma_px:.1f} px only", _BY_RIM),
+    # images of the night
+    stars_matched=Message(
+        "{n} stars; {explained:.2f} of the bright detections are stars, {found:.2f} of the bright stars are detected",
+        _ACCEPTED,
+    ),
+    stars_prediction_uncertain=Message(
+        "pixels are predicted to {sigma_px:.1f} px: chance would match as many stars", _NO_STARS, _BETTER_START
+    ),
+    stars_few=Message("{n} stars found, {limit} needed ({detected} detections)", _NO_STARS),
+    stars_not_explained=Message(
+        "only {share:.2f} of the bright detections are predicted stars, {limit} needed", _NO_STARS, _BETTER_START
+    ),
+    stars_not_found=Message(
+        "only {share:.2f} of the predicted bright stars are detected where the sky is clear, {limit} needed",
+        _NO_STARS,
+        _BETTER_START,
+    ),
+    stars_one_sided=Message("no star over {gap_deg:.0f} degrees of azimuth, {limit:.0f} allowed", _NO_STARS),
+    stars_brightness=Message(
+        "the detections' brightness is not the stars': correlation {correlation:.2f}", _NO_STARS, _BETTER_START
+    ),
+    stars_scattered=Message(
+        "the stars scatter by {scatter_px:.2f} px within a search of {radius_px:.1f} px", _NO_STARS, _BETTER_START
+    ),
     # by what is known beside the image
     sun_elsewhere=Message(
         "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."

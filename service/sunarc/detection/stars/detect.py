@@ -9,6 +9,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray, Image
 from sunarc.detection.frames import require_photo
 from sunarc.detection.stars.background import background_of
+from sunarc.detection.stars.clipped import ClippedCores, clipped_cores
 from sunarc.detection.stars.maxima import FAINTEST_SNR, MOST, maxima_of, plane_of
 from sunarc.detection.stars.point_spread import Fitted, Stamps, axes_of, fit_point_spreads, inverse_shape, width_of
 from sunarc.detection.stars.shape_map import (
@@ -75,7 +76,30 @@ def detect_stars(
     ratio = stars.width_px / width_of(expected)
     near = np.hypot(*(stars.pixels - places).T) < _MOVED_PX * max(width, 1.0)
     found = stars.select((ratio > ALIKE[0]) & (ratio < ALIKE[1]) & near & (stars.snr > FAINTEST_SNR))
+    found = _with_cores(found, clipped_cores(plane - ground.level, clipped, usable=usable), width)
     return found.select(np.argsort(-found.flux, kind="stable")[:MOST])
+
+
+def _with_cores(stars: Stars, cores: ClippedCores, width: float) -> Stars:
+    """Return stars without what was found about clipped cores, and with these where they are like stars."""
+    if cores.radius.size == 0:
+        return stars
+    reach = cores.radius + 3.0 * width
+    distance = np.linalg.norm(stars.pixels[:, None] - cores.pixels[None], axis=-1)
+    free: BoolArray = np.all(distance > reach, axis=-1)
+    kept, some = stars.select(free), cores.like_star
+    ones = np.ones(np.count_nonzero(some))
+    added = {
+        "pixels": cores.pixels[some],
+        "sigma_px": 0.5 * cores.radius[some],
+        "flux": cores.flux[some],
+        "snr": np.inf * ones,
+        "peak_fraction": ones,
+        "width_px": width * ones,
+        "ellipticity": 0.0 * ones,
+        "saturated": ones > 0.0,
+    }
+    return Stars(**{name: np.concatenate([getattr(kept, name), column]) for name, column in added.items()})
 
 
 def _own_shapes(

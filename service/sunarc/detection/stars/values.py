@@ -1,8 +1,11 @@
-"""Stars as detected."""
+"""Stars as detected, and as predicted."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
 
@@ -37,5 +40,32 @@ class Stars:
         return int(self.flux.size)
 
     def select(self, which: BoolArray | IntArray) -> Stars:
+        """Return those that a mask or an index picks."""
+        return picked(self, which)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PredictedStars:
+    """Where the stars above the horizon should be in an image, the brightest first.
+
+    Attributes
+    ----------
+    names : (n,).
+    pixels : (n, 2) px; those outside the image are left out before.
+    sigma_px : (n,) 1-sigma per axis of the prediction.
+    magnitude : (n,) V with the air's extinction.
+    azimuth_deg : (n,).
+    """
+
+    names: np.ndarray[Any, np.dtype[np.str_]]
+    pixels: FloatArray
+    sigma_px: FloatArray
+    magnitude: FloatArray
+    azimuth_deg: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.magnitude.size)
+
+    def select(self, which: BoolArray | IntArray) -> PredictedStars:
         """Return those that a mask or an index picks."""
         return picked(self, which)

@@ -1,0 +1,304 @@
+"""Which detection is which star, where a calibration predicts the stars' pixels; and whether to believe it at all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.detection.stars.values import PredictedStars, Stars
+from sunarc.findings import Finding
+from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
+
+LIMITS = (4.5, 4.0, 3.5, 3.0, 2.5)
+"""Magnitudes to begin with, the faintest first that chance allows: denser skies match anything."""
+_MOST_CHANCE = 0.15
+"""Share of the predicted stars that would find a detection by chance."""
+_LEAST_EXPLAINED = _LEAST_FOUND = 0.6
+_FEWEST = 15
+_WIDEST_GAP_DEG = 210.0
+"""Between the azimuths of matched stars: half a sky is enough to tell a wrong camera, a third is not."""
+_SIGMAS = 3.0
+_SEEING_PX = 0.3
+"""1-sigma of a star's centre on real lenses, beside the prediction's."""
+_ALONE_WIDTHS, _FAINTER = 4.0, 1.5
+"""A star is alone where none brighter than 1.5 magnitudes below it is as near as the search, or 4 widths."""
+_MAGNITUDE_CUT = (0.5, 1.0)
+"""Least and largest difference of brightness that ends a match; magnitudes."""
+_SECTORS = 8
+_SECTOR_CLEAR, _SECTOR_FEWEST = 0.5, 3
+_LEAST_CORRELATION = 0.4
+_LEAST_SCATTER_PX, _MOST_SCATTER_PX, _CLIPPED_PX = 0.15, 0.8, 1.0
+"""Scatter of star centres on real lenses (0.16 to 0.4 px were found), and by how much a clipped one's errs beside it. A
+clock that is 10 minutes off, followed by a search of 24 px, left 1.0 to 1.6 px: no smooth correction unites that."""
+_CHANCE_SCATTER = 0.35
+"""Scatter over the search's radius, per axis: chance has 0.5 and more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarMatches:
+    """Which detection is which star.
+
+    Attributes
+    ----------
+    accepted : whether the matches may be used.
+    findings : why, or why not.
+    star, detection : (m,) rows of the predicted and of the detected stars; empty where not accepted.
+    explained : share of the bright detections that are predicted stars.
+    found : share of the predicted bright stars that are detected, over the clear part of the sky.
+    scatter_px : of the matches about a smooth correction of the prediction, per axis.
+    """
+
+    accepted: bool
+    findings: tuple[Finding, ...]
+    star: IntArray
+    detection: IntArray
+    explained: float = math.nan
+    found: float = math.nan
+    scatter_px: float = math.nan
+
+
+class _Pairs(NamedTuple):
+    """Rows of predicted and of detected stars, and the difference of their pixels, (m, 2)."""
+
+    star: IntArray
+    detection: IntArray
+    difference: FloatArray
+
+
+def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.0) -> StarMatches:
+    """Match detections with the stars that a calibration predicts.
+
+    First the bright ones, within 3 sigma of the prediction and the trail: down to the faintest of `LIMITS` at which
+    chance would match at most 15 %. These count where 60 % of the bright detections are predicted stars and
+    60 % of the predicted ones are detected over the clear part of the sky, where they lie around the sky, their
+    brightness is that of the catalogue, and a smooth correction of the prediction unites them. Then all stars, about
+    the corrected prediction. A star with another beside it is not used.
+
+    Parameters
+    ----------
+    stars : detections; what stands still between images should be left out before (`standing_still`).
+    predicted : stars to V 5.5, so that a faint neighbour is known.
+    trail_px : added to the search's radius.
+    """
+    radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
+    if len(stars) < _FEWEST:
+        return _refused(Finding("stars_few", {"n": 0, "limit": _FEWEST, "detected": len(stars)}))
+    limit = next((one for one in LIMITS if _chance(predicted, radius, one) <= _MOST_CHANCE), None)
+    if limit is None:
+        return _refused(Finding("stars_prediction_uncertain", {"sigma_px": float(np.median(predicted.sigma_px))}))
+    bright = predicted.magnitude <= limit
+    considered = stars.select(np.arange(min(len(stars), _considered(int(bright.sum())))))
+    pairs = _pairs(considered, predicted, predicted.pixels, radius, bright)
+    if pairs.star.size < _FEWEST:
+        return _refused(Finding("stars_few", {"n": int(pairs.star.size), "limit": _FEWEST, "detected": len(stars)}))
+    zero = _zero_point(considered, predicted, pairs)
+    pairs = _like_in_brightness(considered, predicted, pairs, zero)
+    explained = _explained(considered, predicted, radius, zero, limit)
+    found = _found(considered, predicted, radius, zero, limit)
+    correction, scatter = _smooth(predicted.pixels[pairs.star], pairs.difference)
+    findings = (
+        *_shares(explained, found),
+        *_spread(predicted, pairs),
+        *_coherent(considered, predicted, pairs, scatter, radius),
+    )
+    if findings:
+        return _refused(*findings, explained=explained, found=found, scatter_px=scatter)
+    return _corrected(
+        stars, replace(predicted, pixels=predicted.pixels + correction.at(predicted.pixels)), zero, scatter
+    )
+
+
+def _corrected(stars: Stars, predicted: PredictedStars, zero: FloatArray, scatter: float) -> StarMatches:
+    """Return the matches of all stars about the corrected prediction, if that explains the sky as well."""
+    near = np.full(len(predicted), 4.0 * max(scatter, _LEAST_SCATTER_PX))
+    wide = near + _CLIPPED_PX
+    chance = _chance(predicted, wide, LIMITS[0])
+    explained = _explained(stars, predicted, wide, zero, LIMITS[0])
+    found = _found(stars, predicted, wide, zero, LIMITS[0])
+    measured = {"explained": explained, "found": found, "scatter_px": scatter}
+    findings = _shares(explained, found)
+    if chance > _MOST_CHANCE or scatter > _MOST_SCATTER_PX:
+        findings.append(Finding("stars_scattered", {"scatter_px": scatter, "radius_px": float(wide[0])}))
+    if findings:
+        return _refused(*findings, **measured)
+    pairs = _pairs(stars, predicted, predicted.pixels, near, np.ones(len(predicted), dtype=bool))
+    pairs = _like_in_brightness(stars, predicted, pairs, zero)
+    matched = Finding("stars_matched", {"n": int(pairs.star.size), "explained": explained, "found": found})
+    return StarMatches(accepted=True, findings=(matched,), star=pairs.star, detection=pairs.detection, **measured)
+
+
+def _considered(n_bright: int) -> int:
+    """Return how many of the brightest detections are considered beside so many predicted stars."""
+    return 2 * n_bright + 20
+
+
+def _chance(predicted: PredictedStars, radius: FloatArray, limit: float) -> float:
+    """Return the share of the stars to a magnitude that would find a detection anywhere."""
+    bright = predicted.magnitude <= limit
+    if bright.sum() < _FEWEST:
+        return 1.0
+    density = _considered(int(bright.sum())) / float(ConvexHull(predicted.pixels[bright]).volume)
+    return float(np.mean(1.0 - np.exp(-density * math.pi * radius[bright] ** 2)))
+
+
+def _pairs(
+    stars: Stars, predicted: PredictedStars, pixels: FloatArray, radius: FloatArray, wanted: BoolArray
+) -> _Pairs:
+    """Return the pairs of wanted stars that are alone, one detection each: the brightest within the radius."""
+    tree = cKDTree(stars.pixels)
+    alone = _alone(predicted, pixels, np.maximum(radius, _ALONE_WIDTHS * float(np.median(stars.width_px))))
+    rows, columns = [], []
+    for row in np.flatnonzero(wanted & alone):
+        near = tree.query_ball_point(pixels[row], radius[row])
+        if not near:
+            continue
+        flux = stars.flux[near]
+        first, others = int(np.argmax(flux)), np.delete(flux, np.argmax(flux))
+        if np.all(others < flux[first] * 10.0 ** (-0.4 * _FAINTER)):
+            rows.append(row)
+            columns.append(near[first])
+    star, detection = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+    # one that two stars claim is neither's
+    claims = np.bincount(detection, minlength=len(stars))
+    single = claims[detection] == 1
+    star, detection = star[single], detection[single]
+    return _Pairs(star, detection, stars.pixels[detection] - pixels[star])
+
+
+def _alone(predicted: PredictedStars, pixels: FloatArray, reach: FloatArray) -> BoolArray:
+    tree = cKDTree(pixels)
+    near = tree.query_ball_point(pixels, reach)
+    return np.array(
+        [
+            all(other == row or predicted.magnitude[other] > predicted.magnitude[row] + _FAINTER for other in others)
+            for row, others in enumerate(near)
+        ],
+        dtype=bool,
+    )
+
+
+def _instrumental(stars: Stars) -> FloatArray:
+    return np.asarray(-2.5 * np.log10(np.maximum(stars.flux, 1e-12)))
+
+
+def _zero_point(stars: Stars, predicted: PredictedStars, pairs: _Pairs) -> FloatArray:
+    """Return a, b, s of instrumental = a + b (V - 3), robustly, and the scatter; b < 1 where counts are compressed."""
+    magnitude = predicted.magnitude[pairs.star] - 3.0
+    measured = _instrumental(stars)[pairs.detection]
+    design = np.stack([np.ones_like(magnitude), magnitude], axis=-1)
+    line = np.array([float(np.median(measured - magnitude)), 1.0])
+    scatter = 1.0
+    for _ in range(10):
+        residual = measured - design @ line
+        scatter = max(mad_sigma(residual), 0.1)
+        weight = np.sqrt(biweights(residual / (4.0 * scatter)))[:, None]
+        line = np.linalg.lstsq(design * weight, measured * weight[:, 0], rcond=None)[0]
+    line[1] = float(np.clip(line[1], 0.3, 1.3))
+    return np.array([*line, scatter])
+
+
+def _magnitude_of(stars: Stars, zero: FloatArray) -> FloatArray:
+    """Return the V that detections would have by their flux."""
+    return np.asarray(3.0 + (_instrumental(stars) - zero[0]) / zero[1])
+
+
+def _like_in_brightness(stars: Stars, predicted: PredictedStars, pairs: _Pairs, zero: FloatArray) -> _Pairs:
+    residual = _instrumental(stars)[pairs.detection] - zero[0] - zero[1] * (predicted.magnitude[pairs.star] - 3.0)
+    like = np.abs(residual) < float(np.clip(3.0 * zero[2], *_MAGNITUDE_CUT))
+    return _Pairs(*(part[like] for part in pairs))
+
+
+def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
+    """Return the share of the bright detections that have a predicted star within its radius."""
+    bright = _magnitude_of(stars, zero) < limit - 0.5
+    if not np.any(bright):
+        return 0.0
+    bright_enough = predicted.magnitude < limit + 0.5
+    apart, row = cKDTree(predicted.pixels[bright_enough]).query(stars.pixels[bright])
+    return float(np.mean(np.asarray(apart) < radius[bright_enough][np.asarray(row)]))
+
+
+def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
+    """Return the share of the predicted bright stars that are detected, in the sectors that have detections."""
+    expected = predicted.magnitude < limit - 0.5
+    sector = np.floor(predicted.azimuth_deg % 360.0 / (360.0 / _SECTORS)).astype(int)
+    bright = _magnitude_of(stars, zero) < limit - 0.5
+    nearest = np.asarray(cKDTree(predicted.pixels).query(stars.pixels[bright])[1])
+    seen = np.bincount(sector[nearest], minlength=_SECTORS)
+    due = np.bincount(sector[expected], minlength=_SECTORS)
+    clear = (due >= _SECTOR_FEWEST) & (seen >= _SECTOR_CLEAR * due)
+    asked = expected & clear[sector]
+    if not np.any(asked):
+        return 0.0
+    apart = np.asarray(cKDTree(stars.pixels).query(predicted.pixels[asked])[0])
+    return float(np.mean(apart < radius[asked]))
+
+
+def _shares(explained: float, found: float) -> list[Finding]:
+    shares = (("stars_not_explained", explained, _LEAST_EXPLAINED), ("stars_not_found", found, _LEAST_FOUND))
+    return [Finding(code, {"share": share, "limit": least}) for code, share, least in shares if share < least]
+
+
+def _spread(predicted: PredictedStars, pairs: _Pairs) -> list[Finding]:
+    azimuth = np.sort(predicted.azimuth_deg[pairs.star] % 360.0)
+    if azimuth.size < _FEWEST:
+        return [Finding("stars_few", {"n": int(azimuth.size), "limit": _FEWEST, "detected": int(azimuth.size)})]
+    gap = float(np.max(np.diff(np.r_[azimuth, azimuth[0] + 360.0])))
+    return [Finding("stars_one_sided", {"gap_deg": gap, "limit": _WIDEST_GAP_DEG})] if gap > _WIDEST_GAP_DEG else []
+
+
+def _coherent(
+    stars: Stars, predicted: PredictedStars, pairs: _Pairs, scatter: float, radius: FloatArray
+) -> list[Finding]:
+    """Return what shows that the pairs are made by chance: brightness without relation, differences without order."""
+    if pairs.star.size < _FEWEST:
+        return []
+    correlation = float(np.corrcoef(_instrumental(stars)[pairs.detection], predicted.magnitude[pairs.star])[0, 1])
+    usual = float(np.median(radius[pairs.star]))
+    if correlation < _LEAST_CORRELATION:
+        return [Finding("stars_brightness", {"correlation": correlation, "limit": _LEAST_CORRELATION})]
+    if scatter > max(_CHANCE_SCATTER * usual, 2.0 * _SEEING_PX):
+        return [Finding("stars_scattered", {"scatter_px": scatter, "radius_px": usual})]
+    return []
+
+
+class _Correction(NamedTuple):
+    """A polynomial of the pixel: middle and scale of the pixels, and coefficients (k, 2)."""
+
+    middle: FloatArray
+    scale: float
+    coefficients: FloatArray
+
+    def at(self, pixels: FloatArray) -> FloatArray:
+        """Return (n, 2) px at pixels (n, 2)."""
+        return np.asarray(_powers((pixels - self.middle) / self.scale, self.coefficients.shape[0]) @ self.coefficients)
+
+
+def _powers(places: FloatArray, count: int) -> FloatArray:
+    x, y = places.T
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y][:count], axis=-1)
+
+
+def _smooth(pixels: FloatArray, difference: FloatArray) -> tuple[_Correction, float]:
+    """Return a linear (from 60 stars on a quadratic) function of the pixel through differences, and their scatter."""
+    middle, scale = np.median(pixels, axis=0), max(float(np.max(np.ptp(pixels, axis=0))), 1.0)
+    count = 6 if pixels.shape[0] >= 60 else 3
+    design = _powers((pixels - middle) / scale, count)
+    weight = np.ones(pixels.shape[0])
+    for _ in range(10):
+        rows = np.sqrt(weight)[:, None]
+        coefficients = np.linalg.lstsq(design * rows, difference * rows, rcond=None)[0]
+        residual = difference - design @ coefficients
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
+        weight = biweights(np.linalg.norm(residual, axis=-1) / max(5.0 * scatter, 0.1))
+    return _Correction(np.asarray(middle, dtype=np.float64), scale, np.asarray(coefficients)), scatter
+
+
+def _refused(*findings: Finding, **measured: float) -> StarMatches:
+    none = np.zeros(0, dtype=np.int64)
+    return StarMatches(accepted=False, findings=findings, star=none, detection=none, **measured)
