@@ -20,9 +20,17 @@ _ATTEMPTS, _BETWEEN_S = 3, 0.02
 """`lock_holder` of another process holds the lock for microseconds; a service holds it for good."""
 
 
+_SERVICE = "stop that service first (systemctl stop sunarc), or set `state` to another folder"
+
+
 @contextmanager
-def lock_state(folder: Path) -> Iterator[None]:
-    """Hold the lock of a state folder.
+def lock_state(folder: Path, *, remedy: str = _SERVICE) -> Iterator[None]:
+    """Hold the lock of a state folder, or of the folder of a long run's results.
+
+    Parameters
+    ----------
+    folder : the folder.
+    remedy : what to do where another process holds it.
 
     Raises
     ------
@@ -35,7 +43,7 @@ def lock_state(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise OutsideError(f"{path}: {error.strerror}; make it writable for the service's user") from None
     try:
-        _take(descriptor, folder)
+        _take(descriptor, folder, remedy)
         os.ftruncate(descriptor, 0)
         # Written after the lock is held: what a reader finds is the holder's id or nothing.
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
@@ -67,10 +75,10 @@ def require_unlocked(folder: Path) -> None:
     """Raise `OutsideError` when a process holds the lock of a state folder."""
     holder = lock_holder(folder)
     if holder is not None:
-        raise _in_use(folder, holder)
+        raise _in_use(folder, holder, _SERVICE)
 
 
-def _take(descriptor: int, folder: Path) -> None:
+def _take(descriptor: int, folder: Path, remedy: str) -> None:
     for _ in range(_ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -78,14 +86,11 @@ def _take(descriptor: int, folder: Path) -> None:
             threading.Event().wait(_BETWEEN_S)
         else:
             return
-    raise _in_use(folder, _pid(descriptor))
+    raise _in_use(folder, _pid(descriptor), remedy)
 
 
-def _in_use(folder: Path, holder: int) -> OutsideError:
-    return OutsideError(
-        f"state folder {folder} is in use by process {holder}; "
-        "stop that service first (systemctl stop sunarc), or set `state` to another folder"
-    )
+def _in_use(folder: Path, holder: int, remedy: str) -> OutsideError:
+    return OutsideError(f"folder {folder} is in use by process {holder}; {remedy}")
 
 
 def _pid(descriptor: int) -> int:

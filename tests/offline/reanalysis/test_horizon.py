@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from sunarc.detection import Detection, Expectation
+from sunarc.detection import Expectation
 from sunarc.offline.reanalysis.horizon import HIDDEN, SEEN, UNKNOWN, learn_horizon
-from sunarc.offline.reanalysis.passes import Looked
+from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.offline.reanalysis.plan import ArchiveImage
 from sunarc.utc import DAY_S
 
@@ -22,8 +22,7 @@ def looked_at(days: int, *, cloudy: frozenset[int] = frozenset()) -> tuple[Looke
         for place in range(30):
             images.append(ArchiveImage(round(1e6 * (day * DAY_S + 60.0 * place)), "a", place, "", None, ""))
             seen = place not in MAST and day not in cloudy
-            found.append(Detection(method="paper", accepted=seen, verdict="clear" if seen else "hidden", findings=(),
-                                   x_px=1.0, y_px=1.0))  # fmt: skip
+            found.append(Sun(seen, "clear" if seen else "hidden", 1.0, 1.0))
             expected.append(Expectation(x_px=15.0 + 15.0 * place, y_px=200.0 + day / 10.0))
     return Looked(tuple(images), tuple(found)), expected
 

@@ -35,8 +35,8 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
         ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k2", REFUSED)], version="1")
     with ledger_in(tmp_path) as ledger:
-        assert ledger.answers("roof", stage=1) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
-        assert ledger.answers("roof", stage=2) == ledger.answers("mast", stage=1) == {}
+        assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
+        assert dict(ledger.answers("roof", stage=2)) == dict(ledger.answers("mast", stage=1)) == {}
         assert ledger.chunks() == 1
 
 
@@ -45,8 +45,8 @@ def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_
         ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k1", SUN)], version="1")
         ledger.store("roof", 2, [(ONE, "k1", SUN)], version="1")
         ledger.store("roof", 1, [(ONE, "k2", REFUSED)], version="1")
-        assert ledger.answers("roof", stage=1) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
-        assert ledger.answers("roof", stage=2) == {ONE: Known("k1", SUN)}
+        assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
+        assert dict(ledger.answers("roof", stage=2)) == {ONE: Known("k1", SUN)}
 
 
 def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
     )
     with ledger_in(tmp_path) as ledger:
         ledger.store("roof", 1, [(ONE, "k", found)], version="1")
-        stored = ledger.answers("roof", stage=1)[ONE].found
+        stored = dict(ledger.answers("roof", stage=1))[ONE].found
     assert isinstance(stored, Detection)
     assert (stored.x_px, stored.saturated_px) == (1.5, 3)
 
@@ -84,7 +84,7 @@ def test_a_chunk_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
         with pytest.raises(RuntimeError):
             ledger.store("roof", 1, broken(), version="1")  # type: ignore[arg-type]
-        assert ledger.answers("roof", stage=1) == {}
+        assert dict(ledger.answers("roof", stage=1)) == {}
 
 
 def test_a_file_that_is_no_ledger_is_refused(tmp_path: Path) -> None:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
-from sunarc.archive import read_sightings
+from sunarc.archive import lock_state, read_sightings
 from sunarc.calibration import from_document
-from sunarc.errors import InputError
+from sunarc.errors import InputError, OutsideError
 from sunarc.offline.reanalysis.results import Summary, exports_of
 from sunarc.simulation.made_archive import true_times
 
@@ -141,6 +143,32 @@ def test_new_images_are_looked_at_alone(
     first = [item for chunk in cluster.chunks for item in chunk.items if item.expectation is None and not item.outside]
     assert len(first) == 10
     assert tables_in(target) != tables_in(other)  # of one camera
+
+
+def test_an_image_that_was_replaced_under_its_name_is_looked_at_again(
+    summary: Summary, folder: Path, target: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    before = indexed_in(folder).cameras[0]
+    file = Path(before.images[3].address) / before.images[3].file
+    former = file.read_bytes()
+    shutil.copytree(target, tmp_path / "out")
+    try:
+        file.write_bytes(former[:-1] + b"\x00")  # of the same name and size
+        _, cluster = analysed(indexed_in(folder), tmp_path / "out", monkeypatch)
+    finally:
+        file.write_bytes(former)
+    searched = [i.file for chunk in cluster.chunks for i in chunk.items if i.expectation is None and not i.outside]
+    assert searched == [file.name]
+
+
+def test_a_second_run_into_one_folder_is_refused_while_the_first_one_lasts(
+    summary: Summary, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    with lock_state(tmp_path), pytest.raises(OutsideError, match=f"in use by process {os.getpid()}"):
+        analysed(indexed_in(folder), tmp_path, monkeypatch)
+    assert not (tmp_path / "ledger.sqlite").exists()
 
 
 def test_without_any_image_a_run_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -38,6 +38,26 @@ camera was moved, hardly fewer by false ones."""
 
 
 Found = tuple[ImageFile, FileSighting]
+
+
+class Sighted(Protocol):
+    """What a prediction is compared with."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether fits may use the position."""
+
+    @property
+    def x_px(self) -> float | None:
+        """Of the sun's centre."""
+
+    @property
+    def y_px(self) -> float | None:
+        """Of the sun's centre."""
+
+    @property
+    def sigma_px(self) -> float | None:
+        """1-sigma per axis."""
 
 
 class Agreed(NamedTuple):
@@ -131,7 +151,7 @@ def expectations(calibration: Calibration, images: Sequence[ImageFile], *, site:
     ]
 
 
-def is_consistent(sighting: FileSighting, expected: Expectation | None) -> bool:
+def is_consistent(sighting: Sighted, expected: Expectation | None) -> bool:
     """Return whether an accepted sighting lies where the sun should be: it need not be looked for again."""
     if not sighting.accepted or expected is None or sighting.x_px is None or sighting.y_px is None:
         return False

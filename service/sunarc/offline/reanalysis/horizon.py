@@ -8,8 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.detection import Detection, Expectation
-from sunarc.offline.reanalysis.passes import Looked
+from sunarc.detection import Expectation
+from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.utc import DAY_S
 
 _CELLS = 48
@@ -64,4 +64,4 @@ def _pixel(one: Expectation | None) -> tuple[float, float]:
 
 def _is_seen(looked: Looked, row: int) -> bool:
     found = looked.found[row]
-    return isinstance(found, Detection) and found.accepted
+    return isinstance(found, Sun) and found.accepted

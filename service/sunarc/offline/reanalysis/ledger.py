@@ -7,7 +7,7 @@ Another version of the software looks at the images again, so that nothing has t
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -63,6 +63,8 @@ _MASK = Table(
     Column("columns", Integer),
     Column("compressed", LargeBinary),
 )
+_AT_ONCE = 1000
+"""Rows that are held at once while a camera's answers are read."""
 _FIELDS = [name for name in Detection.__slots__ if name != "findings"]
 
 
@@ -115,15 +117,13 @@ class Ledger:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         self._engine.dispose()
 
-    def answers(self, camera: str, *, stage: int) -> dict[ImageId, Known]:
-        """Return the answers for a camera's images in a pass."""
+    def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
+        """Yield the answers for a camera's images in a pass."""
         c = _ANSWER.c
         rows = select(c.address, c.file, c.number, c.key, c.found).where(c.camera == camera, c.stage == stage)
         with self._engine.connect() as connection:
-            return {
-                ImageId(row.address, row.file, row.number): Known(row.key, _read(json.loads(row.found)))
-                for row in connection.execute(rows)
-            }
+            for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
+                yield ImageId(row.address, row.file, row.number), Known(row.key, _read(json.loads(row.found)))
 
     def store(
         self, camera: str, stage: int, answers: Iterable[tuple[ImageId, str, Detection | Finding]], *, version: str

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 import sunarc
-from sunarc.archive import FileSighting
 from sunarc.calibration import SunPoints
-from sunarc.detection import Detection, Expectation
+from sunarc.detection import Detection, Expectation, Verdict
 from sunarc.findings import Finding
 from sunarc.offline.ingest.consensus import expectations, is_consistent
 from sunarc.offline.ingest.index import ImageFile
@@ -37,7 +37,18 @@ all former ones looked at again."""
 SEARCHED, PREDICTED = 1, 2
 """Passes."""
 
-Found = Detection | Finding
+
+class Sun(NamedTuple):
+    """What a run keeps of a detection: all of it stands in the ledger. Without a position where it was rejected."""
+
+    accepted: bool
+    verdict: Verdict
+    x_px: float | None = None
+    y_px: float | None = None
+    sigma_px: float | None = None
+
+
+Found = Sun | Finding
 ReportProgress = Callable[[str, int, int], None]
 
 
@@ -49,7 +60,7 @@ class Looked(NamedTuple):
 
     def points(self) -> tuple[SunPoints, list[int]]:
         """Return the accepted sightings at their stated times, and the number of the image of each."""
-        accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, Detection) and one.accepted]
+        accepted = [(row, one) for row, one in enumerate(self.found) if isinstance(one, Sun) and one.accepted]
         points = SunPoints(
             unix_s=np.array([self.images[row].unix_s for row, _ in accepted]),
             pixels=np.array([[one.x_px, one.y_px] for _, one in accepted], dtype=np.float64).reshape(-1, 2),
@@ -59,10 +70,10 @@ class Looked(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Images of a camera to look at, and what stands still in them."""
+    """Images of a camera to look at, by their number among its images, and what stands still in them."""
 
     camera: CameraImages
-    items: list[tuple[ArchiveImage, Item]]
+    items: Sequence[tuple[int, Item]]
     mask: PackedMask | None
 
 
@@ -87,61 +98,117 @@ class Passes(NamedTuple):
 
     def search(self, cameras: Sequence[CameraImages], masks: Sequence[PackedMask | None]) -> list[Looked]:
         """Return what is found in each camera's images without a prediction."""
-        work = [
-            Work(one, [(image, Item(image.file, image.number, image.exposure_us)) for image in one.images], mask)
+        work = (
+            Work(one, [(n, Item(i.file, i.number, i.exposure_us)) for n, i in enumerate(one.images)], mask)
             for one, mask in zip(cameras, masks, strict=True)
-        ]
-        answers = self._looked(work, SEARCHED, "searching")
-        return [
-            Looked(one.images, tuple(answers[one.plan.name][id_of(image)] for image in one.images)) for one in cameras
-        ]
+        )
+        found = self._looked(work, SEARCHED, "searching")
+        return [_complete(one.images, new) for one, new in zip(cameras, found, strict=True)]
 
     def predict(
         self,
-        searched: Sequence[tuple[CameraImages, Looked, Sequence[Expectation | None]]],
+        searched: Sequence[tuple[CameraImages, Looked]],
+        expected: Iterable[Sequence[Expectation | None]],
         masks: Sequence[PackedMask | None],
     ) -> list[Looked]:
-        """Return what is found where the sun is expected; a sighting that was found there already stays."""
-        work = [
-            Work(camera, _not_as_expected(looked, expected), mask)
-            for (camera, looked, expected), mask in zip(searched, masks, strict=True)
-        ]
-        answers = self._looked(work, PREDICTED, "with prediction")
+        """Return what is found where the sun is expected; a sighting that was found there already stays.
+
+        `expected` may be made as it is asked for: that of one camera is held at a time.
+        """
+        work = (
+            Work(camera, _not_as_expected(looked, of_camera), mask)
+            for (camera, looked), of_camera, mask in zip(searched, expected, masks, strict=True)
+        )
+        found = self._looked(work, PREDICTED, "with prediction")
         return [
-            Looked(
-                looked.images,
-                tuple(answers[camera.plan.name].get(id_of(i), one) for i, one in zip(*looked, strict=True)),
+            _complete(
+                looked.images, (former if one is None else one for one, former in zip(new, looked.found, strict=True))
             )
-            for camera, looked, _ in searched
+            for (_, looked), new in zip(searched, found, strict=True)
         ]
 
-    def _looked(self, work: Sequence[Work], stage: int, title: str) -> dict[str, dict[ImageId, Found]]:
-        """Return the answers for images: those of the ledger that still hold, and new ones, which it is given."""
-        total = sum(len(one.items) for one in work)
-        answers: dict[str, dict[ImageId, Found]] = {}
-        keys: dict[str, dict[ImageId, str]] = {}
+    def _looked(self, work: Iterable[Work], stage: int, title: str) -> list[list[Found | None]]:
+        """Return the answer for each of the cameras' images, None where it was not asked for.
+
+        Answers of the ledger that still hold are taken, and it is given the new ones.
+        """
+        asked: dict[str, _Asked] = {}
         chunks: list[Chunk] = []
+        total = 0
         for one in work:
-            name = one.camera.plan.name
-            keys[name] = {id_of(image): _key(one.camera, image, item, one.mask) for image, item in one.items}
-            known = self.ledger.answers(name, stage=stage)
-            answers[name] = {i: known[i].found for i, key in keys[name].items() if i in known and known[i].key == key}
-            waiting = [(image, item) for image, item in one.items if id_of(image) not in answers[name]]
-            chunks += chunks_of(one.camera, waiting, one.mask)
-        done = sum(map(len, answers.values()))
+            camera = _Asked(one, self.ledger, stage)
+            asked[one.camera.plan.name] = camera
+            total += len(one.items)
+            chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
+        done = total - sum(len(chunk.items) for chunk in chunks)
         self.progress(title, done, total)
 
-        def keep(chunk: Chunk, found: Iterable[Answer]) -> None:
+        def keep(chunk: Chunk, answers: Sequence[Answer]) -> None:
             nonlocal done
-            new = {ImageId(chunk.address, one.file, one.number): one.found for one in found}
-            rows = [(i, keys[chunk.camera][i], answer) for i, answer in new.items()]
+            rows = asked[chunk.camera].answered(chunk, answers)
             self.ledger.store(chunk.camera, stage, rows, version=sunarc.__version__)
-            answers[chunk.camera].update(new)
-            done += len(new)
+            done += len(rows)
             self.progress(title, done, total)
 
         self.cluster.look(chunks, keep)
-        return answers
+        return [one.found for one in asked.values()]
+
+
+class _Asked:
+    """A camera's answers in a pass, as they come.
+
+    Attributes
+    ----------
+    found : of each of its images; None where there is none yet, or it is not asked for.
+    waiting : number and item of the images that the ledger has no answer for that holds.
+    """
+
+    def __init__(self, work: Work, ledger: Ledger, stage: int) -> None:
+        self.found: list[Found | None] = [None] * len(work.camera.images)
+        self._camera = work.camera
+        self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
+        self._row = {id_of(work.camera.images[n]): n for n, _ in work.items}
+        items = dict(work.items)
+        for image, known in ledger.answers(work.camera.plan.name, stage=stage):
+            row = self._row.get(image)
+            if row is not None and known.key == self._key(row, items[row]):
+                self.found[row] = kept(known.found)
+        self.waiting = [(n, item) for n, item in work.items if self.found[n] is None]
+
+    def answered(self, chunk: Chunk, answers: Sequence[Answer]) -> list[tuple[ImageId, str, Detection | Finding]]:
+        """Take the answers for a chunk; return them as the ledger stores them."""
+        items = {(item.file, item.number): item for item in chunk.items}
+        rows = []
+        for one in answers:
+            image = ImageId(chunk.address, one.file, one.number)
+            row = self._row[image]
+            self.found[row] = kept(one.found)
+            rows.append((image, self._key(row, items[one.file, one.number]), one.found))
+        return rows
+
+    def _key(self, row: int, item: Item) -> str:
+        """Return the hash of all that an answer rests on."""
+        camera, stamp = self._camera, self._camera.images[row].stamp
+        return key_of((sunarc.__version__, stamp, camera.plan.method, camera.size, item, self._of_mask))
+
+
+def kept(found: Detection | Finding) -> Found:
+    """Return what a run keeps of an answer."""
+    if isinstance(found, Finding):
+        return found
+    if not found.accepted:
+        return _rejected(found.verdict)
+    return Sun(accepted=True, verdict=found.verdict, x_px=found.x_px, y_px=found.y_px, sigma_px=found.sigma_px)
+
+
+@cache  # one value for all of them: most images of a cloudy year are alike
+def _rejected(verdict: Verdict) -> Sun:
+    return Sun(accepted=False, verdict=verdict)
+
+
+def _complete(images: tuple[ArchiveImage, ...], found: Iterable[Found | None]) -> Looked:
+    """Return images with their answers, all of which are there."""
+    return Looked(images, tuple(one for one in found if one is not None))
 
 
 def _spread(camera: CameraImages) -> Chunk:
@@ -153,11 +220,11 @@ def _spread(camera: CameraImages) -> Chunk:
     return Chunk(camera.plan.name, address, camera.plan.method, camera.size, items)
 
 
-def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[ArchiveImage, Item]]:
+def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[int, Item]]:
     return [
-        (image, Item(image.file, image.number, image.exposure_us, one, one is None))
-        for image, found, one in zip(looked.images, looked.found, expected, strict=True)
-        if isinstance(found, Detection) and not is_consistent(_sighting(image, found), one)
+        (number, Item(image.file, image.number, image.exposure_us, one, one is None))
+        for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
+        if isinstance(found, Sun) and not is_consistent(found, one)
     ]
 
 
@@ -217,27 +284,6 @@ def _rounded(one: Expectation | None) -> Expectation | None:
 
 def _step(value: float, step: float = _STRETCH_STEP) -> float:
     return step * round(value / step)
-
-
-def _key(camera: CameraImages, image: ArchiveImage, item: Item, mask: PackedMask | None) -> str:
-    """Return the hash of all that an answer rests on."""
-    of_mask = None if mask is None else (mask.shape, mask.compressed)
-    return key_of((sunarc.__version__, image.stamp, camera.plan.method, camera.size, item, of_mask))
-
-
-def _sighting(image: ArchiveImage, found: Detection) -> FileSighting:
-    return FileSighting(
-        time_us=image.time_us,
-        exposure_us=image.exposure_us or 0.0,
-        file=image.file,
-        method=found.method,
-        accepted=found.accepted,
-        verdict=found.verdict,
-        ingest_pass=SEARCHED,
-        x_px=found.x_px,
-        y_px=found.y_px,
-        sigma_px=found.sigma_px,
-    )
 
 
 def _motion_deg(camera: CameraImages) -> float:

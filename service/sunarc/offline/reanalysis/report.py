@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 import sunarc
-from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.epochs import Epoch
+from sunarc.offline.reanalysis.passes import Sun
 from sunarc.offline.reanalysis.results import CameraResult, Summary, epoch_name
 from sunarc.offline.reanalysis.states import State
 from sunarc.offline.reanalysis.svg import residuals, time_line
@@ -135,7 +135,7 @@ def _distance(state: State, unix_s: Any, pixels: Any, result: CameraResult) -> A
 def _days(result: CameraResult) -> str:
     times = np.array([image.unix_s for image in result.looked.images])
     day = solar_days(times, longitude=result.camera.plan.site.longitude)
-    seen = np.array([isinstance(one, Detection) and one.accepted for one in result.looked.found])
+    seen = np.array([isinstance(one, Sun) and one.accepted for one in result.looked.found])
     days = np.unique(day)
     rows = [
         (

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
-from sunarc.detection import Detection
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import FILE_FORMATS, FILE_NAMES, FORMATS, export, export_file, export_map
 from sunarc.findings import Finding
@@ -24,7 +23,7 @@ from sunarc.offline.reanalysis.epochs import Epoch
 from sunarc.offline.reanalysis.fit import document_of
 from sunarc.offline.reanalysis.horizon import Horizon
 from sunarc.offline.reanalysis.index import Indexed
-from sunarc.offline.reanalysis.passes import Looked
+from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.offline.reanalysis.plan import CameraImages, Failure
 from sunarc.optics import project
 from sunarc.sky import sun_directions
@@ -163,7 +162,7 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     table = []
     for row, epoch, offset_s in zip(rows, epochs, offsets, strict=True):
         image, found = result.looked.images[row], result.looked.found[row]
-        assert isinstance(found, Detection)  # noqa: S101 - it was accepted
+        assert isinstance(found, Sun)  # noqa: S101 - it was accepted
         sigma = None if found.sigma_px is None else round(found.sigma_px * factor, 4)
         time = rfc3339(utc_time(image.unix_s - offset_s))
         pixel = (round(found.x_px or 0.0, 4), round(found.y_px or 0.0, 4))
@@ -216,11 +215,11 @@ def _epochs(result: CameraResult, documents: Mapping[tuple[str, str], Document])
 
 def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document]) -> Document:
     def accepted(looked: Looked) -> int:
-        return sum(isinstance(one, Detection) and one.accepted for one in looked.found)
+        return sum(isinstance(one, Sun) and one.accepted for one in looked.found)
 
-    verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, Detection))
+    verdicts = Counter(one.verdict for one in result.looked.found if isinstance(one, Sun))
     pairs = [
-        tuple(isinstance(one, Detection) and one.accepted for one in both)
+        tuple(isinstance(one, Sun) and one.accepted for one in both)
         for both in zip(result.searched.found, result.looked.found, strict=True)
     ]
     return {

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sunarc.archive import lock_state
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.messages import MESSAGES
@@ -21,6 +22,7 @@ from sunarc.offline.reanalysis.results import CameraResult, Summary, write_resul
 from sunarc.offline.reanalysis.states import Camera
 from sunarc.runtime.clock import Clock
 
+_ANOTHER = "wait for that run to end, or give another folder (-o)"
 _DIED = Finding("camera_kills_workers", {"deaths": DEATHS})
 
 
@@ -65,7 +67,7 @@ def reanalyse(
     Raises
     ------
     InputError : there is no camera with images.
-    OutsideError : the folder cannot be written, or no worker answers.
+    OutsideError : the folder cannot be written or another run writes into it, or no worker answers.
     """
     if not indexed.cameras:
         seen = [f"{one.file}: {MESSAGES.text_of(one.finding)}" for one in (*indexed.refused, *indexed.failures)][:5]
@@ -76,7 +78,11 @@ def reanalyse(
     except OSError as error:
         raise OutsideError(f"{options.target} cannot be made: {error.strerror}") from error
     store = options.store or f"sqlite:///{options.target / 'ledger.sqlite'}"
-    with Ledger(store) as ledger, open_cluster(options.workers, clock=clock) as cluster:
+    with (
+        lock_state(options.target, remedy=_ANOTHER),
+        Ledger(store) as ledger,
+        open_cluster(options.workers, clock=clock) as cluster,
+    ):
         opened(cluster)
         results = _results(indexed.cameras, Passes(ledger, cluster, progress))
         summary = write_results(options.target, results, indexed, each=cluster.each if options.exports else None)
@@ -93,9 +99,9 @@ def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResu
     rough = [one or Rough(findings=(_DIED,)) for one in passes.cluster.each(first_analysis, given)]
     passes.progress("epochs", len(cameras), len(cameras))
     found = [n for n, one in enumerate(rough) if one.states]
-    expected = [predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found]
-    waiting = [(cameras[n], searched[n], one) for n, one in zip(found, expected, strict=True)]
-    looked = dict(zip(found, passes.predict(waiting, [masks[n] for n in found]), strict=True))
+    expected = (predictions(cameras[n], rough[n].states, rough[n].epochs) for n in found)
+    waiting = [(cameras[n], searched[n]) for n in found]
+    looked = dict(zip(found, passes.predict(waiting, expected, [masks[n] for n in found]), strict=True))
     again = [Sightings(looked[n].points()[0], given[n].camera, rough[n].states) for n in found]
     passes.progress("calibrations", 0, len(found))
     final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
