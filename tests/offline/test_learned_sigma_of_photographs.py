@@ -25,8 +25,9 @@ CAMERA = replace(
     ideal_camera(), width=SIZE, height=SIZE, principal_point_px=(239.5, 239.5), focal_length_px=(150.0, 150.0)
 )
 MORNING = datetime(2013, 5, 13, 14, 30, tzinfo=UTC)
-UNEVEN = KINDS["clear, saturated"]._replace(uneven=(0.9, 0.9))
-"""A sky so uneven that what the detector states for it is too little."""
+EVEN = KINDS["clear, saturated"]._replace(uneven=(0.4, 0.4))
+SHAKEN_PX = 1.0
+"""1-sigma per axis by which the camera shakes: what the detector states is too little."""
 
 
 def sun_px(time: datetime) -> tuple[float, float]:
@@ -39,7 +40,8 @@ def draw(folder: Path, numbers: range, *, every_min: float = 12.0) -> None:
     rng = np.random.default_rng([5, numbers.start])
     for number in numbers:
         time = MORNING + timedelta(minutes=every_min * number)
-        image, _ = sun_photo(UNEVEN, rng, size=SIZE, place=sun_px(time))
+        x, y = sun_px(time) + rng.normal(0.0, SHAKEN_PX, 2)
+        image, _ = sun_photo(EVEN, rng, size=SIZE, place=(float(x), float(y)))
         cv2.imwrite(str(folder / f"{time:%Y%m%dT%H%M%SZ}.png"), image)
 
 

@@ -25,18 +25,19 @@ Photo = NDArray[np.uint8]
 class Facts(NamedTuple):
     """What the images of a series have in common.
 
-    radius : range of the plateau's radius over the image's smaller side. level : at which the sun is clipped, of 255.
-    near, far, wide : light at 1.7, 2.6 and 5 radii over that level. uneven : range of the width of the light at 1.7
-    radii over its fall. slope : of the sky across the image, levels. quality : of the JPEG. mark_px, streaks, text : a
-    black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255. edge : radii by which the
-    light has fallen to `near`. drawn_out : the longer axis over the shorter, less 1, at most.
+    radius : range of the rim's radius over the image's smaller side. level : at which the sun is clipped, of 255. rim :
+    light at 1.1 and 1.3 radii over that level. near, far, wide : at 1.7, 2.6 and 5 radii. uneven : range of the width
+    of the light at 1.7 radii over its fall. slope : of the sky across the image, levels. quality : of the JPEG.
+    mark_px, streaks, text : a black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255.
+    edge : radii by which the light has fallen to `near`. drawn_out : the longer axis over the shorter, less 1, at most.
     """
 
     radius: tuple[float, float]
     level: int = 255
-    near: float = 0.88
-    far: float = 0.79
-    wide: float = 0.58
+    rim: tuple[float, float] = (0.968, 0.947)
+    near: float = 0.888
+    far: float = 0.795
+    wide: float = 0.653
     uneven: tuple[float, float] = (0.2, 0.8)
     slope: float = 0.1
     quality: int = 92
@@ -49,9 +50,11 @@ class Facts(NamedTuple):
 
 KINDS = {
     "clear, saturated": Facts((0.032, 0.05), uneven=(0.24, 0.9), slope=0.15),
-    "haze": Facts((0.012, 0.033), near=0.84, far=0.76, wide=0.66, uneven=(0.13, 0.2), mark_px=3),
-    "thin cloud": Facts((0.04, 0.07), uneven=(0.6, 1.6)),
-    "HDR, Raspberry Pi": Facts((0.007, 0.018), near=0.86, far=0.73, wide=0.5, uneven=(0.2, 0.6), streaks=1, text=False),
+    "haze": Facts((0.012, 0.033), rim=(0.939, 0.891), near=0.838, far=0.743, wide=0.651, uneven=(0.1, 0.3), mark_px=3),
+    "thin cloud": Facts((0.04, 0.07), rim=(0.951, 0.913), near=0.853, far=0.776, wide=0.572, uneven=(0.35, 1.2)),
+    "HDR, Raspberry Pi": Facts(
+        (0.007, 0.018), rim=(0.95, 0.895), near=0.808, far=0.712, wide=0.541, uneven=(0.21, 0.89), streaks=1, text=False
+    ),
     "clipped at 160": Facts((0.015, 0.03), level=160, uneven=(0.2, 0.6)),
     "short exposure": Facts(
         (0.02, 0.045), level=160, near=0.48, far=0.44, wide=0.34, uneven=(0.04, 0.14), edge=1.25, drawn_out=0.4
@@ -60,8 +63,9 @@ KINDS = {
 }
 SUNLESS = ("overcast", "bright cloud", "roofs and text", "lamp at night", "moonlit night", "blank", "contrails")
 
-_FINE = 0.5
-"""Radii: width of the finer half of the unevenness."""
+_TEXTURES = ((3.5, 1.3), (0.2, 0.8))
+"""Widths of the unevenness, radii, and the share of each in its standard deviation: by harmonics of the light about the
+real suns (docs/studies.md, "Stand-ins")."""
 _UNEVEN_OF_UNIT = 1.9
 """Width of the middle 70 % of a normal distribution's light at 1.7 radii, in its standard deviations."""
 
@@ -75,25 +79,12 @@ def sun_photo(
     radius = max(size * rng.uniform(*facts.radius), 2.5)
     rows, columns = np.mgrid[:size, :size].astype(np.float64)
     far = _distance(columns - x, rows - y, facts, rng) / radius
-    light = np.interp(
-        far,
-        (0.0, 1.0, min(facts.edge, 1.699), 1.7, 2.6, 5.0, 15.0, 60.0),
-        (
-            1.6,
-            1.0,
-            facts.near,
-            facts.near,
-            facts.far,
-            facts.wide,
-            min(0.36, 0.85 * facts.wide),
-            min(0.25, 0.7 * facts.wide),
-        ),
-    )
-    # The unevenness grows from the disc outwards, as cloud and dust beside the sun do.
+    light = np.interp(far, *_profile(facts))
+    # The unevenness grows with the fall of the light: at 1.3 and at 1.7 radii real ones have the same share of it.
     amount = rng.uniform(*facts.uneven) * (1.0 - facts.near) / _UNEVEN_OF_UNIT
-    # On real ones half of it is finer than a third of the way around: the rim shows it as scatter.
-    texture = (_texture(rng, size, 2.5 * radius) + _texture(rng, size, max(_FINE * radius, 1.0))) / math.sqrt(2.0)
-    light += amount * np.minimum(far / 1.7, 2.0) * texture
+    # By parts of the way around, as on real ones: the wide one moves the rim, the fine one scatters it.
+    parts = [share * _texture(rng, size, max(width * radius, 1.0)) for width, share in _TEXTURES]
+    light += amount * np.clip((1.0 - light) / (1.0 - facts.near), 0.0, 2.0) * sum(parts)
     light += facts.slope * 0.3 * (rows - y) / size
     for _ in range(facts.streaks):
         ray = rng.uniform(0.0, math.pi)
@@ -105,6 +96,15 @@ def sun_photo(
         row, column = round(y), round(x - 0.3 * radius)
         image[row : row + facts.mark_px, column : column + facts.mark_px] = (40, 150, 235)
     return _compressed(_with_text(image) if facts.text else image, facts.quality), (x, y)
+
+
+def _profile(facts: Facts) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the light over the radius, in radii of the rim."""
+    glare = (facts.near, facts.far, facts.wide, min(0.36, 0.85 * facts.wide), min(0.25, 0.7 * facts.wide))
+    beyond = (1.7, 2.6, 5.0, 15.0, 60.0)
+    if facts.edge < 1.7:
+        return (0.0, 1.0, facts.edge, *beyond), (1.6, 1.0, facts.near, *glare)
+    return (0.0, 0.8, 0.9, 1.0, 1.1, 1.3, *beyond), (1.6, 1.0, 0.99, 0.974, *facts.rim, *glare)
 
 
 def _distance(dx: FloatArray, dy: FloatArray, facts: Facts, rng: np.random.Generator) -> FloatArray:

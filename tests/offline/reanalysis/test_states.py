@@ -86,6 +86,18 @@ def test_the_hour_of_a_wrong_clock_is_named_and_ends() -> None:
     assert len(final.fitted) == 1  # one pose
 
 
+def test_a_clock_that_follows_summer_time_shows_as_epochs_of_one_pose() -> None:
+    """Most sightings are of the summer, whose clock is taken as right: the winter's is an hour behind."""
+    summers = truth(wrong_days=(1, 2, 3, 5, 6, 7))
+    points, times = summers.sightings()
+    rough = first_analysis(Sightings(points, known(summers.made.site)))
+    assert [one.cause for one in rough.epochs] == ["start", "clock", "clock", "clock"]
+    assert [rough.states[one.state].clock_offset_s for one in rough.epochs] == [-3600.0, 0.0, -3600.0, 0.0]
+    jumps = np.flatnonzero(np.diff(points.unix_s - times)) + 1
+    assert [one.first for one in rough.epochs] == [0, *jumps]
+    assert len({one.pose for one in rough.states}) == 1
+
+
 def test_another_lens_is_no_move() -> None:
     lens = truth(changes=(Change(day=3, hour=17.9, focal_scale=1.12, turn_deg=(0.0, 0.0, 5.0)),))
     points, times = lens.sightings()
