@@ -67,6 +67,15 @@ def test_a_refusal_by_another_method_leaves_the_accepted_sighting(archive: Archi
     assert [p.method for p in archive.sun_points("roof", accepted=True)] == ["paper"]
 
 
+def test_images_that_are_a_stack_now_count_once_and_by_no_former_method(archive: Archive) -> None:
+    archive.replace_sun_points([replace(FOUND, file=name, method="disc") for name in ("a.jpg", "b.jpg")])
+    member = replace(REFUSED, file="b.jpg", verdict="in_stack")
+    archive.replace_sun_points([REFUSED, member])  # of a stack without a sun nothing is set aside
+    assert len(archive.sun_points("roof", accepted=True)) == 2
+    archive.replace_sun_points([FOUND, member])
+    assert [(p.method, p.file) for p in archive.sun_points("roof", accepted=True)] == [("paper", "a.jpg")]
+
+
 def test_what_is_stored_of_files_is_found_by_its_time(archive: Archive) -> None:
     later = replace(REFUSED, time=NOON + timedelta(seconds=1))
     archive.replace_sun_points([FOUND, later, replace(FOUND, body="moon", file="c.jpg")])

@@ -11,8 +11,8 @@ from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 
 from sunarc.archive import FileSighting
 from sunarc.calibration.least_squares.priors import FREE_NAMES
-from sunarc.detection import Expectation
-from sunarc.offline.ingest.consensus import expectations, is_consistent
+from sunarc.detection import Detection, Expectation
+from sunarc.offline.ingest.consensus import as_predicted, expectations, is_consistent, misfit_px
 from sunarc.offline.ingest.index import ImageFile
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
@@ -49,7 +49,7 @@ def test_outside_the_image_there_is_no_prediction() -> None:
 
 
 @pytest.mark.parametrize(("x", "sigma", "expected"), [
-    (100.0, 1.0, True), (116.0, 1.0, True), (118.0, 1.0, False), (140.0, 10.0, True), (117.0, None, False)
+    (100.0, 1.0, True), (113.0, 1.0, True), (114.5, 1.0, False), (137.0, 10.0, True), (114.0, None, False)
 ])  # fmt: skip
 def test_a_sighting_agrees_within_the_sigmas_of_both(x: float, sigma: float | None, expected: bool) -> None:  # noqa: FBT001
     place = Expectation(x_px=100.0, y_px=50.0, uncertainty_px=3.8)
@@ -68,3 +68,31 @@ def test_a_prediction_is_no_better_than_the_scatter_of_what_it_was_fitted_to() -
     (one,) = expectations(calibration, [image(NOON)], site=SGP)
     assert one is not None
     assert one.uncertainty_px == pytest.approx(4.0, rel=1e-3)
+
+
+def test_what_is_beyond_the_sigmas_of_both_is_refused_as_displaced() -> None:
+    place = Expectation(x_px=100.0, y_px=50.0, uncertainty_px=1.0)
+
+    def found(x: float) -> Detection:
+        return Detection(method="paper", accepted=True, verdict="clear", findings=(), x_px=x, y_px=50.0, sigma_px=1.0)
+
+    assert as_predicted(found(104.9), place) == found(104.9)
+    refused = as_predicted(found(105.1), place)
+    assert (refused.accepted, refused.verdict, refused.findings[0].code) == (False, "reflection", "blob_displaced")
+    assert refused.findings[0].data["distance_px"] == pytest.approx(5.1)
+    assert as_predicted(found(200.0), None).accepted
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(2.5, 0.0), (1.0, math.sqrt(3.0))])
+def test_the_misfit_is_what_the_sightings_scatter_beyond_their_sigma(sigma: float, expected: float) -> None:
+    rng = np.random.default_rng(3)
+    images = [image(NOON + 60.0 * n) for n in range(150)]
+    pixels = project(CAMERA, sun_directions(np.array([one.unix_s for one in images]), SGP))
+    pixels = pixels + rng.normal(0.0, 2.0, pixels.shape)
+    found = [
+        (one, sighting(float(x), sigma=sigma)._replace(y_px=float(y)))
+        for one, (x, y) in zip(images, pixels.tolist(), strict=True)
+    ]
+    camera = stated_calibration(CAMERA, sigma_px=7.0)
+    assert misfit_px(camera, found, site=SGP) == pytest.approx(expected, abs=0.25)
+    assert misfit_px(camera, found[:3], site=SGP) == 7.0

@@ -70,14 +70,16 @@ class FileSightings(Store):
     def replace_sun_points(self, points: Iterable[SunPoint]) -> None:
         """Store sightings of image files; one that is there already (see the key) is replaced, and keeps its id.
 
-        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once.
+        Where one is accepted, sightings of the same image by other methods are set aside: an image counts once. So are
+        those of the other images of its stack, which are among the points.
         """
         kept = tuple(points)
+        stacked = {point.time for point in kept if point.accepted}
         self._prepare_months([point.time for point in kept])
         with self._writing() as connection:
             for point in kept:
                 upsert(connection, sun_point, asdict(point), key=_KEY)
-                if point.accepted:
+                if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
 
     def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:

@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.postgresql import Server, postgresql
 
 from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.ingest.packed_mask import pack_mask
 from sunarc.offline.reanalysis.ledger import ImageId, KeptMask, Known, Ledger
+
+__all__ = ["postgresql"]
 
 ONE, OTHER = ImageId("a.zip", "1.jpg", 0), ImageId("a.zip", "2.jpg", 7)
 SUN = Detection(
@@ -38,6 +41,23 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
         assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
         assert dict(ledger.answers("roof", stage=2)) == dict(ledger.answers("mast", stage=1)) == {}
         assert ledger.chunks() == 1
+
+
+def test_a_ledger_in_postgresql_gives_the_same_answers_and_mask(postgresql: Server) -> None:
+    url = postgresql.new_database(template="template0")
+    mask = pack_mask(np.eye(20, dtype=np.bool_))
+    address = url.render_as_string(hide_password=False)
+    try:
+        with Ledger(address) as ledger:
+            ledger.store("roof", 1, [(ONE, "k1", REFUSED), (OTHER, "k2", REFUSED)], version="1")
+            ledger.store("roof", 1, [(ONE, "k3", SUN)], version="1")
+            ledger.keep_mask("roof", mask, version="1")
+        with Ledger(address) as ledger:
+            assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k3", SUN), OTHER: Known("k2", REFUSED)}
+            assert ledger.mask("roof", version="1") == KeptMask(mask)
+            assert ledger.chunks() == 2
+    finally:
+        postgresql.drop(url)
 
 
 def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_path: Path) -> None:

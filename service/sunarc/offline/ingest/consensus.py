@@ -12,10 +12,11 @@ import numpy as np
 
 from sunarc.archive import Archive, FileSighting
 from sunarc.calibration import Calibration, ImageCircle, SunPoints, calibrate, project_with_covariance
-from sunarc.detection import Expectation
+from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.detection import Detection, Expectation
 from sunarc.findings import Finding
 from sunarc.offline.ingest.index import ImageFile
-from sunarc.optics import local_stretch
+from sunarc.optics import local_stretch, project
 from sunarc.settings import Settings
 from sunarc.sky import Site, sun_angles, sun_directions
 from sunarc.utc import DAY_S
@@ -23,8 +24,10 @@ from sunarc.utc import DAY_S
 _MOST_SIGHTINGS = 240
 """The sun's track in so many sightings fixes a camera to a fraction of a pixel; more only take longer."""
 _LEAST_UNCERTAINTY_PX = 1.0
-"""1-sigma of a prediction, at least; it contains the scatter of the sightings that the camera was fitted to."""
-_CONSISTENT_SIGMAS, _CONSISTENT_PX = 4.0, 1.0
+"""1-sigma of a prediction, at least."""
+_CONSISTENT_SIGMAS = 3.5
+"""Of sighting and prediction together: two in a thousand right ones are farther away (Rayleigh's distribution), and so
+are round gaps in cloud that were taken for the sun (docs/studies.md, "A day of clouds")."""
 _LOOSE: dict[str, Any] = {
     "method": "robust", "mirrored": "auto", "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 10.0,
     "max_rejected": 0.75,
@@ -124,8 +127,35 @@ def _fitted(archive: Archive, settings: Settings, found: Sequence[Found]) -> Cal
     return solved if solved.verdict.accepted else solved.verdict.findings
 
 
-def expectations(calibration: Calibration, images: Sequence[ImageFile], *, site: Site) -> list[Expectation | None]:
-    """Return where the sun should be in each image; None outside the camera's field or image."""
+def misfit_px(calibration: Calibration, found: Iterable[Found], *, site: Site) -> float:
+    """Return by how much accepted sightings scatter about a camera beyond what they state, px per axis.
+
+    That of the fit where they are too few to tell.
+    """
+    accepted = [(image, one) for image, one in found if one.accepted and one.sigma_px is not None]
+    if len(accepted) < _FEW:
+        return float(np.nan_to_num(calibration.evidence.sigma_px))
+    directions = sun_directions(np.array([image.unix_s for image, _ in accepted]), site)
+    pixels = np.array([[one.x_px, one.y_px] for _, one in accepted], dtype=np.float64)
+    sigma_px = np.array([one.sigma_px for _, one in accepted], dtype=np.float64)
+    ratio = np.linalg.norm(pixels - project(calibration.camera, directions), axis=-1) / sigma_px
+    factor = robust_sigma(ratio[np.isfinite(ratio)], floor=1.0)
+    return math.sqrt(factor**2 - 1.0) * float(np.median(sigma_px))
+
+
+def expectations(
+    calibration: Calibration, images: Sequence[ImageFile], *, site: Site, misfit: float | None = None
+) -> list[Expectation | None]:
+    """Return where the sun should be in each image; None outside the camera's field or image.
+
+    Parameters
+    ----------
+    calibration : the camera.
+    images : at whose times.
+    site : of the camera.
+    misfit : px by which the camera is wrong beyond its covariance, per axis; None for the scatter of the sightings that
+        it was fitted to.
+    """
     if not images:
         return []
     unix_s = np.array([image.unix_s for image in images])
@@ -133,7 +163,7 @@ def expectations(calibration: Calibration, images: Sequence[ImageFile], *, site:
     pixels, covariance = project_with_covariance(calibration, directions)
     stretch = local_stretch(calibration.camera, directions)
     zenith = np.radians(np.asarray(sun_angles(unix_s, site).apparent_zenith))
-    scatter = np.nan_to_num(calibration.evidence.sigma_px)
+    scatter = np.nan_to_num(calibration.evidence.sigma_px) if misfit is None else misfit
     sigma = np.hypot(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 2.0), scatter)
     camera = calibration.camera
     inside = np.all((pixels > -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5), axis=-1)
@@ -157,7 +187,16 @@ def is_consistent(sighting: Sighted, expected: Expectation | None) -> bool:
         return False
     sigma = math.hypot(expected.uncertainty_px, sighting.sigma_px or 0.0)
     distance = math.hypot(sighting.x_px - expected.x_px, sighting.y_px - expected.y_px)
-    return distance <= _CONSISTENT_SIGMAS * sigma + _CONSISTENT_PX
+    return distance <= _CONSISTENT_SIGMAS * sigma
+
+
+def as_predicted(found: Detection, expected: Expectation | None) -> Detection:
+    """Return a detection in an ordinary image, refused where it is farther from the prediction than both state."""
+    if not found.accepted or found.method != "paper" or expected is None or is_consistent(found, expected):
+        return found
+    distance = math.hypot((found.x_px or 0.0) - expected.x_px, (found.y_px or 0.0) - expected.y_px)
+    displaced = (Finding("blob_displaced", {"distance_px": distance}),)
+    return replace(found, accepted=False, verdict="reflection", findings=displaced)
 
 
 def _two_by_two(rows: list[list[float]]) -> tuple[tuple[float, float], tuple[float, float]]:

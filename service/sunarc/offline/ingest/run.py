@@ -17,7 +17,7 @@ from sunarc.detection import Method as DetectionMethod
 from sunarc.findings import Finding
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.detect_files import Method
-from sunarc.offline.ingest.consensus import Agreed, agreed_cameras, expectations, is_consistent
+from sunarc.offline.ingest.consensus import Agreed, agreed_cameras, as_predicted, expectations, is_consistent, misfit_px
 from sunarc.offline.ingest.contact_sheet import write_contact_sheet
 from sunarc.offline.ingest.detect_image import Task
 from sunarc.offline.ingest.detect_stack import IN_STACK
@@ -215,7 +215,9 @@ class Run:
     ) -> list[tuple[Moment, Expectation | None]]:
         """Return the images without a prediction yet whose sighting is not there; mark those where it is."""
         moments = [one for one in moments_of(found) if any(found[image].ingest_pass == UNPREDICTED for image in one)]
-        places = expectations(calibration, [moment[0] for moment in moments], site=self.settings.site)
+        site = self.settings.site
+        misfit = misfit_px(calibration, found.items(), site=site)
+        places = expectations(calibration, [moment[0] for moment in moments], site=site, misfit=misfit)
         again, as_expected = list[tuple[Moment, Expectation | None]](), list[ImageKey]()
         for moment, expected in zip(moments, places, strict=True):
             if all(found[image].verdict == IN_STACK or is_consistent(found[image], expected) for image in moment):
@@ -233,11 +235,16 @@ class Run:
         ingest_pass = UNPREDICTED if expected is None else PREDICTED
         tasks, done, total = self._tasks(moments, expected), 0, sum(len(moment) for moment in moments)
         answers = detect_in_pool(tasks, n_tasks=len(moments), processes=self.options.processes)
+        places = [None] * len(moments) if expected is None else expected
         try:
-            for moment, answered in zip(moments, answers, strict=True):
+            for moment, place, answered in zip(moments, places, answers, strict=True):
                 pairs = list(zip(moment, answered, strict=True))
                 skipped += [Skipped(image.path, found) for image, found in pairs if isinstance(found, Finding)]
-                waiting += [(image, found) for image, found in pairs if isinstance(found, Detection)]
+                waiting += [
+                    (image, as_predicted(with_factor(found, self.factors[found.method]), place))
+                    for image, found in pairs
+                    if isinstance(found, Detection)
+                ]
                 if len(waiting) >= _BATCH:
                     self._store(waiting, ingest_pass)
                     waiting = []
@@ -267,7 +274,7 @@ class Run:
         time_us, exposure_us, file = image.key
         time = from_microseconds(time_us)
         return sun_point_of(
-            with_factor(found, self.factors[found.method]),
+            found,
             camera=self.settings.name,
             pose_epoch=self.archive.epoch_at(self.settings.name, time, reason="first image").id,
             time=time,
