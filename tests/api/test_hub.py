@@ -6,7 +6,7 @@ import gzip
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from sunarc.api import ApiOptions, create_hub_app, token_digest
 from sunarc.api.routes.feed import _MOST_BYTES
 from sunarc.api.routes.fleet import SILENT
-from sunarc.archive import Archive, feed_lines, head_revision, open_archive, upgrade
-from sunarc.runtime.status import StatusSnapshot
+from sunarc.archive import Archive, Day, NightlyRun, feed_lines, head_revision, open_archive, upgrade
+from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
 METRICS = {
@@ -232,7 +232,8 @@ def test_every_camera_has_its_numbers_and_the_document_names_them(hub: Hub, tmp_
     assert 'sunarc_fleet_disk_free_bytes{camera="roof"} 7.0' in text
     assert 'sunarc_fleet_state{camera="roof",state="uncalibrated"} 1.0' in text
     found = {line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")}
-    assert found - {"sunarc_push_waiting", "sunarc_push_refused_total"} == METRICS
+    assert {name for name in found if name.startswith("sunarc_fleet_")} == METRICS
+    assert {"sunarc_push_waiting", "sunarc_http_requests_total", "process_cpu_seconds_total"} <= found
     described = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text()
     assert [name for name in METRICS if f"`{name}`" not in described] == []
 
@@ -247,3 +248,29 @@ def test_the_hubs_document_describes_its_routes(hub: Hub) -> None:
     paths = hub.client.get("/openapi.json").json()["paths"]
     for path, method in (("/v1/cameras/{camera}/feed", "put"), ("/v1/fleet", "get"), ("/v1/quarantine", "get")):
         assert json.dumps(paths[path.replace("{camera}", "", 1) if path not in paths else path][method]["description"])
+
+
+def test_nights_and_summaries_are_answered(hub: Hub, imager: Archive) -> None:
+    hub.put(body_of(imager))
+    day = Day(camera="roof", date=date(2026, 5, 13), verdict="clear", findings=(), n=2, n_possible=3, decided_at=NOW)
+    hub.archive.save_day(day)
+    hub.archive.summarise_days()
+    hub.archive.save_nightly(NightlyRun(night=date(2026, 5, 14), started_at=NOW, results={"a": {"error": "it broke"}}))
+    (run,) = hub.client.get("/v1/nightly").json()["runs"]
+    assert (run["night"], run["finished_at"], run["results"]) == ("2026-05-14", None, {"a": {"error": "it broke"}})
+    (found,) = hub.client.get("/v1/summaries?camera=roof&since=2026-05-13").json()["days"]
+    assert (found["date"], found["n_sightings"]) == ("2026-05-13", 3)
+    assert hub.client.get("/v1/summaries?until=2026-05-13").json() == {"days": []}
+    assert hub.client.get("/v1/summaries?since=tomorrow").status_code == 422
+
+
+def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:
+    board = StatusRegistry(version="1", started_at=NOW, monotonic=lambda: 0.0)
+    board.set_condition("nightly_failed", Reason(code="nightly_failed", severity="degraded", text="it", remedy="see"))
+    upgrade(tmp_path / "hub.sqlite")
+    with open_archive(tmp_path / "hub.sqlite") as archive:
+        options = ApiOptions(allowed_hosts=("imager",))
+        app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: NOW, options=options)
+        answer = Client(app).get("/readyz")
+    assert (answer.status_code, answer.json()["status"]) == (200, "degraded")
+    assert answer.json()["reasons"][0]["code"] == "nightly_failed"

@@ -126,3 +126,27 @@ def test_a_step_of_the_clock_is_remembered_over_a_restart(make: Any) -> None:  #
     later = fresh.noon + timedelta(hours=1)
     restarted.board.note(clock=ClockStatus(synchronised=True, last_step_s=1.0, last_step_at=later))
     assert [float(value) for value in step_s(restarted)] == [later.timestamp()]
+
+
+def test_counts_of_the_store_are_the_same_after_a_restart(make: Any) -> None:  # noqa: ANN401 - a fixture that is a function
+    first: Made = make(history="filled")
+
+    def stored(one: Made) -> list[str]:
+        return re.findall(
+            r"^sunarc_(?:sightings|days|refits|last_day).*", one.client.get("/metrics").text, re.MULTILINE
+        )
+
+    numbers = stored(first)
+    assert any(line.startswith('sunarc_sightings_last_day{verdict="clear"} ') for line in numbers)
+    assert 'sunarc_refits{state="failed"} 0.0' in numbers
+    assert stored(make(archive=first.archive)) == numbers
+
+
+def test_requests_are_counted_by_status_and_by_how_long_they_took(made: Made) -> None:
+    for path in ("/healthz", "/healthz", "/v1/nowhere"):
+        made.client.get(path)
+    text = made.client.get("/metrics").text
+    assert 'sunarc_http_requests_total{status="200"} 2.0' in text
+    assert 'sunarc_http_requests_total{status="404"} 1.0' in text
+    assert 'sunarc_http_request_seconds_bucket{le="+Inf"} 3.0' in text
+    assert re.search(r"^process_resident_memory_bytes [1-9]", text, re.MULTILINE)

@@ -86,7 +86,7 @@ def refusal(path: Path) -> str:
 def in_toml(name: str, text: str) -> str:
     """Write a value as the setting's list where it is one."""
     section, _, key = name.rpartition(".")
-    value = tomllib.loads(STORED.read_text())[section][key]
+    value = tomllib.loads(STORED.read_text()).get(section, {}).get(key)
     return f"[{', '.join([text] * len(value))}]" if isinstance(value, list) else text
 
 
@@ -105,7 +105,7 @@ def beyond(bounds: tuple[Bound, ...]) -> Iterator[float]:
 NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
 
 
-NEW = {"store", "hub.url", "hub.token_file"} | {name for name in NAMES if name.startswith("push.")}
+NEW = {"store", "hub.url", "hub.token_file"} | {name for name in NAMES if name.startswith(("push.", "nightly."))}
 """Settings that came after 0.2.0."""
 
 

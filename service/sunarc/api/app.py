@@ -9,7 +9,7 @@ from typing import Any
 
 from fastapi import Depends, FastAPI
 from fastapi.responses import FileResponse
-from prometheus_client import CollectorRegistry
+from prometheus_client import CollectorRegistry, ProcessCollector
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.staticfiles import StaticFiles
@@ -25,6 +25,7 @@ from sunarc.api.middleware.head_requests import HeadRequests
 from sunarc.api.middleware.holdings import Holdings
 from sunarc.api.middleware.rate_limit import ConcurrencyLimit, RateLimit
 from sunarc.api.middleware.request_bodies import BodyReader
+from sunarc.api.middleware.request_counts import CountRequests, RequestCounts
 from sunarc.api.middleware.request_limits import Boundary
 from sunarc.api.openapi import describe
 from sunarc.api.options import ApiOptions
@@ -115,6 +116,7 @@ def create_app(
     app.include_router(health_routes(context, numbers))
     _add_dashboard(app)
     complete(app, context)
+    count_requests(app, numbers)
     return app
 
 
@@ -159,6 +161,14 @@ def complete(app: FastAPI, context: ApiContext) -> None:
     add_problem_handlers(app, faults)
     describe(app)
     _add_guards(app, context, faults)
+
+
+def count_requests(app: FastAPI, numbers: CollectorRegistry) -> None:
+    """Count the requests and what the process uses, where Prometheus's numbers are registered."""
+    counts = RequestCounts()
+    numbers.register(counts)
+    ProcessCollector(registry=numbers)
+    app.add_middleware(CountRequests, counts=counts)
 
 
 def _add_guards(app: FastAPI, context: ApiContext, faults: FaultLog) -> None:

@@ -9,12 +9,13 @@ from fastapi import FastAPI
 from prometheus_client import CollectorRegistry
 from starlette.staticfiles import StaticFiles
 
-from sunarc.api.app import STATIC, add_camera_routes, complete, new_application, new_context
+from sunarc.api.app import STATIC, add_camera_routes, complete, count_requests, new_application, new_context
 from sunarc.api.context import refuse_refit
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.cameras import camera_routes
 from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
 from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes
+from sunarc.api.routes.nightly import nightly_routes
 from sunarc.archive import Archive
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
@@ -63,8 +64,10 @@ def create_hub_app(
     add_camera_routes(app, context)
     app.include_router(camera_routes(context))
     app.include_router(fleet_routes(archive, now, numbers, status))
+    app.include_router(nightly_routes(archive))
     app.include_router(fleet_page(STATIC))
     app.mount("/static", StaticFiles(directory=STATIC))
     complete(app, context)
+    count_requests(app, numbers)
     app.add_middleware(FeedSizes, receiver=receiver)
     return app

@@ -10,16 +10,20 @@ import sunarc
 from sunarc.api import create_hub_app
 from sunarc.app.pushing import fleet_states, push_workers
 from sunarc.app.serving import LOOP_STALE_S, new_server, stop_on_signals, with_credentials
-from sunarc.app.supervision import supervised
+from sunarc.app.supervision import running, supervised
 from sunarc.archive import Archive, open_archive
 from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.heartbeats import Heartbeat, Monitored
 from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.systemd import notifier_from
 from sunarc.settings import HubSettings
+from sunarc.workers import NightlyWork, nightly_jobs
 
 _LOOK_EVERY_S = 10.0  # at all cameras; imagers tell of themselves every minute
+_DUE_EVERY_S = 60.0
+_LONGEST_NIGHT_S = 4 * 3600.0  # of all nightly jobs
 
 
 def serve_hub(settings: HubSettings) -> int:
@@ -59,15 +63,24 @@ def _serve_at(listening: socket.socket, archive: Archive, settings: HubSettings)
         client="hub",
         every_s=_LOOK_EVERY_S,
     )
+    jobs = nightly_jobs(archive, settings.nightly)
+    nightly = NightlyWork(archive=archive, jobs=jobs, clock=clock, board=board)
+    schedule = Schedule(nightly.run_due, every_s=_DUE_EVERY_S, clock=clock, board=board)
     stop_on_signals(server)
-    with supervised(
-        workers,
-        clock=clock,
-        board=board,
-        feed=notifier.watchdog,
-        on_failed=lambda: None,  # no worker of a hub ends it
-        monitored=[Monitored(name="web", heartbeat=heartbeat, stale_after_s=LOOP_STALE_S)],
-        on_check=(),
+    with (
+        supervised(
+            workers,
+            clock=clock,
+            board=board,
+            feed=notifier.watchdog,
+            on_failed=lambda: None,  # no worker of a hub ends it
+            monitored=[
+                Monitored(name="web", heartbeat=heartbeat, stale_after_s=LOOP_STALE_S),
+                Monitored(name="schedule", heartbeat=schedule.heartbeat, stale_after_s=_LONGEST_NIGHT_S),
+            ],
+            on_check=[schedule.follow_clock],
+        ),
+        running(schedule),
     ):
         server.run(sockets=[listening])
         notifier.stopping()

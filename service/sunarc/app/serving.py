@@ -10,8 +10,8 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from typing import NoReturn, cast
@@ -24,7 +24,7 @@ from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import imager_states, push_workers
 from sunarc.app.service import Service
 from sunarc.app.status_line import FirstFrame, StatusLine
-from sunarc.app.supervision import supervised
+from sunarc.app.supervision import running, supervised
 from sunarc.archive import ImageStore, Reserve, lock_state, open_archive, prepare_database, require_unlocked
 from sunarc.runtime.clock import SystemClock
 from sunarc.runtime.daily_job import Schedule
@@ -36,7 +36,7 @@ from sunarc.settings import Settings
 
 _KEEP_ALIVE_S = 20
 LOOP_STALE_S = 30.0  # the web server's loop turns every 0.1 s; its longest step on a busy field computer is seconds
-_LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
+LONGEST_CALL_S = 600.0  # of the scheduled job; judging a year of days that were missed takes a minute
 
 
 def serve(settings: Settings) -> int:
@@ -98,7 +98,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
                 on_check=(schedule.follow_clock, first_frame.check, service.check_sightings, status.update),
             )
         )
-        stack.enter_context(_running(schedule))
+        stack.enter_context(running(schedule))
         gc.collect()
         gc.freeze()  # else looking through all modules again holds every thread up for a tenth of a second
         server.run(sockets=[listening])
@@ -225,7 +225,7 @@ def _monitored(service: Service, *, server: Server, schedule: Schedule) -> tuple
         Monitored(
             name="schedule",
             heartbeat=schedule.heartbeat,
-            stale_after_s=service.settings.refit.check_every_s + _LONGEST_CALL_S,
+            stale_after_s=service.settings.refit.check_every_s + LONGEST_CALL_S,
         ),
     )
 
@@ -249,12 +249,3 @@ def _schedule(service: Service) -> Schedule:
         clock=service.clock,
         board=service.board,
     )
-
-
-@contextmanager
-def _running(schedule: Schedule) -> Iterator[None]:
-    schedule.start()
-    try:
-        yield
-    finally:
-        schedule.stop(within_s=1.0)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.daily_job import Schedule
 from sunarc.runtime.heartbeats import Monitored
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised, Supervisor
@@ -43,3 +44,13 @@ def supervised(
         yield supervisor
     finally:
         supervisor.stop(within_s=_STOP_WITHIN_S)
+
+
+@contextmanager
+def running(schedule: Schedule) -> Iterator[None]:
+    """Run a schedule, and end it."""
+    schedule.start()
+    try:
+        yield
+    finally:
+        schedule.stop(within_s=1.0)

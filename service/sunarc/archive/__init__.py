@@ -1,8 +1,8 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings outbox feeds fleet notices` · `values feed_values` its values ·
-`tables types` the schema · `engine server store` connections and transactions · `schema migrating` revisions ·
+epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts` · `values feed_values` its
+values · `tables types` the schema · `engine server store` connections and transactions · `schema migrating` revisions ·
 `outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership space_reserve` the file on
 disk · `images` composites · `csv_files` sightings as CSV.
 """
@@ -31,6 +31,7 @@ from sunarc.archive.feed_values import (
 from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
+from sunarc.archive.nightly import LEAST_KEPT, DaySummary, NightlyRun
 from sunarc.archive.notices import (
     CameraState,
     Notice,
@@ -76,6 +77,7 @@ __all__ = [
     "ELSEWHERE",
     "EPOCH_CLOSED",
     "FROZEN",
+    "LEAST_KEPT",
     "LENS_CHANGED",
     "MOVED",
     "Archive",
@@ -87,6 +89,7 @@ __all__ = [
     "Check",
     "Day",
     "DayAir",
+    "DaySummary",
     "DayVerdict",
     "DiskOptions",
     "DiskUsage",
@@ -98,6 +101,7 @@ __all__ = [
     "FleetCamera",
     "ImageKey",
     "ImageStore",
+    "NightlyRun",
     "Notice",
     "NoticeKind",
     "OutboxPosition",

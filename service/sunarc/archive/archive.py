@@ -10,6 +10,7 @@ from typing import cast
 from sqlalchemy import URL, Engine, QueuePool
 
 from sunarc.archive.calibration_inputs import UsedSightings
+from sunarc.archive.counts import Counts
 from sunarc.archive.day_air import MeasuredAir
 from sunarc.archive.days_and_events import Journal
 from sunarc.archive.engine import create_archive_engine, reading, writing
@@ -18,6 +19,7 @@ from sunarc.archive.feeds import Feeds
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.fleet import FleetRegistry
+from sunarc.archive.nightly import Nightly
 from sunarc.archive.notices import Notices
 from sunarc.archive.outbox import Outbox
 from sunarc.archive.recovery import Recovery, rebuild
@@ -40,6 +42,8 @@ class Archive(
     Feeds,
     FleetRegistry,
     Notices,
+    Nightly,
+    Counts,
 ):
     """The database: values in, values out; safe to use from any thread."""
 

@@ -286,6 +286,11 @@ def _served(connection: Connection, camera_name: str) -> dict[str, Any]:
     row = connection.execute(current).one_or_none()
     if row is None:
         return {"calibration": None, "calibrated_at": None, "sky_rms_deg": None}
-    document = row.document if isinstance(row.document, Mapping) else {}
-    rms = document.get("uncertainty", {}).get("sky_rms_deg")
-    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": rms}
+    return {"calibration": row.id, "calibrated_at": row.created_at, "sky_rms_deg": sky_rms_of(row.document)}
+
+
+def sky_rms_of(document: object) -> float | None:
+    """Return the 1-sigma over the sky (RMS, degrees) that a stored calibration document states."""
+    stated = document.get("uncertainty") if isinstance(document, Mapping) else None
+    rms = stated.get("sky_rms_deg") if isinstance(stated, Mapping) else None
+    return float(rms) if isinstance(rms, int | float) else None

@@ -199,6 +199,10 @@ class Months:
                 connection.execute(make, {"time": to_microseconds(time)})
         self._present |= missing.keys()
 
+    def forget(self) -> None:
+        """Look again for the partitions that there are: some were dropped."""
+        self._present.clear()
+
 
 def require_writable(connection: Connection) -> None:
     """Raise `OutsideError` where the server is a stand-by, which only reads."""

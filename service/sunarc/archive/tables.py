@@ -293,3 +293,29 @@ notice_sink = Table(
     Column("seq", BigInteger, nullable=False),
     Column("refused", Integer, nullable=False),
 )
+
+day_summary = Table(
+    "day_summary",
+    metadata,
+    Column("camera", Text, ForeignKey("camera.name"), primary_key=True),
+    Column("date", CalendarDate, primary_key=True),
+    Column("verdict", Text, nullable=False),
+    Column("n_sightings", Integer, nullable=False),
+    Column("n_accepted", Integer, nullable=False),
+    Column("clock_error_s", Number),
+    Column("temperature_c", Number),
+    Column("n_warnings", Integer, nullable=False),
+    Column("calibration", Text),
+    Column("sky_rms_deg", Number),
+    Column("pose_offset_deg", Number),
+    Column("decided_at", UtcTime, nullable=False),
+)
+
+nightly_run = Table(
+    "nightly_run",
+    metadata,
+    Column("night", CalendarDate, primary_key=True),
+    Column("started_at", UtcTime, nullable=False),
+    Column("finished_at", UtcTime),
+    Column("results", JsonObject, nullable=False),
+)

@@ -27,8 +27,8 @@ MESSAGES = Messages(
         "fix the cause, the log has the stack; {retried}",
     ),
     schedule_failed=Message(
-        "checking for completed days failed: {error}",
-        "Days are evaluated late.",
+        "scheduled work failed: {error}",
+        "Days are evaluated late; on a hub, the nightly work is done late.",
         "it is retried every {every_s:g} s; the log has the stack",
     ),
 )

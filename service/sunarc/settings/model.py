@@ -17,7 +17,15 @@ from sunarc.detection import DiscOptions
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.supervisor import SupervisorOptions
 from sunarc.sky import Site
-from sunarc.workers import CaptureOptions, ClockOptions, HubOptions, PushOptions, RefitOptions, SensorOptions
+from sunarc.workers import (
+    CaptureOptions,
+    ClockOptions,
+    HubOptions,
+    NightlyOptions,
+    PushOptions,
+    RefitOptions,
+    SensorOptions,
+)
 
 
 class _WithStore(BaseModel):
@@ -51,6 +59,7 @@ class HubSettings(_WithStore):
 
     api: ApiOptions = ApiOptions()
     push: PushOptions = PushOptions()
+    nightly: NightlyOptions = NightlyOptions()
 
 
 class Settings(_WithStore):
@@ -74,6 +83,7 @@ class Settings(_WithStore):
     api : the web server.
     hub : where the archive's rows are sent to.
     push : receivers of messages about conditions, events and calibrations.
+    nightly : what a hub does once a night.
     supervisor : limits of restarts and heartbeats of the workers.
     """
 
@@ -98,6 +108,7 @@ class Settings(_WithStore):
     api: ApiOptions = ApiOptions()
     hub: HubOptions = HubOptions()
     push: PushOptions = PushOptions()
+    nightly: NightlyOptions = NightlyOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 
     @property

@@ -16,6 +16,7 @@ from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
+from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
 from sunarc.workers.pushing.mqtt import MqttBroker
 from sunarc.workers.pushing.options import PushOptions
 from sunarc.workers.pushing.push import PushWorker, Sink
@@ -47,6 +48,8 @@ __all__ = [
     "HubConnection",
     "HubOptions",
     "MqttBroker",
+    "NightlyOptions",
+    "NightlyWork",
     "NoticeWorker",
     "OverdueSightings",
     "ProvisionalPoseEstimator",
@@ -63,6 +66,7 @@ __all__ = [
     "WatchWorker",
     "Webhook",
     "image_document",
+    "nightly_jobs",
     "points_of",
     "webhook_name",
 ]

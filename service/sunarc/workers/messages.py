@@ -97,6 +97,12 @@ MESSAGES = Messages(
         "Rows wait in the outbox, without a limit; measurements go on.",
         "see the hub's /v1/quarantine; make a token there with `sunarc hub token`, or accept the installation",
     ),
+    # nightly work of a hub
+    nightly_failed=Message(
+        "of the night {night} failed: {jobs}; first error: {error}",
+        "Summaries, cross-checks or retention of a hub are late; nothing is lost.",
+        "it is tried again every hour; the log has the stack, /v1/nightly the errors",
+    ),
     # messages to receivers
     push_failing=Message(
         "no message reached {name} for {hours:g} h: {error}",

@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 
 from sunarc.api.context import ApiContext
 from sunarc.api.routes.calibrations import summary
+from sunarc.api.routes.record_metrics import record_metrics
 from sunarc.archive import Archive
 from sunarc.json_fields import descriptions
 from sunarc.runtime.status import (
@@ -79,6 +80,8 @@ class StatusCollector(Collector):
         yield from _counts(snapshot.capture)
         yield from self._calibration()
         yield from push_metrics(self._context.archive)
+        now = self._context.frame_clock()
+        yield from record_metrics(self._context.archive, self._context.camera, now=now)
 
     def _calibration(self) -> Iterator[Metric]:
         record = self._context.archive.current_calibration(self._context.camera)
