@@ -75,6 +75,11 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         record = selected.record(at)
         return _sent(_uncertainty(selected.archive.model(record.id), cells, record.id), if_none_match)
 
+    _add_difference(routes, context)
+    return routes
+
+
+def _add_difference(routes: APIRouter, context: ApiContext) -> None:
     @routes.get(
         "/difference",
         dependencies=BY_CALIBRATION,
@@ -94,8 +99,6 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         record, second = selected.record(at), selected.calibration(other, field_name="other")
         both = selected.archive.model(record.id), selected.archive.model(second.id)
         return _sent(_difference(*both, cells, (record.id, second.id)), if_none_match)
-
-    return routes
 
 
 def _sent(answer: BaseModel, if_none_match: str | None) -> Response:

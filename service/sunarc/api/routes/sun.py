@@ -80,6 +80,11 @@ def sun_routes(context: ApiContext) -> APIRouter:
         rows, next_ = page.cut(found, request, time=lambda point: point.time)
         return _sun_points(selected, rows, residuals=residuals, next_=next_)
 
+    _add_counts(routes, context)
+    return routes
+
+
+def _add_counts(routes: APIRouter, context: ApiContext) -> None:
     @routes.get("/sun-points/days", responses=answers(422))
     def sightings_by_day(
         *,
@@ -97,8 +102,6 @@ def sun_routes(context: ApiContext) -> APIRouter:
             raise InputError(field="since", problem=problem, remedy="ask in parts")
         counts = selected.archive.sightings_by_day(selected.camera, longitude=longitude, since=begin, until=end)
         return SightingsByDay(days=list(counts))
-
-    return routes
 
 
 def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
