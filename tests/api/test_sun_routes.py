@@ -146,9 +146,11 @@ def test_looks_at_the_sun_are_counted_by_day_and_verdict(made: Made) -> None:
     assert (yesterday["date"], yesterday["verdicts"], yesterday["accepted"]) == ("2013-05-12", {"clear": 1}, 0)
     older = made.client.get("/v1/sun-points/days", params={"until": "2013-05-13"}).json()["days"]
     assert older == [yesterday]
+    far = {"since": "1995-10-31", "until": "2014-05-14"}  # 366 days before its end is after yesterday
+    assert made.client.get("/v1/sun-points/days", params=far).json()["days"] == [today]
 
 
-@pytest.mark.parametrize("query", [{"since": "2010-01-01"}, {"since": "2013-02-30"}, {"until": "soon"}])
-def test_counts_by_day_of_too_many_days_or_none_are_refused(made: Made, query: dict[str, str]) -> None:
+@pytest.mark.parametrize("query", [{"since": "2013-02-30"}, {"until": "soon"}, {"limit": "5"}])
+def test_counts_by_day_of_no_day_are_refused(made: Made, query: dict[str, str]) -> None:
     answer = made.client.get("/v1/sun-points/days", params=query)
     assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, next(iter(query)))

@@ -20,7 +20,6 @@ from sunarc.api.schemas.parameters import At, Since, Until, row_limit
 from sunarc.api.schemas.record import SightingsByDay
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
-from sunarc.errors import InputError
 from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
 from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
@@ -89,17 +88,17 @@ def _add_counts(routes: APIRouter, context: ApiContext) -> None:
     def sightings_by_day(
         *,
         request: Request,
-        since: Annotated[SolarDate | None, Query(description="From this date on; 30 days before `until`.")] = None,
+        since: Annotated[
+            SolarDate | None, Query(description="From this date on; the last 30 days where not given.")
+        ] = None,
         until: Annotated[SolarDate | None, Query(description="Before this date; tomorrow where not given.")] = None,
     ) -> SightingsByDay:
-        """Tell how many looks at the sun had which verdict, and how well the clock was known, of 366 days at most."""
+        """Tell by day how many looks at the sun had which verdict, and the clock's error; of 366 days at most."""
         selected = context.of(request)
         longitude = selected.site.longitude
         end = until or solar_date(context.frame_clock().timestamp(), longitude=longitude) + timedelta(days=1)
-        begin = since or end - timedelta(days=_DAYS)
-        if end - begin > timedelta(days=_MOST_DAYS):
-            problem = f"{(end - begin).days} days before the end, more than {_MOST_DAYS}"
-            raise InputError(field="since", problem=problem, remedy="ask in parts")
+        longest = timedelta(days=_DAYS if since is None else _MOST_DAYS)
+        begin = max(since or date.min, end - longest)
         counts = selected.archive.sightings_by_day(selected.camera, longitude=longitude, since=begin, until=end)
         return SightingsByDay(days=list(counts))
 
