@@ -31,7 +31,12 @@ def test_without_receivers_there_is_no_worker_and_with_them_one_for_each(
             )
             return [worker.name for worker in found]
 
+        before = archive.revision()
         assert names(PushOptions()) == []
+        assert archive.revision() == before
+        archive.name_sinks(["gone"])
+        assert names(PushOptions()) == []
+        assert archive.sink_states() == {}
         secret = tmp_path / "secret"
         options = PushOptions(mqtt="mqtt://127.0.0.1:9", webhooks=(HOOK,), webhook_secret_file=secret)
         with pytest.raises(ConfigurationError):  # before anything starts

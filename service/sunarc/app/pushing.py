@@ -42,7 +42,8 @@ def push_workers(
     """
     names = [*(["mqtt"] if options.mqtt else []), *map(webhook_name, options.webhooks)]
     if not names:
-        archive.name_sinks(())  # else notices would wait for ever
+        if archive.sink_states():  # a start writes nothing where nothing has to be: the disk may be full
+            archive.name_sinks(())  # else notices would wait for ever
         return ()
     notices = NoticeWorker(archive=archive, states=states, sinks=names, clock=clock, board=board, every_s=every_s)
     sinks: list[Sink] = [Webhook(url, secret_file=options.webhook_secret_file, clock=clock) for url in options.webhooks]
