@@ -13,7 +13,13 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C, direction_from_angles
+from sunarc.sky import (
+    PA_PER_HPA,
+    PRESSURE_BOUNDS_HPA,
+    TEMPERATURE_BOUNDS_C,
+    angles_from_direction,
+    direction_from_angles,
+)
 from sunarc.utc import parse_time, rfc3339
 
 SIGHTING_COLUMNS = ("time_utc", "x_px", "y_px", "sigma_px", "body")
@@ -108,6 +114,7 @@ def write_sightings(
     rows: Iterable[tuple[datetime, float, float, float | None, str]],
     *,
     air: tuple[FloatArray, FloatArray] | None = None,
+    directions: FloatArray | None = None,
 ) -> int:
     """Write sightings as `read_sightings` reads them, and return how many.
 
@@ -117,16 +124,20 @@ def write_sightings(
     rows : time, x (px), y (px), 1-sigma (px) and body of each.
     air : temperature (°C) and pressure (Pa) of each, (n,), NaN where not measured; without it, or where it has only
         NaN, the two columns are left out.
+    directions : apparent ones of each, (n, 3), east-north-up, of what is not the sun; None leaves the columns out.
     """
     writer = csv.writer(target, lineterminator="\n")
     measured = air is not None and not np.all(np.isnan(air))
-    writer.writerow((*SIGHTING_COLUMNS, *_AIR_COLUMNS) if measured else SIGHTING_COLUMNS)
+    angles = () if directions is None else angles_from_direction(directions)
+    header = (*SIGHTING_COLUMNS, *(_AIR_COLUMNS if measured else ()), *(_DIRECTION_COLUMNS if angles else ()))
+    writer.writerow(header)
     count = 0
     for time, x, y, sigma, body in rows:
         stamp = rfc3339(time, timespec="microseconds")
         cells = [stamp, f"{x:.6f}", f"{y:.6f}", "" if sigma is None else f"{sigma:.6f}", body]
         if air is not None and measured:
             cells += [_cell(air[0][count], places=3), _cell(air[1][count] / PA_PER_HPA, places=3)]
+        cells += [_cell(column[count], places=6) for column in angles]
         writer.writerow(cells)
         count += 1
     return count

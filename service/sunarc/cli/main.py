@@ -33,6 +33,7 @@ from sunarc.cli.options import (
 from sunarc.cli.output import print_json, table
 from sunarc.cli.reanalyse import reanalyse_archive
 from sunarc.cli.rectify import rectify
+from sunarc.cli.stars import stars
 from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks
@@ -64,6 +65,7 @@ cli.command()(ingest)
 cli.command("export")(export_calibration)
 cli.command()(compare)
 cli.command()(rectify)
+cli.command()(stars)
 cli.command("reanalyse")(reanalyse_archive)
 
 _out = Console(soft_wrap=True)

@@ -1,0 +1,85 @@
+"""The command `sunarc stars`: parse, call, print."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from sunarc.archive import SightingTable, read_sightings
+from sunarc.cli.options import AsJson, CalibrationFile, choice_of
+from sunarc.cli.output import print_json, table
+from sunarc.detection import BAYERS
+from sunarc.errors import InputError, OutsideError
+from sunarc.extras import extra_module
+from sunarc.offline.files import read_lines
+from sunarc.offline.ingest.image_times import Naming
+from sunarc.offline.project_files import read_calibration
+from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
+
+
+def stars(
+    images: Annotated[list[Path], typer.Argument(help="Images of the night.")],
+    *,
+    calibration: CalibrationFile,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV of the stars' sightings.")] = None,
+    beside: Annotated[
+        Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
+    ] = None,
+    time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
+    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
+    to_middle: Annotated[float, typer.Option(help="Seconds from the stated time to mid-exposure.")] = 0.0,
+    within: Annotated[float, typer.Option(help="1-sigma of the prediction beside the calibration's own, px.")] = 0.0,
+    full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
+    bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per count of a linear camera.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find and name the stars in images of the night; exit 1 when they are matched in no image.
+
+    With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
+    ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].
+
+    Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
+    """
+    extra_module("ephem", extra="night")  # before the images, which take seconds each
+    for name, value, least in (("--within", within, 0.0), ("--gain", 1.0 if gain is None else gain, 1e-9)):
+        if not least <= value < 1e6:
+            raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
+    options = StarOptions(
+        naming=Naming(time_pattern, timedelta(hours=utc_offset)),
+        to_middle_s=to_middle,
+        within_px=within,
+        full_scale=full_scale,
+        bayer=None if bayer is None else choice_of("--bayer", bayer, BAYERS),
+        gain_e_per_count=gain,
+    )
+    sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name)
+    found = find_stars(images, read_calibration(calibration), options)
+    if as_json:
+        print_json([image.as_json() for image in found])
+    else:
+        _print(found)
+    if not any(image.matches is not None and image.matches.accepted for image in found):
+        raise typer.Exit(2 if all(image.time is None for image in found) else 1)
+    if output is not None:
+        count = _write(output, found, sun)
+        if not as_json:
+            print(f"{count} sightings of stars written to {output}")
+
+
+def _print(found: list[StarImage]) -> None:
+    columns = ("file", "time_utc", "n_detected", "n_stars", "scatter_px", "reason")
+    rows = [image.as_json() for image in found]
+    Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in rows]))
+
+
+def _write(output: Path, found: list[StarImage], sun: SightingTable | None) -> int:
+    try:
+        with output.open("w", encoding="utf-8", newline="") as target:
+            return write_star_sightings(target, found, beside=sun)
+    except OSError as error:
+        raise OutsideError(f"{output} could not be written: {error.strerror}") from None

@@ -1,0 +1,227 @@
+"""The stars in image files of the night, named by a calibration: sightings for the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from sunarc.archive import SightingTable, write_sightings
+from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration import Calibration, predict_stars
+from sunarc.detection import (
+    Bayer,
+    PredictedStars,
+    StarMatches,
+    Stars,
+    detect_stars,
+    match_stars,
+    sky_motion,
+    standing_still,
+)
+from sunarc.detection.messages import reason_of
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.offline.detect_files import full_scale_of
+from sunarc.offline.files import read_image
+from sunarc.offline.ingest.image_times import Naming, taken
+from sunarc.offline.messages import MESSAGES, RefusedImageError
+from sunarc.sky import NightSky, night_sky
+from sunarc.utc import rfc3339, utc_time
+
+FAINTEST = 5.5
+"""V of the faintest stars of the table; fainter neighbours are not known."""
+MOST_PEAK = 0.9
+"""Of full scale: a brighter star may be clipped in part, and the counts of many cameras bend before the end."""
+_LONGEST_NIGHT_S = 6.0 * 3600.0
+_FWHM = 2.355
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StarOptions:
+    """How images of the night are read.
+
+    Attributes
+    ----------
+    naming : how their times are read.
+    to_middle_s : seconds from the stated time to the middle of the exposure.
+    within_px : 1-sigma that is added to the calibration's own uncertainty, px.
+    bayer, full_scale : of raw frames; full scale is judged from the file where None.
+    gain_e_per_count : electrons per count of a linear camera; None where not known.
+    """
+
+    naming: Naming = field(default_factory=Naming)
+    to_middle_s: float = 0.0
+    within_px: float = 0.0
+    bayer: Bayer | None = None
+    full_scale: int | None = None
+    gain_e_per_count: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarImage:
+    """What an image of the night shows; without time and stars where it could not be read."""
+
+    file: str
+    reason: str
+    findings: tuple[Finding, ...]
+    time: datetime | None = None
+    sky: NightSky | None = None
+    stars: Stars | None = None
+    predicted: PredictedStars | None = None
+    matches: StarMatches | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the summary of the image."""
+        matches, stars = self.matches, self.stars
+        return {
+            "file": self.file,
+            "time_utc": None if self.time is None else rfc3339(self.time),
+            "accepted": matches is not None and matches.accepted,
+            "reason": self.reason,
+            "findings": [finding.as_json() for finding in self.findings],
+            "n_detected": 0 if stars is None else len(stars),
+            "n_stars": int(self.rows().size),
+            "explained": None if matches is None else _finite_or_none(matches.explained),
+            "found": None if matches is None else _finite_or_none(matches.found),
+            "scatter_px": None if matches is None else _finite_or_none(matches.scatter_px),
+            "star_fwhm_px": None if stars is None or len(stars) == 0 else _FWHM * float(np.median(stars.width_px)),
+        }
+
+    def rows(self) -> IntArray:
+        """Return which of the matches are sightings: stars that are not clipped."""
+        if self.matches is None or self.stars is None:
+            return np.zeros(0, dtype=np.int64)
+        row = self.matches.detection
+        return np.flatnonzero(~self.stars.saturated[row] & (self.stars.peak_fraction[row] < MOST_PEAK))
+
+
+def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOptions) -> list[StarImage]:
+    """Find and name the stars in image files, in the order given; a file that is no image gets its reason.
+
+    What stands still between images of a night (hot pixels, lamps) is left out: give two or more that lie ten minutes
+    or more apart.
+
+    Parameters
+    ----------
+    paths : images of the night.
+    calibration : of the camera: its lens and pose, its site, and how sure it is.
+    options : see `StarOptions`.
+
+    Raises
+    ------
+    InputError : an image has not the calibration's size, or ephem is not installed.
+    """
+    seen = [_looked_at(path, calibration, options) for path in paths]
+    return [_matched(one, seen) for one in seen]
+
+
+def write_star_sightings(target: TextIO, images: Sequence[StarImage], *, beside: SightingTable | None = None) -> int:
+    """Write the stars of accepted images as `sunarc calibrate` reads them, and return how many.
+
+    `beside` are further sightings (the sun's), which are written before them.
+    """
+    rows: list[tuple[datetime, float, float, float | None, str]] = []
+    directions, air = [np.zeros((0, 3))], np.zeros((2, 0))
+    if beside is not None:
+        names = np.where(np.isnan(beside.directions[:, 0]), "sun", "stated")
+        columns = (beside.unix_s, beside.pixels, beside.sigma_px, names)
+        rows += [
+            (utc_time(t), float(x), float(y), _finite_or_none(sigma), str(body))
+            for t, (x, y), sigma, body in zip(*columns, strict=True)
+        ]
+        directions.append(beside.directions)
+        air = np.stack([beside.temperature, beside.pressure])
+    sun = len(rows)
+    for image in images:
+        stars, around = _sightings(image)
+        rows += stars
+        directions.append(around)
+    air = np.concatenate([air, np.full((2, len(rows) - sun), np.nan)], axis=-1)
+    return write_sightings(target, rows, air=(air[0], air[1]), directions=np.concatenate(directions)) - sun
+
+
+def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
+    """Return the rows of an image's stars, and their directions (n, 3)."""
+    matches, stars, sky, predicted = image.matches, image.stars, image.sky, image.predicted
+    if image.time is None or matches is None or stars is None or sky is None or predicted is None:
+        return [], np.zeros((0, 3))
+    used = image.rows()
+    seen, named = stars.select(matches.detection[used]), predicted.names[matches.star[used]].tolist()
+    columns = zip(seen.pixels.tolist(), seen.sigma_px.tolist(), named, strict=True)
+    place = {name: row for row, name in enumerate(sky.names.tolist())}
+    rows: list[tuple[datetime, float, float, float | None, str]] = [
+        (image.time, x, y, sigma, name) for (x, y), sigma, name in columns
+    ]
+    return rows, sky.directions[[place[name] for name in named]].reshape(-1, 3)
+
+
+def _looked_at(path: Path, calibration: Calibration, options: StarOptions) -> StarImage:
+    """Return the detections and the predicted stars of a file."""
+    try:
+        stated, _ = taken(path, options.naming)
+        image = read_image(path)
+    except RefusedImageError as refused:
+        return StarImage(file=str(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
+    except InputError as error:
+        unreadable = Finding("file_unreadable", {"error": str(error)})
+        return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
+    camera = calibration.camera
+    if image.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            field=str(path),
+            problem=f"is {image.shape[1]}x{image.shape[0]}, the calibration of {camera.width}x{camera.height} images",
+            remedy="give images of the calibrated camera",
+        )
+    time = stated + timedelta(seconds=options.to_middle_s)
+    sky = night_sky(time.timestamp(), calibration.site, faintest=FAINTEST)
+    stars = detect_stars(
+        image,
+        full_scale=options.full_scale or full_scale_of(image),
+        bayer=options.bayer,
+        gain_e_per_count=options.gain_e_per_count,
+    )
+    predicted = predict_stars(calibration, sky, within_px=options.within_px)
+    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, predicted=predicted)
+
+
+def _matched(image: StarImage, every: Sequence[StarImage]) -> StarImage:
+    """Return an image with its matches."""
+    if image.stars is None or image.predicted is None:
+        return image
+    stars, other = image.stars, _furthest(image, every)
+    if other is not None and other.stars is not None and other.predicted is not None:
+        moved = sky_motion(stars, image.predicted, other.predicted)
+        stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
+    matches = match_stars(stars, image.predicted)
+    return StarImage(
+        file=image.file,
+        reason=reason_of(matches.findings),
+        findings=matches.findings,
+        time=image.time,
+        sky=image.sky,
+        stars=stars,
+        predicted=image.predicted,
+        matches=matches,
+    )
+
+
+def _furthest(image: StarImage, every: Sequence[StarImage]) -> StarImage | None:
+    """Return the image of the same night that is furthest in time; None where there is none."""
+    apart = [(_seconds_between(image, one), one) for one in every if one.time is not None]
+    same_night = [(seconds, one) for seconds, one in apart if 0.0 < seconds < _LONGEST_NIGHT_S]
+    return max(same_night, key=lambda pair: pair[0])[1] if same_night else None
+
+
+def _seconds_between(first: StarImage, second: StarImage) -> float:
+    if first.time is None or second.time is None:
+        return 0.0
+    return abs((first.time - second.time).total_seconds())
+
+
+def _finite_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,142 @@
+"""Images of the night in, sightings of stars out, which sunarc calibrate takes beside the sun's."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.detection.stars.rendering import counted, expected
+from tests.fixtures.calibrations import SITE, chosen_calibration
+from tests.fixtures.command_line import Sunarc
+
+from sunarc.archive import read_sightings
+from sunarc.calibration import Calibration, to_document
+from sunarc.errors import InputError
+from sunarc.offline.star_files import StarOptions, find_stars, write_star_sightings
+from sunarc.optics import Camera, project
+from sunarc.sky import STAR, angles_from_direction, night_sky, relative_air_mass
+
+SIZE = 640
+CAMERA = Camera(
+    width=SIZE,
+    height=SIZE,
+    projection="equisolid",
+    focal_length_px=(220.0, 220.0),
+    principal_point_px=(318.0, 321.0),
+    rotation_cam_enu=(0.02, -0.03, 2.5),
+)
+TIMES = ("20260313_060000", "20260313_064000")
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return chosen_calibration(
+        CAMERA,
+        names=("principal_point_x_px", "principal_point_y_px"),
+        covariance=0.01 * np.eye(2),
+        orders=np.array([[1, 1]]),
+    )
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return two images of a clear night, 40 minutes apart, with 150 hot pixels and a lamp."""
+    folder = tmp_path_factory.mktemp("night")
+    rng = np.random.default_rng(1)
+    hot = rng.uniform(60.0, SIZE - 60.0, (150, 2)).round() + 0.2
+    paths = []
+    for name in TIMES:
+        sky = night_sky(unix_s(name), SITE, faintest=5.5)
+        zenith, _ = angles_from_direction(sky.directions)
+        sky, zenith = sky.select(zenith < 84.0), zenith[zenith < 84.0]
+        light = 400_000.0 * 10.0 ** (-0.4 * (sky.magnitude + 0.25 * (relative_air_mass(zenith) - 1.0)))
+        places = np.concatenate([project(CAMERA, sky.directions), hot])
+        electrons = np.r_[light, np.full(150, 25_000.0)]
+        image = counted(rng, expected(places, electrons, size=SIZE, width=1.0))
+        path = folder / f"allsky_{name}.png"
+        cv2.imwrite(str(path), image)
+        paths.append(path)
+    return paths
+
+
+def unix_s(name: str) -> float:
+    return datetime.strptime(name, "%Y%m%d_%H%M%S").replace(tzinfo=UTC).timestamp()
+
+
+def test_the_stars_of_two_images_are_named_and_hot_pixels_are_not(images: list[Path], calibration: Calibration) -> None:
+    found = find_stars(images, calibration, StarOptions(full_scale=4095, gain_e_per_count=5.0))
+    assert [image.as_json()["accepted"] for image in found] == [True, True]
+    target = StringIO()
+    count = write_star_sightings(target, found)
+    assert count == sum(image.as_json()["n_stars"] for image in found) > 250
+    lines = target.getvalue().splitlines()
+    assert lines[0] == "time_utc,x_px,y_px,sigma_px,body,zenith_deg,azimuth_deg"
+    assert all(line.split(",")[4].startswith(STAR) or line.split(",")[4] in {"jupiter", "venus"} for line in lines[1:])
+    table = read_sightings(lines, name="stars.csv")
+    error = np.linalg.norm(project(CAMERA, table.directions) - table.pixels, axis=-1)
+    assert np.median(error) < 0.15
+    assert np.mean(error < 0.8) > 0.995
+    normal = error / (table.sigma_px * np.sqrt(2.0))
+    assert 0.6 < np.sqrt(np.median(normal**2) / 0.69) < 1.6
+    assert set(table.unix_s) == {unix_s(name) for name in TIMES}
+    # one image alone has as many hot pixels as bright stars, and is refused
+    (alone,) = find_stars(images[:1], calibration, StarOptions(full_scale=4095, gain_e_per_count=5.0))
+    assert [finding.code for finding in alone.findings] == ["stars_not_explained"]
+    assert alone.rows().size == 0
+
+
+def test_the_command_writes_them_beside_the_sun_and_refuses_another_hour(
+    images: list[Path], calibration: Calibration, tmp_path: Path, sunarc: Sunarc
+) -> None:
+    now = datetime(2026, 3, 14, tzinfo=UTC)
+    document = tmp_path / "calibration.json"
+    document.write_text(
+        json.dumps(
+            to_document(
+                calibration, id="c", camera="c", state="current", created_at=now, valid_from=now, valid_until=None,
+                pose_epoch="", software_version="0",
+            )
+        )
+    )  # fmt: skip
+    sun = tmp_path / "sun.csv"
+    sun.write_text("time_utc,x_px,y_px,temperature_c,pressure_hpa\n2026-03-13T18:00:00Z,300,310,21.5,980\n")
+    out = tmp_path / "both.csv"
+    paths = [str(path) for path in images]
+    usual = ["--calibration", str(document), "--full-scale", "4095"]
+    done = sunarc("stars", *paths, *usual, "--beside", str(sun), "-o", str(out))
+    assert done.code == 0, done.err
+    table = read_sightings(out.read_text().splitlines(), name="both.csv")
+    assert table.unix_s.size > 250
+    assert np.isnan(table.directions[0]).all()
+    assert np.isfinite(table.directions[1:]).all()
+    assert (table.temperature[0], table.pressure[0]) == (21.5, 98_000.0)
+    assert np.isnan(table.temperature[1:]).all()
+    late = sunarc("stars", *paths, *usual, "--utc-offset", "1", "--json")
+    assert late.code == 1
+    answer = json.loads(late.out)
+    assert [one["accepted"] for one in answer] == [False, False]
+    codes = {finding["code"] for one in answer for finding in one["findings"]}
+    assert codes <= {"stars_few", "stars_not_explained", "stars_not_found"}
+
+
+def test_what_is_no_image_of_the_night_is_said(images: list[Path], calibration: Calibration, tmp_path: Path) -> None:
+    text = tmp_path / "20260313_060000.png"
+    text.write_text("no image")
+    nameless = tmp_path / "night.png"
+    nameless.write_bytes(images[0].read_bytes())
+    black = tmp_path / "20260313_061000.png"
+    cv2.imwrite(str(black), np.zeros((SIZE, SIZE), dtype=np.uint8))
+    found = find_stars([text, nameless, black], calibration, StarOptions())
+    assert [image.findings[0].code for image in found] == ["file_unreadable", "file_time_unknown", "stars_few"]
+    assert [image.as_json()["n_stars"] for image in found] == [0, 0, 0]
+    assert write_star_sightings(StringIO(), found) == 0
+    other = tmp_path / "20260313_062000.png"
+    cv2.imwrite(str(other), np.zeros((100, 100), dtype=np.uint8))
+    with pytest.raises(InputError) as refused:
+        find_stars([other], calibration, StarOptions())
+    assert refused.value.field == str(other)
