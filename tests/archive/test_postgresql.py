@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import URL, Engine, text
+from sqlalchemy import URL, Engine, event, text
 from tests.fixtures.fleet import feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
@@ -74,6 +75,47 @@ def test_sightings_go_to_the_partition_of_their_month_and_a_query_reads_no_other
         assert "sun_point_201304" not in plan
         kinds = "SELECT indexdef FROM pg_indexes WHERE tablename = 'sun_point_201305'"
         assert any("USING brin" in line for line in connection.execute(text(kinds)).scalars())
+
+
+def test_plans_of_the_archives_own_questions_use_one_partition_and_its_indices(url: URL, engine_of: Engine) -> None:
+    begin = datetime(2013, 4, 1, tzinfo=UTC)
+    statements: list[tuple[str, Any]] = []
+    with opened(url) as archive:
+        archive.add_sun_points(replace(POINT, time=begin + timedelta(minutes=30 * n)) for n in range(4000))
+        event.listen(archive._engine, "before_cursor_execute", lambda *call: statements.append((call[2], call[3])))
+        since = datetime(2013, 5, 8, tzinfo=UTC)
+        archive.sun_point_columns("roof", since=since, until=since + timedelta(days=2))
+        archive.observation_times("roof", since=since, until=since + timedelta(days=2))
+    with engine_of.execution_options(isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.exec_driver_sql("VACUUM ANALYZE sun_point")
+        asked = [one for one in statements if "FROM sun_point" in one[0]]
+        assert len(asked) >= 2
+        for statement, values in asked:
+            plan = "\n".join(connection.exec_driver_sql(f"EXPLAIN {statement}", values).scalars())
+            assert "sun_point_201305" in plan
+            assert "sun_point_201304" not in plan
+            assert "sun_point_201306" not in plan
+            assert "Index" in plan
+            assert "Seq Scan on sun_point" not in plan
+
+
+def test_an_hour_of_all_cameras_is_found_by_brin_where_rows_came_in_the_order_of_time(
+    url: URL, engine_of: Engine
+) -> None:
+    begin, end = (int(datetime(2013, 5, day, tzinfo=UTC).timestamp() * 1e6) for day in (1, 31))
+    with opened(url) as archive:
+        archive.add_sun_points([POINT])
+    columns = "camera, pose_epoch, time, body, exposure_us, method, accepted, verdict, reason"
+    values = (
+        f"'roof', 'roof-1', t, 'sun', 47, 'disc', true, 'clear', '' FROM generate_series({begin}, {end}, 60000000) t"
+    )
+    with engine_of.execution_options(isolation_level="AUTOCOMMIT").connect() as connection:
+        connection.exec_driver_sql(f"INSERT INTO sun_point ({columns}) SELECT {values}")
+        connection.exec_driver_sql("VACUUM ANALYZE sun_point")
+        first = begin + 10 * 86_400_000_000
+        hour = f"FROM sun_point WHERE time >= {first} AND time < {first + 3_600_000_000}"
+        plan = "\n".join(connection.exec_driver_sql(f"EXPLAIN SELECT * {hour}").scalars())
+    assert "Bitmap Index Scan on sun_point_201305_time_idx" in plan
 
 
 @pytest.mark.parametrize("year", [1969, 2200])

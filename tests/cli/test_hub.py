@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from tests.fixtures.fleet import NOW
 from sunarc.api import token_digest
 from sunarc.archive import Refusal, open_archive, upgrade
 from sunarc.settings import load_hub_settings
+from sunarc.workers import CrossCheck
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -51,6 +53,28 @@ def test_what_was_refused_is_listed_and_can_be_accepted(sunarc: Sunarc, config: 
     assert sunarc("hub", "quarantine", *options).code == 0
     assert sunarc("hub", "resend", "roof", *options).code == 0
     assert sunarc("hub", "resend", "attic", *options).code == 2
+
+
+def test_what_neighbours_show_is_printed(sunarc: Sunarc, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = ("--config", str(config))
+    assert json.loads(sunarc("hub", "cross-checks", "--json", *options).out) == []
+    made = CrossCheck(
+        camera="roof",
+        neighbours=("gate", "mast"),
+        n_days=34,
+        found=("clock",),
+        since=date(2026, 6, 26),
+        clock_s=2.1,
+        clock_sigma_s=0.2,
+    )
+    monkeypatch.setattr("sunarc.cli.hub.cross_check_fleet", lambda _archive, now: (made,) if now else ())
+    found = sunarc("hub", "cross-checks", "--json", *options)
+    assert found.code == 1
+    (row,) = json.loads(found.out)
+    assert (row["camera"], row["found"], row["clock_s"], row["since"]) == ("roof", ["clock"], 2.1, "2026-06-26")
+    shown = sunarc("hub", "cross-checks", *options)
+    assert shown.code == 1
+    assert "2.1 ± 0.2" in shown.out
 
 
 def test_a_hub_takes_its_own_settings_and_refuses_unknown_ones(sunarc: Sunarc, config: Path) -> None:

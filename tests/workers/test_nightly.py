@@ -123,6 +123,7 @@ def test_the_jobs_of_a_hub(bench: Bench) -> None:
     jobs = nightly_jobs(bench.archive, NightlyOptions())
     assert {name: job(bench.clock.now()) for name, job in jobs.items()} == {
         "summaries": {"days": 0},
+        "cross_checks": {"checks": []},
         "retention": {"removed": 0},
     }
 

@@ -147,7 +147,7 @@ class ApiContext:
         if name == self.camera == "":
             remedy = "name one: /v1/cameras/{camera}/…, see /v1/cameras"
             raise NotFoundError(field="camera", problem="a hub has no camera of its own", remedy=remedy)
-        selected = self if name in ("", self.camera) else self._of_another(name)
+        selected = self.named(name)
         chosen = request.query_params.get(CALIBRATION)
         return selected if chosen is None else replace(selected, chosen=chosen)
 
@@ -155,6 +155,10 @@ class ApiContext:
         """Return what `of` returns, and the calibration of it that answers now, or for the moment `at`."""
         selected = self.of(request)
         return selected, selected.record(at)
+
+    def named(self, name: str) -> ApiContext:
+        """Return what is served of a camera; an empty name is this service's own."""
+        return self if name in ("", self.camera) else self._of_another(name)
 
     def _of_another(self, name: str) -> ApiContext:
         """Return what the archive remembers of a camera that another service drives."""

@@ -16,6 +16,7 @@ from sunarc.api.routes.cameras import camera_routes
 from sunarc.api.routes.feed import FeedReceiver, FeedSizes, feed_routes
 from sunarc.api.routes.fleet import FleetCollector, fleet_page, fleet_routes
 from sunarc.api.routes.nightly import nightly_routes
+from sunarc.api.routes.pairs import pair_routes
 from sunarc.archive import Archive
 from sunarc.runtime.status import StatusSnapshot
 from sunarc.sky import Site
@@ -65,6 +66,7 @@ def create_hub_app(
     app.include_router(camera_routes(context))
     app.include_router(fleet_routes(archive, now, numbers, status))
     app.include_router(nightly_routes(archive))
+    app.include_router(pair_routes(context))
     app.include_router(fleet_page(STATIC))
     app.mount("/static", StaticFiles(directory=STATIC))
     complete(app, context)

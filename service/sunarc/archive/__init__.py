@@ -69,7 +69,6 @@ from sunarc.archive.values import (
     PoseEpoch,
     Refit,
     RefitState,
-    SightingCounts,
     SunPoint,
     SunPointColumns,
 )
@@ -114,7 +113,6 @@ __all__ = [
     "RefitState",
     "Refusal",
     "Reserve",
-    "SightingCounts",
     "SightingTable",
     "SinkState",
     "SunPoint",

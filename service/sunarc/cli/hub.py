@@ -16,6 +16,7 @@ from sunarc.cli.output import print_json, table
 from sunarc.runtime.clock import SystemClock
 from sunarc.settings import load_hub_settings
 from sunarc.utc import rfc3339
+from sunarc.workers import CrossCheck, cross_check_fleet
 
 hub_cli = typer.Typer(no_args_is_help=True, help="The cameras of a fleet: register, and see what was refused.")
 
@@ -93,3 +94,38 @@ def quarantine(config: Config = None, *, as_json: AsJson = False) -> None:
         Console(soft_wrap=True).print(table((*names, "last"), cells))
     if rows:
         raise typer.Exit(1)
+
+
+@hub_cli.command("cross-checks")
+def cross_checks(config: Config = None, *, as_json: AsJson = False) -> None:
+    """Print what neighbouring cameras show of one another's clock, longitude and north; exit 1 when something is wrong.
+
+    Reads the last 60 days: some seconds a camera.
+
+    Example: sunarc hub cross-checks --config /etc/sunarc/hub.toml
+    """
+    with open_archive(load_hub_settings(config).archive) as archive:
+        checks = cross_check_fleet(archive, now=SystemClock().now())
+    if as_json:
+        print_json([one.as_json() for one in checks])
+    else:
+        print("\n".join(map(_line, checks)))
+    if any(one.found for one in checks):
+        raise typer.Exit(1)
+
+
+def _line(one: CrossCheck) -> str:
+    since = "" if one.since is None else f" since {one.since.isoformat()}"
+    sizes = (
+        ("clock", one.clock_s, one.clock_sigma_s, " s"),
+        ("or longitude", one.longitude_deg, one.longitude_sigma_deg, "°"),
+        ("north", one.north_deg, one.north_sigma_deg, "°"),
+        ("clock by clouds", one.cloud_clock_s, one.cloud_clock_sigma_s, " s"),
+    )
+    shown = [
+        f"{name} {size:.3g} ± {sigma:.2g}{unit}"
+        for name, size, sigma, unit in sizes
+        if size is not None and sigma is not None
+    ]
+    beside = f"{one.n_days} days beside {', '.join(one.neighbours)}"
+    return f"{one.camera}: {', '.join(one.found) or 'nothing'}{since}; " + "; ".join([*shown, beside])

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import FloatArray, IntArray, picked
 from sunarc.cross_checks.daily_rotations import DailyRotations
 from sunarc.robust_statistics import MAD_TO_SIGMA
 
@@ -86,7 +86,10 @@ def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:
 
 
 def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
-    """Return a camera's rotations less the mean, on each day, of what the others differ from their own medians."""
+    """Return a camera's rotations less the mean, on each day, of what the others differ from their own medians.
+
+    Days that none of the others shows are left out: between corrected days they would stand off by what is common.
+    """
     own = cameras[number]
     others = [one for k, one in enumerate(cameras) if k != number and len(one.day)]
     if len(others) < _FEWEST_OTHERS or not len(own.day):
@@ -98,8 +101,8 @@ def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotat
         off = one.rotation_deg - np.median(one.rotation_deg, axis=0)
         total += np.where(there[:, None], off[place], 0.0)
         count += there
-    common = np.where((count >= _FEWEST_OTHERS)[:, None], total / np.maximum(count, 1.0)[:, None], 0.0)
-    return replace(own, rotation_deg=own.rotation_deg - common)
+    common = total / np.maximum(count, 1.0)[:, None]
+    return picked(replace(own, rotation_deg=own.rotation_deg - common), count > 0.0)
 
 
 def find_step(days: DailyRotations, *, min_gain: float = MIN_GAIN) -> RotationStep | None:

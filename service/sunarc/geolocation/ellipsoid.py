@@ -48,6 +48,13 @@ def geodetic_position(position_m: FloatArray, site: Site) -> GeodeticPosition:
     return GeodeticPosition(np.degrees(latitude), np.degrees(longitude), altitude, up)
 
 
+def in_frame_of(site: Site, other: Site) -> tuple[FloatArray, FloatArray]:
+    """Return where another site is, (3,) metres east, north and up of a site, and (3, 3): its axes to the site's."""
+    axes, origin = _frame(site)
+    other_axes, other_origin = _frame(other)
+    return axes @ (other_origin - origin), axes @ other_axes.T
+
+
 def _frame(site: Site) -> tuple[FloatArray, FloatArray]:
     """Return the (3, 3) rows east, north, up and the site itself, in the Earth's own frame."""
     latitude, longitude = math.radians(site.latitude), math.radians(site.longitude)

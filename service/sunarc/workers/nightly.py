@@ -16,6 +16,7 @@ from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.sky import solar_date
 from sunarc.workers.messages import condition
+from sunarc.workers.neighbours import cross_check_fleet
 
 _log = logging.getLogger(__name__)
 _AFTER_MIDNIGHT = timedelta(hours=2)
@@ -54,6 +55,7 @@ def nightly_jobs(archive: Archive, options: NightlyOptions) -> dict[str, Job]:
     keep = timedelta(days=options.keep_sightings_days)
     return {
         "summaries": lambda _now: {"days": archive.summarise_days()},
+        "cross_checks": lambda now: {"checks": [one.as_json() for one in cross_check_fleet(archive, now=now)]},
         "retention": lambda now: {"removed": archive.remove_sightings(before=now - keep, now=now)},
     }
 
