@@ -17,6 +17,7 @@ from sunarc.archive import (
     Event,
     FeedBatch,
     FeedRow,
+    NightlyRun,
     Refit,
     Refusal,
     SunPoint,
@@ -54,6 +55,9 @@ def filled(archive: Archive, path: Path) -> Path:
                          n_cycles=100, decided_at=NOON, pose_offset_deg=(0.1, 0.2, 0.3)))  # fmt: skip
     archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
     _feed(archive)
+    _notify(archive)
+    archive.summarise_days()
+    archive.save_nightly(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()
     return path
 
@@ -66,6 +70,13 @@ def _feed(archive: Archive) -> None:
     archive.take_feed(FeedBatch(camera="roof", installation="other", after=0, rows=(status,)), now=NOON)
     forged = Refusal(reason="forged_token", text="unknown")
     archive.refuse_feed(camera="roof", installation="third", refusal=forged, now=NOON)
+
+
+def _notify(archive: Archive) -> None:
+    """Store a notice for a receiver."""
+    archive.name_sinks(["broker"])
+    archive.record_notices("roof", {}, now=NOON)
+    archive.record_notices("roof", {"disk_low": {"free_mb": 1.0}}, now=NOON)
 
 
 def everything(path: Path) -> dict[str, Rows]:

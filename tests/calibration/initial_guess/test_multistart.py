@@ -180,7 +180,7 @@ def test_starts_that_image_every_sighting_alike_are_one(
     problem: Problem, truth: FloatArray, seen: Observations
 ) -> None:
     slightly, far = truth.copy(), truth.copy()
-    slightly[Whitened.CENTER_X] += 1e-4
+    slightly[Whitened.CENTER_X] += 1e-5
     far[Whitened.CENTER_X] += 0.5
     found = multistart._distinct(problem, seen, [truth, slightly, far, far.copy()])
     assert len(found) == 2
