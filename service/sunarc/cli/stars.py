@@ -18,7 +18,7 @@ from sunarc.extras import extra_module
 from sunarc.offline.files import read_lines
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.project_files import read_calibration
-from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
+from sunarc.offline.star_files import MOST_STARS, StarImage, StarOptions, find_stars, write_star_sightings
 
 
 def stars(
@@ -36,6 +36,7 @@ def stars(
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
     bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
     gain: Annotated[float | None, typer.Option(help="Electrons per count of a linear camera.")] = None,
+    most: Annotated[int, typer.Option(help="Stars that are written, the surest of each part of the sky.")] = MOST_STARS,
     as_json: AsJson = False,
 ) -> None:
     """Find and name the stars in images of the night; exit 1 when they are matched in no image.
@@ -46,7 +47,8 @@ def stars(
     Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
     """
     extra_module("ephem", extra="night")  # before the images, which take seconds each
-    for name, value, least in (("--within", within, 0.0), ("--gain", 1.0 if gain is None else gain, 1e-9)):
+    electrons = 1.0 if gain is None else gain
+    for name, value, least in (("--within", within, 0.0), ("--most", float(most), 1.0), ("--gain", electrons, 1e-9)):
         if not least <= value < 1e6:
             raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
     options = StarOptions(
@@ -66,7 +68,7 @@ def stars(
     if not any(image.matches is not None and image.matches.accepted for image in found):
         raise typer.Exit(2 if all(image.time is None for image in found) else 1)
     if output is not None:
-        count = _write(output, found, sun)
+        count = _write(output, found, sun, most)
         if not as_json:
             print(f"{count} sightings of stars written to {output}")
 
@@ -77,9 +79,9 @@ def _print(found: list[StarImage]) -> None:
     Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in rows]))
 
 
-def _write(output: Path, found: list[StarImage], sun: SightingTable | None) -> int:
+def _write(output: Path, found: list[StarImage], sun: SightingTable | None, most: int) -> int:
     try:
         with output.open("w", encoding="utf-8", newline="") as target:
-            return write_star_sightings(target, found, beside=sun)
+            return write_star_sightings(target, found, beside=sun, most=most)
     except OSError as error:
         raise OutsideError(f"{output} could not be written: {error.strerror}") from None

@@ -37,6 +37,9 @@ FAINTEST = 5.5
 """V of the faintest stars of the table; fainter neighbours are not known."""
 MOST_PEAK = 0.9
 """Of full scale: a brighter star may be clipped in part, and the counts of many cameras bend before the end."""
+MOST_STARS = 150
+"""Stars that are written. Beside a day of the sun they tell what thousands do (docs/studies.md, "The night"); with
+thousands the fit takes the lens's unmodelled field for noise, and states far too little."""
 _LONGEST_NIGHT_S = 6.0 * 3600.0
 _FWHM = 2.355
 
@@ -120,10 +123,13 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     return [_matched(one, seen) for one in seen]
 
 
-def write_star_sightings(target: TextIO, images: Sequence[StarImage], *, beside: SightingTable | None = None) -> int:
+def write_star_sightings(
+    target: TextIO, images: Sequence[StarImage], *, beside: SightingTable | None = None, most: int = MOST_STARS
+) -> int:
     """Write the stars of accepted images as `sunarc calibrate` reads them, and return how many.
 
-    `beside` are further sightings (the sun's), which are written before them.
+    `beside` are further sightings (the sun's), which are written before them; `most` of the stars are written, the
+    surest of each part of the sky.
     """
     rows: list[tuple[datetime, float, float, float | None, str]] = []
     directions, air = [np.zeros((0, 3))], np.zeros((2, 0))
@@ -137,12 +143,25 @@ def write_star_sightings(target: TextIO, images: Sequence[StarImage], *, beside:
         directions.append(beside.directions)
         air = np.stack([beside.temperature, beside.pressure])
     sun = len(rows)
-    for image in images:
-        stars, around = _sightings(image)
-        rows += stars
-        directions.append(around)
+    found = [_sightings(image) for image in images]
+    stars = [row for part, _ in found for row in part]
+    around = np.concatenate([np.zeros((0, 3)), *(part for _, part in found)])
+    used = _spread(around, np.array([row[3] for row in stars], dtype=np.float64), most)
+    rows += [stars[row] for row in used]
+    directions.append(around[used])
     air = np.concatenate([air, np.full((2, len(rows) - sun), np.nan)], axis=-1)
     return write_sightings(target, rows, air=(air[0], air[1]), directions=np.concatenate(directions)) - sun
+
+
+def _spread(directions: FloatArray, sigma_px: FloatArray, most: int) -> IntArray:
+    """Return rows of at most so many directions (n, 3): the surest of each of 48 parts of the sky, then the next."""
+    east, north, up = directions.T
+    sector = np.floor((np.arctan2(east, north) / (2.0 * np.pi) % 1.0) * 12.0).astype(np.int64)
+    part = 4 * sector + np.clip(np.floor(4.0 * up), 0, 3).astype(np.int64)
+    order = np.lexsort((sigma_px, part))
+    first = np.searchsorted(part[order], part[order])
+    rank = np.arange(order.size) - first
+    return np.sort(order[np.lexsort((sigma_px[order], rank))[:most]])
 
 
 def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
