@@ -4,13 +4,30 @@
 fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
 comparison of every sighting with the calibration · `ensemble` joint draws of the errors · `pose_change_points`,
 `pose_step_search`, `pose_step_evidence` pose changes within a record · `projection_choice` the projection of an unknown
-lens · `star_prediction` pixels of the stars · `reproduce` a stored fit again. The maths: docs/maths.md.
+lens · `lens_library` types of lens, joint fits, first poses · `star_prediction` pixels of the stars · `reproduce` a
+stored fit again. The maths: docs/maths.md.
 """
 
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.ensemble import MOST_DRAWS, Ensemble, draw_ensemble
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
 from sunarc.calibration.least_squares.priors import prior_knowledge
+from sunarc.calibration.lens_library import (
+    LENS_SCHEMA,
+    Entry,
+    FirstPoseOptions,
+    Joint,
+    LensType,
+    Unit,
+    UnitSpread,
+    calibrate_jointly,
+    calibrate_with_lens,
+    first_pose,
+    lens_type_from_json,
+    lens_type_of,
+    north_sigma_deg,
+    top_azimuth_deg,
+)
 from sunarc.calibration.model.backward import BackwardModel, back_project, camera_sees, fit_backward
 from sunarc.calibration.model.covariance import (
     hemisphere,
@@ -51,6 +68,7 @@ from sunarc.calibration.star_prediction import predict_stars
 __all__ = [
     "BACK_PROJECTED",
     "DOUBTFUL_CLOCK_SHARE",
+    "LENS_SCHEMA",
     "MAX_CLOCK_ERROR_S",
     "MOST_DRAWS",
     "PROJECTED",
@@ -63,9 +81,13 @@ __all__ = [
     "DayMeasure",
     "DayVerdict",
     "Ensemble",
+    "Entry",
     "Field",
+    "FirstPoseOptions",
     "ImageCircle",
+    "Joint",
     "LensTolerances",
+    "LensType",
     "Lookup",
     "Method",
     "Metrics",
@@ -79,6 +101,8 @@ __all__ = [
     "Selection",
     "SelectionOptions",
     "SunPoints",
+    "Unit",
+    "UnitSpread",
     "Verdict",
     "WaveBasis",
     "accept",
@@ -86,8 +110,10 @@ __all__ = [
     "back_project",
     "back_projection_map",
     "calibrate",
+    "calibrate_jointly",
     "calibrate_moved",
     "calibrate_unknown_lens",
+    "calibrate_with_lens",
     "calibrate_with_prior",
     "camera_sees",
     "choose_projection",
@@ -100,12 +126,16 @@ __all__ = [
     "estimate_pose",
     "find_image_circle",
     "find_pose_steps",
+    "first_pose",
     "fit_backward",
     "from_document",
     "hemisphere",
+    "lens_type_from_json",
+    "lens_type_of",
     "lookup",
     "measure_day",
     "measures",
+    "north_sigma_deg",
     "pose_spread_deg",
     "predict_stars",
     "prior_knowledge",
@@ -118,6 +148,7 @@ __all__ = [
     "sun_with_covariance",
     "tilt_question",
     "to_document",
+    "top_azimuth_deg",
     "unproject_with_sigma",
     "unseen_points",
     "with_pose_spread",

@@ -136,6 +136,40 @@ MESSAGES = Messages(
         _REFUSED,
         "check --start, clock, site and mirroring; widen --lens-within or --pose-within, or fit without a prior",
     ),
+    # a fit with a type of lens, and a first pose
+    lens_prior_used=Message("with the lens prior of {n} cameras ({cameras})", "The lens prior file was used."),
+    lens_prior_left_out=Message(
+        "the lens prior of {n} cameras ({cameras}) was left out: with it the sightings are met worse",
+        "The fit is the one without the lens prior.",
+        "check that the lens is of this type",
+    ),
+    lens_prior_contradicted=Message(
+        "the sightings contradict the lens prior: {departure:.1f} times its sigmas (at most {limit:.1f})",
+        _REFUSED,
+        "check the type of lens, clock, site and mirroring; or fit without --lens-prior",
+    ),
+    first_pose=Message(
+        "first pose, of {n} sightings: north is known to {north_sigma_deg:.1f}° (1-sigma), the top of the image looks "
+        "towards azimuth {top_azimuth_deg:.0f}°",
+        "The pose is provisional: lens and level are assumed within their spread.",
+        "compare the top of the image with a map; a full fit replaces the pose after a clear day",
+    ),
+    first_pose_mirrored=Message(
+        "the sun moves as in a mirrored image, 10^{log10_odds:.1f} times as probable",
+        "No first pose is served.",
+        "set the camera's image back (reverse X, reverse Y), or set calibration.mirrored; check the sign of the site",
+    ),
+    north_ambiguous=Message(
+        "two azimuths fit the sightings, the one 10^{log10_odds:.1f} times as probable as the other",
+        "No first pose is served.",
+        "none: the sun's further way decides",
+    ),
+    north_not_as_mounted=Message(
+        "the top of the image looks towards azimuth {top_azimuth_deg:.0f} ± {north_sigma_deg:.1f}°, {off_deg:.0f}° "
+        "from {expected_deg:.0f}° as mounted",
+        "No first pose is served.",
+        "check how the camera is mounted, the clock, and first_pose.top_azimuth_deg",
+    ),
     # a fit beside the active one
     first_calibration=Message("first calibration of this camera", "It becomes the active one."),
     direction_sigma_compared=Message(

@@ -56,6 +56,12 @@ def _options(stored: Mapping[str, object]) -> CalibrationOptions:
             problem="only the pose was fitted, with another calibration's lens, or the camera about a stated prior",
             remedy="solve the calibration that it names as its parent, or name that camera again with --start",
         )
+    if "lens_prior" in named:
+        raise InputError(
+            field="evidence.options.lens_prior",
+            problem="the fit was given a type of lens, whose file the archive does not hold",
+            remedy="fit the same sightings again with that file and --lens-prior",
+        )
     lens, paper = LensTolerances(**named.pop("tolerances")), PaperOptions(**named.pop("paper"))
     return CalibrationOptions(**named, tolerances=lens, paper=paper)
 

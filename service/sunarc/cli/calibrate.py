@@ -9,6 +9,18 @@ import typer
 from rich.console import Console
 
 from sunarc.calibration import CalibrationOptions, PriorTolerances
+from sunarc.cli.lens_prior import (
+    JointFile,
+    JointFolder,
+    LensOf,
+    LensPriorFile,
+    LensToWrite,
+    SpreadText,
+    WriteLensPrior,
+    known_lens,
+    parse_spread,
+    print_joint,
+)
 from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
@@ -71,6 +83,12 @@ def calibrate(
             help="1-sigma of its focal length, relative; by --lens-within unless given.", rich_help_panel=PRIOR
         ),
     ] = None,
+    lens_prior: LensPriorFile = None,
+    write_lens_prior: WriteLensPrior = None,
+    lens_of: LensOf = None,
+    unit_spread: SpreadText = None,
+    joint: JointFile = None,
+    output: JointFolder = None,
     plots: Annotated[Path | None, typer.Option(help="Folder for residuals.png and sky.png.")] = None,
     again: Annotated[
         str | None, typer.Option("--again", metavar="ID", help="Solve a past calibration of the archive again.")
@@ -88,6 +106,13 @@ def calibrate(
     if again is not None:
         _solve_again(again, config, as_json=as_json)
         return
+    if joint is not None:
+        print_joint(joint, output, as_json=as_json)
+        return
+    to_write = LensToWrite(write_lens_prior, lens_of or [], parse_spread(unit_spread))
+    if points is None and write_lens_prior is not None:
+        to_write.write([])
+        return
     if points is None and config is not None:
         _require_settings_only(
             latitude,
@@ -101,22 +126,15 @@ def calibrate(
             lens_within,
             pose_within,
             focal_within,
+            lens_prior,
         )
         calibrate_stored(load_settings(config), as_json=as_json)
         return
-    points, latitude, longitude = (
-        _given(points, "POINTS"),
-        _given(latitude, "--latitude"),
-        _given(longitude, "--longitude"),
-    )
     if pose_only and start is None:
         raise InputError(field="--pose-only", problem="no lens to keep", remedy="name a calibration with --start")
-    within = _prior_tolerances(lens_within, pose_within, focal_within, usable=start is not None and not pose_only)
     document = calibrate_file(
-        points,
-        site=Site(
-            latitude=latitude, longitude=longitude, altitude=altitude, pressure=pressure, temperature=temperature
-        ),
+        _given(points, "POINTS"),
+        site=_site(latitude, longitude, altitude, pressure, temperature),
         image_size=parse_image_size(_given(image_size, "--image-size")),
         options=CalibrationOptions(
             method=method,  # type: ignore[arg-type]
@@ -129,10 +147,25 @@ def calibrate(
         circle=None if image_circle is None else image_circle_of(image_circle),
         start=start,
         pose_only=pose_only,
-        within=within,
+        within=_prior_tolerances(lens_within, pose_within, focal_within, usable=start is not None and not pose_only),
+        lens=known_lens(lens_prior, start=start, writes=write_lens_prior is not None),
         plots=plots,
     )
+    to_write.write([document])
     _print_result(document, plots, as_json=as_json)
+
+
+def _site(
+    latitude: float | None, longitude: float | None, altitude: float, pressure: float | None, temperature: float
+) -> Site:
+    """Return the site that the options state."""
+    return Site(
+        latitude=_given(latitude, "--latitude"),
+        longitude=_given(longitude, "--longitude"),
+        altitude=altitude,
+        pressure=pressure,
+        temperature=temperature,
+    )
 
 
 def _print_result(document: dict[str, Any], plots: Path | None, *, as_json: bool) -> None:

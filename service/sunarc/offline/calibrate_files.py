@@ -13,10 +13,12 @@ from sunarc.archive import read_sightings
 from sunarc.calibration import (
     CalibrationOptions,
     ImageCircle,
+    LensType,
     PriorTolerances,
     SunPoints,
     calibrate_moved,
     calibrate_unknown_lens,
+    calibrate_with_lens,
     calibrate_with_prior,
     estimate_pose,
     find_image_circle,
@@ -27,6 +29,7 @@ from sunarc.exports import closest_camera
 from sunarc.extras import extra_module
 from sunarc.offline.compare_files import read_view_file
 from sunarc.offline.files import read_image, read_lines, require_inside
+from sunarc.offline.lens_priors import require_lens
 from sunarc.offline.project_files import read_calibration
 from sunarc.optics import Camera
 from sunarc.runtime.clock import Clock
@@ -46,27 +49,22 @@ def calibrate_file(
     start: Path | None = None,
     pose_only: bool = False,
     within: PriorTolerances | None = None,
+    lens: LensType | None = None,
     plots: Path | None = None,
 ) -> dict[str, Any]:
     """Fit a file of sightings, draw the result into a folder where one is named, and return the document.
 
     `start` is of any format that is read; `pose_only` keeps the lens of the calibration document `start` and fits its
-    pose alone; `within` makes `start` a prior of these tolerances. A projection that is not known comes from `start`,
-    or is chosen by the sightings.
+    pose alone; `within` makes `start` a prior of these tolerances; `lens` is the camera's type of lens, in place of
+    `start`. A projection that is not known comes from `start`, or is chosen by the sightings.
     """
     if plots is not None:
         extra_module("matplotlib", extra="studies")  # before the fit, which takes minutes
-    table = read_sightings(read_lines(path), name=path.name)
-    require_inside(table.pixels, image_size, name=path.name)
-    points = SunPoints(
-        unix_s=table.unix_s,
-        pixels=table.pixels,
-        sigma_px=table.sigma_px,
-        temperature=table.temperature,
-        pressure=table.pressure,
-        directions=table.directions,
-    )
-    if start is not None and pose_only:
+    points = read_points(path, image_size)
+    if lens is not None:
+        require_lens(lens, image_size=image_size, options=options, known=projection_known)
+        solved, points = calibrate_with_lens(points, lens=lens, site=site, options=options, circle=circle)
+    elif start is not None and pose_only:
         known = read_calibration(start)
         _require_size(known.camera, image_size)
         solved = estimate_pose(points, start=known, site=site, options=options)
@@ -99,6 +97,20 @@ def calibrate_file(
         valid_until=None,
         pose_epoch="",
         software_version=sunarc.__version__,
+    )
+
+
+def read_points(path: Path, image_size: tuple[int, int]) -> SunPoints:
+    """Return a CSV file's sightings; InputError where one is outside the image, or the file is none."""
+    table = read_sightings(read_lines(path), name=path.name)
+    require_inside(table.pixels, image_size, name=path.name)
+    return SunPoints(
+        unix_s=table.unix_s,
+        pixels=table.pixels,
+        sigma_px=table.sigma_px,
+        temperature=table.temperature,
+        pressure=table.pressure,
+        directions=table.directions,
     )
 
 

@@ -44,8 +44,8 @@ class CameraErrorModel:
     field: Field
     variances: FloatArray
 
-    def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float) -> CameraErrorModel:
-        """Return the error model after a rotation by `mean` (3,), radians, with an isotropic 1-sigma."""
+    def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float | FloatArray) -> CameraErrorModel:
+        """Return the error model after a rotation by `mean` (3,), radians, with a 1-sigma of all axes or of each."""
         covariance, at = self.covariance.copy(), self.mean.copy()
         covariance[np.ix_(self.rotation, self.rotation)] += sigma_rad**2 * np.eye(3)
         at[self.rotation] += mean

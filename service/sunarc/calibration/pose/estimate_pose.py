@@ -125,26 +125,56 @@ def fit_pose(
     error_model, camera = error_model_of(start), at_every_angle(start.camera)
     density = false_density(pixels - project_fast(camera, directions), area_px2=float(camera.width * camera.height))
     sightings = PredictedSightings(directions=directions, pixels=pixels, variance=sigma_px**2, false_density=density)
-    thin = sightings.select(np.unique(np.linspace(0, sigma_px.size - 1, MOST).astype(int)))
+    thin = thinned(sightings)
     tolerance = tolerance_px(error_model, camera, thin)
     rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
     scales = _scales_for(float(np.linalg.norm(rotation))) if turned_rad is None else np.array([turned_rad])
     base = rotated(camera, rotation)
     close = np.linalg.norm(finite(thin.pixels - project_fast(base, thin.directions)), axis=-1) < _CLOSE * tolerance
-    usual = float(scales[min(1, scales.size - 1)])
-    rough, mixture = _settled(error_model.with_free_rotation(-rotation, sigma_rad=usual), base, thin, close)
+    # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
+    priors = [error_model.with_free_rotation(-rotation, sigma_rad=float(scale)) for scale in scales]
+    return conditioned_pose(priors, np.log(scales), base, sightings, close, inflation=inflation(start))
+
+
+def thinned(sightings: PredictedSightings) -> PredictedSightings:
+    """Return at most `MOST` sightings, spread over time."""
+    return sightings.select(np.unique(np.linspace(0, sightings.variance.size - 1, MOST).astype(int)))
+
+
+def conditioned_pose(
+    priors: list[CameraErrorModel],
+    log_prior: FloatArray,
+    base: Camera,
+    sightings: PredictedSightings,
+    close: BoolArray,
+    *,
+    inflation: float,
+) -> PoseFit:
+    """Return a camera conditioned on sightings, outliers left out, averaged over priors of its errors.
+
+    Parameters
+    ----------
+    priors : of the camera's errors about `base`; the second one, where there are several, finds the outliers.
+    log_prior : (k,) log probability of each.
+    base : the camera that the equations are first made about.
+    sightings : all of them, in the order of time.
+    close : of `thinned(sightings)`, which are taken to be inliers at first.
+    inflation : by how much a sighting's variance grows because its neighbours err alike.
+    """
+    rough, mixture = settled(priors[min(1, len(priors) - 1)], base, thinned(sightings), close)
     worse = _excess_noise(mixture)
+    stated_px = float(np.median(np.sqrt(sightings.variance)))
     sightings = replace(sightings, variance=sightings.variance * worse**2)
     inlier = _inliers(rough, moved(base, rough, rough.mean), sightings)
-    together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation(start))
-    # how far the camera turned is a hyperparameter: each scale is conditioned, then all are averaged
-    fits = [
-        _given_inliers(error_model.with_free_rotation(-rotation, sigma_rad=float(s)), base, together) for s in scales
-    ]
-    final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + np.log(scales))
-    sigma = float(np.median(sigma_px) * worse)
-    error_model = replace(final, mean=0.0 * final.mean)
-    return PoseFit(camera=moved(base, final, final.mean), error_model=error_model, inlier=inlier, sigma_px=sigma)
+    together = gathered(moved(base, rough, rough.mean), sightings, inlier, inflation=inflation)
+    fits = [_given_inliers(prior, base, together) for prior in priors]
+    final = _mixed([fit for fit, _ in fits], np.array([evidence for _, evidence in fits]) + log_prior)
+    return PoseFit(
+        camera=moved(base, final, final.mean),
+        error_model=replace(final, mean=0.0 * final.mean),
+        inlier=inlier,
+        sigma_px=stated_px * worse,
+    )
 
 
 def _scales_for(angle_rad: float) -> FloatArray:
@@ -159,7 +189,7 @@ def tolerance_px(error_model: CameraErrorModel, camera: Camera, sightings: Predi
     return np.asarray(np.sqrt(sightings.variance + model_variance))
 
 
-def _settled(
+def settled(
     error_model: CameraErrorModel, base: Camera, sightings: PredictedSightings, inlier: BoolArray
 ) -> tuple[CameraErrorModel, MixtureFit]:
     """Return the error model conditioned on sightings with outliers, linearised anew in every round."""

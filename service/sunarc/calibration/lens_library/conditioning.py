@@ -1,0 +1,226 @@
+"""A fit that is given what is known of its type of lens.
+
+The fit of the sightings alone is made first: it decides which sightings count, how noisy they are, and what no lens
+model describes. The type then takes the place of the fit's own prior of the lens; pose and field follow by their
+regression on the lens. Sightings that contradict the type refuse it, and a type that makes a good fit meet its
+sightings worse is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import BoolArray
+from sunarc.calibration.fit.assemble import tidied
+from sunarc.calibration.fit.least_squares_reference import allowed_level
+from sunarc.calibration.least_squares.priors import FREE, N_LENS, LensPrior
+from sunarc.calibration.least_squares.problem import observations, problem_for
+from sunarc.calibration.least_squares.solve import most_probable
+from sunarc.calibration.lens_library.departure import Departure, departure_of
+from sunarc.calibration.lens_library.frame import (
+    IN_FREE,
+    Gaussian,
+    gaussian_of,
+    information_of,
+)
+from sunarc.calibration.lens_library.lens_type import LensType
+from sunarc.calibration.model.backward import fit_backward
+from sunarc.calibration.model.covariance import sky_sigma_deg
+from sunarc.calibration.model.metrics import fit_metrics, residual_angles
+from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
+from sunarc.calibration.robust_loss import finite
+from sunarc.findings import Finding
+from sunarc.optics import Camera, pose_angles, project_fast
+
+_COST_RATIO = 1.05
+"""Robust cost and median residual over those of the fit alone that the type may cost it: priors and correlated noise
+make it 1.04 (decision 0023). Few sightings are met too well by the fit alone: a right type costs half of each of the
+17 parameters that it determines, and once in some thousand cases three times that much."""
+
+
+_LARGE_FIELD = 5.0
+"""Amplitude of the field over the noise from which on the field, not the noise, says how closely a lens is known: the
+equations that have it integrated out are kept then."""
+_COMING_DOWN = (30.0, 5.0, 1.0)
+"""Scales of the robust loss, in sigmas: the lens of the type is some px off at first."""
+_UNKNOWN_POSE = 1e-8
+"""Prior precision of a rotation, rad⁻²: none that counts."""
+
+
+class Conditioned(NamedTuple):
+    """A lens given sightings and its type, in the type's frame, and how far it is from the type's mean."""
+
+    lens: Gaussian
+    departure: Departure
+
+
+def with_lens(solved: Calibration, lens: LensType, *, points: SunPoints, options: CalibrationOptions) -> Calibration:
+    """Return a fit of sightings with what is known of its type of lens.
+
+    Refused where the sightings contradict the type; unchanged, with a finding, where the type makes an accepted fit
+    meet its sightings worse.
+
+    Parameters
+    ----------
+    solved : the fit of these sightings alone; the pose that it answers for is their last epoch's.
+    lens : its type.
+    points : the sightings.
+    options : what makes the answer acceptable.
+    """
+    found = conditioned_lens(solved, lens)
+    if found.departure.contradicts:
+        return contradicted(solved, found.departure)
+    seen = filter_sightings(points, site=solved.site)
+    used = np.ones(len(seen), dtype=bool) if solved.used is None else solved.used[seen.index]
+    changed = _changed(solved, lens, found.lens, options)
+    latest = used & (seen.epoch == seen.epoch.max(initial=0))
+    field_px = solved.field.amplitude_px
+    if solved.camera.displacement is None and field_px < _LARGE_FIELD * solved.evidence.sigma_px:
+        field_px, changed = 0.0, _at(changed, _most_probable(changed, lens, seen, options))
+    if solved.verdict.accepted and not _as_good(changed.camera, solved, seen, latest, field_px):
+        return with_finding(solved, lens_finding("lens_prior_left_out", lens))
+    return _assessed(changed, lens, seen, latest, options)
+
+
+def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
+    """Return the lens of a fit with its type in the place of the fit's own prior."""
+    frame, prior = lens.frame, lens.in_frame()
+    posterior = gaussian_of(solved, frame)
+    known = information_of(posterior, solved.evidence.radial_px)
+    inverse = np.linalg.inv(prior.covariance)
+    covariance = np.linalg.inv(known.matrix + inverse)
+    mean = covariance @ (known.vector + inverse @ prior.mean)
+    root = np.linalg.cholesky(prior.covariance)
+    remaining = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    departure = departure_of(np.linalg.solve(root, mean - prior.mean), remaining)
+    return Conditioned(Gaussian(mean, 0.5 * (covariance + covariance.T)), departure)
+
+
+def _changed(solved: Calibration, lens: LensType, to: Gaussian, options: CalibrationOptions) -> Calibration:
+    """Return a calibration whose lens is another one; pose and field follow by their regression on the lens.
+
+    What the field's own errors lose by that is left as it was: they are stated a little too large.
+    """
+    frame, before = lens.frame, gaussian_of(solved, lens.frame)
+    from_frame = np.eye(FREE.size)
+    from_frame[np.ix_(IN_FREE, IN_FREE)] = frame.basis
+    covariance = np.linalg.solve(from_frame, np.linalg.solve(from_frame, solved.covariance).T)
+    cross = np.linalg.solve(from_frame, solved.field.cross)
+    by_lens = np.linalg.solve(before.covariance, covariance[IN_FREE]).T
+    by_lens[IN_FREE] = np.eye(N_LENS)
+    taken = before.covariance - to.covariance
+    covariance = from_frame @ (covariance - by_lens @ taken @ by_lens.T) @ from_frame.T
+    of_field = np.linalg.solve(before.covariance, cross[:, IN_FREE])
+    vector = solved.camera.to_vector()
+    vector[FREE] += from_frame @ by_lens @ (to.mean - before.mean)
+    changed = replace(
+        solved,
+        covariance=0.5 * (covariance + covariance.T),
+        field=replace(solved.field, cross=from_frame @ (cross - by_lens @ taken @ of_field)),
+    )
+    camera = tidied(solved.camera.with_parameters(vector), options)
+    if camera.displacement is not None:
+        # the field's mean follows the lens, too
+        basis = solved.field.basis
+        shift = np.einsum("alm,l->am", of_field, to.mean - before.mean)
+        camera = replace(camera, displacement=basis.displacement(basis.coefficients_of(camera.displacement) + shift))
+    return _at(changed, camera)
+
+
+def _at(solved: Calibration, camera: Camera) -> Calibration:
+    """Return a calibration of another camera, its uncertainty unchanged."""
+    return replace(
+        solved,
+        camera=camera,
+        poses=(*solved.poses[:-1], camera.rotation_cam_enu),
+        pose=pose_angles(camera.rotation_cam_enu),
+        backward=fit_backward(camera),
+    )
+
+
+def _most_probable(
+    changed: Calibration, lens: LensType, seen: FilteredSightings, options: CalibrationOptions
+) -> Camera:
+    """Return the most probable camera of the latest epoch's sightings and the type, by the robust cost of both.
+
+    The equations about the fit alone are too far off where it followed the noise of a short arc.
+    """
+    prior = lens.in_frame()
+    in_units = LensPrior(
+        mean=lens.frame.lens(prior.mean), basis=lens.frame.basis @ np.linalg.cholesky(prior.covariance)
+    )
+    observed = observations(seen)
+    observed = observed.select(observed.epoch == observed.epoch.max(initial=0))
+    observed = replace(observed, epoch=np.zeros(len(observed), dtype=np.int64))
+    problem = problem_for(changed.camera, in_units, n_epochs=1)
+    precision = np.concatenate([np.ones(N_LENS), np.full(3, _UNKNOWN_POSE)])
+    sigma = changed.evidence.sigma_px * math.sqrt(max(changed.evidence.inflation, 1.0))
+    unknowns = problem.unknowns([changed.camera])
+    for factor in _COMING_DOWN:
+        unknowns = most_probable(problem, observed, unknowns, precision=precision, sigma=factor * sigma).unknowns
+    return tidied(problem.camera(unknowns), options)
+
+
+def _as_good(camera: Camera, solved: Calibration, seen: FilteredSightings, used: BoolArray, field_px: float) -> bool:
+    """Return whether a camera meets the sightings that count about as well as the fit without the type does.
+
+    `field_px` is what it may miss them by, since no lens model describes it.
+    """
+    alone, given = (
+        np.linalg.norm(finite(seen.pixels - project_fast(one, seen.directions)), axis=-1)[used] / seen.sigma_px[used]
+        for one in (solved.camera, camera)
+    )
+    n = max(int(used.sum()) / max(solved.evidence.inflation, 1.0), 1.0)
+    ratio = _COST_RATIO + 1.5 * N_LENS / n
+    level = allowed_level(
+        alone,
+        sigma=solved.evidence.sigma_px,
+        field_px=field_px,
+        cost_ratio=ratio,
+        median_ratio=ratio,
+    )
+    return level.reached_by(given)
+
+
+def _assessed(
+    changed: Calibration, lens: LensType, seen: FilteredSightings, used: BoolArray, options: CalibrationOptions
+) -> Calibration:
+    """Return a calibration with the metrics and the verdict that its camera has."""
+    latest = seen.epoch == seen.epoch.max(initial=0)
+    residual = finite(seen.pixels - project_fast(changed.camera, seen.directions))[latest]
+    angle = residual_angles(changed.camera, seen.pixels[latest], seen.directions[latest])
+    rms, most = sky_sigma_deg(changed)
+    evidence = replace(changed.evidence, options={**changed.evidence.options, "lens_prior": lens.as_evidence()})
+    result = replace(
+        changed,
+        metrics=fit_metrics(residual, used[latest], angle),
+        sky_rms_deg=rms,
+        sky_max_deg=most,
+        evidence=evidence,
+    )
+    verdict = fit_verdict(result, seen, Handedness(mirrored=result.camera.mirrored, ambiguous=False), options)
+    return with_finding(replace(result, verdict=verdict), lens_finding("lens_prior_used", lens))
+
+
+def lens_finding(code: str, lens: LensType) -> Finding:
+    """Return a finding that names the cameras of a type of lens."""
+    return Finding(code, {"n": len(lens.cameras), "cameras": ", ".join(lens.cameras)})
+
+
+def with_finding(solved: Calibration, finding: Finding) -> Calibration:
+    """Return a calibration whose verdict names one thing more."""
+    return replace(solved, verdict=replace(solved.verdict, findings=(*solved.verdict.findings, finding)))
+
+
+def contradicted(solved: Calibration, found: Departure) -> Calibration:
+    """Return a fit refused because its sightings contradict its type of lens."""
+    finding = Finding("lens_prior_contradicted", {"departure": found.rms, "limit": found.limit})
+    others = () if solved.verdict.accepted else solved.verdict.findings
+    return replace(solved, verdict=Verdict(accepted=False, findings=(finding, *others)))

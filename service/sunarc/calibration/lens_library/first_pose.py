@@ -1,0 +1,328 @@
+"""The pose of a camera that was never calibrated, from its first sightings: its type of lens is known, and it is level.
+
+A handful of sightings of one hour say where the sun was and which way it went. With the lens known within the spread
+of its type and the camera level within some degrees, that is a pose: poses at all azimuths are tried, the most
+probable one is conditioned on the sightings, and its covariance is what the sightings left of tilt, north and lens.
+The same is done for the mirrored image: an image of the wrong handedness is said, not served, and so is a second
+azimuth that fits as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from sunarc.array_types import BoolArray, FloatArray
+from sunarc.bounds import require_bounds
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
+from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, N_LENS
+from sunarc.calibration.lens_library.conditioning import contradicted, lens_finding, with_finding, with_lens
+from sunarc.calibration.lens_library.departure import Departure, departure_of
+from sunarc.calibration.lens_library.frame import IN_FREE
+from sunarc.calibration.lens_library.lens_type import LensType
+from sunarc.calibration.lens_library.mounting import apart_rad, level, levelling, north_sigma_deg, top_azimuth_deg
+from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
+from sunarc.calibration.model.residual_field import Field, wave_basis
+from sunarc.calibration.model.result import Calibration, Verdict
+from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
+from sunarc.calibration.pose.error_model import (
+    CameraErrorModel,
+    at_every_angle,
+    error_model_of,
+    joint_covariance,
+    moved,
+    predicted,
+    rotated,
+)
+from sunarc.calibration.pose.estimate_pose import PoseFit, conditioned_pose, handed_over, settled, thinned
+from sunarc.calibration.pose.gaussian_conditioning import Sightings, false_density, fit_inlier_mixture
+from sunarc.calibration.pose.residuals import PredictedSightings, noise_px
+from sunarc.calibration.pose.rotation_consensus import ransac_rotation
+from sunarc.calibration.pose_change_points import Moved, calibrate_moved
+from sunarc.calibration.quality.fit_checks import Handedness
+from sunarc.calibration.robust_loss import finite
+from sunarc.findings import Finding
+from sunarc.optics import Camera, project_fast
+from sunarc.sky import Site
+
+FEWEST_SIGHTINGS = 4
+_AZIMUTHS = 48
+"""Azimuths tried: 7.5 degrees apart."""
+_COARSE = 12
+"""Sightings, spread over time, that the azimuths are compared by."""
+_REFINED = 6
+"""Of them, those that are looked at with exact equations."""
+_NONLINEAR_PX = 3.0
+"""By how much the equations about a level camera are off for one that is tilted by 3 degrees and turned by 4."""
+_CELL_RAD = math.radians(6.0)
+"""1-sigma about each azimuth tried; neighbours overlap."""
+_AZIMUTH_RAD = math.radians(60.0)
+"""1-sigma of the azimuth about the best one: as good as unknown."""
+_DECIDED = 3.0
+"""Log odds by which a pose, and a handedness, must be the more probable one: 20 to 1."""
+_SAME_POSE_RAD = math.radians(15.0)
+_CLOSE = 6.0
+_LENS_PX = 1.0
+"""By which a lens of the type images neighbouring places differently, beside a common shift."""
+_LARGEST_SIGMA_DEG = 10.0
+"""Direction uncertainty, RMS over the sky, from which on a pose is of no use: clouds of the wrong half of the sky."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstPoseOptions:
+    """What is known of a camera's pose before its first sighting.
+
+    Attributes
+    ----------
+    tilt_deg : 1-sigma of the tilt about each horizontal axis.
+    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; None where it is not known.
+    top_within_deg : a pose that differs by more is not served.
+    """
+
+    tilt_deg: Annotated[float, Gt(0.0), Le(15.0)] = 3.0
+    top_azimuth_deg: Annotated[float, Ge(0.0), Le(360.0)] | None = None
+    top_within_deg: Annotated[float, Gt(0.0), Le(180.0)] = 30.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pose."""
+        require_bounds(self, section="first_pose")
+
+
+class _Found(NamedTuple):
+    """A pose, its prior's camera and error model, the log evidence, and the log odds against other azimuths."""
+
+    fit: PoseFit
+    base: Camera
+    prior: CameraErrorModel
+    log_evidence: float
+    log_odds: float
+
+
+def calibrate_with_lens(
+    points: SunPoints,
+    *,
+    lens: LensType,
+    site: Site,
+    options: CalibrationOptions,
+    circle: ImageCircle | None = None,
+    pose: FirstPoseOptions | None = None,
+) -> Moved:
+    """Return what sightings and a type of lens say of a camera: with a day of sun lens and pose, with few the pose.
+
+    Parameters
+    ----------
+    points, site, options, circle : as `calibrate_moved` takes them; projection and handedness are those of the lens.
+    lens : its type.
+    pose : what is known of the pose, where the sightings alone are not enough for a fit.
+    """
+    options = options_for(lens, options)
+    size = (lens.camera.width, lens.camera.height)
+    moved_ = calibrate_moved(points, site=site, image_size=size, options=options, circle=circle)
+    solved, points = moved_.calibration, moved_.points
+    if solved.verdict.accepted:
+        return Moved(with_lens(solved, lens, points=points, options=options), points)
+    known = _usual_pose(options) if pose is None else pose
+    latest = points.select(np.flatnonzero(points.epoch == points.epoch.max(initial=0)))
+    return Moved(first_pose(latest, lens=lens, site=site, options=options, pose=known), latest)
+
+
+def _usual_pose(options: CalibrationOptions) -> FirstPoseOptions:
+    """Return what is known of the pose where it is not stated: the tilt, by half of what a fit may have."""
+    if options.level_within_deg is None:
+        return FirstPoseOptions()
+    return FirstPoseOptions(tilt_deg=min(options.level_within_deg / 2.0, 15.0))
+
+
+def options_for(lens: LensType, options: CalibrationOptions) -> CalibrationOptions:
+    """Return the options of a robust fit of a lens of this type."""
+    hand: Mirrored = "yes" if lens.camera.mirrored else "no"
+    return replace(options, method="robust", projection=lens.camera.projection, mirrored=hand)
+
+
+def first_pose(
+    points: SunPoints, *, lens: LensType, site: Site, options: CalibrationOptions, pose: FirstPoseOptions | None = None
+) -> Calibration:
+    """Return the most probable camera of a type of lens given its first sightings, from four on.
+
+    Poor or contradictory sightings give a calibration whose verdict is refused and says why; they never raise.
+
+    Parameters
+    ----------
+    points : sightings of one pose; their sigma is 0.5 px where they do not state it.
+    lens : the type.
+    site : where the camera stands.
+    options : what makes the answer acceptable, but for its uncertainty, which may be 10 degrees.
+    pose : what is known of the pose.
+    """
+    known = FirstPoseOptions() if pose is None else pose
+    level_within = max(options.level_within_deg or 0.0, 3.0 * known.tilt_deg)
+    options = replace(options_for(lens, options), level_within_deg=level_within, max_sky_deg=_LARGEST_SIGMA_DEG)
+    usable = filter_sightings(replace(points, epoch=np.zeros(len(points), dtype=np.int64)), site=site)
+    job = Job(
+        points=points,
+        usable=usable,
+        site=site,
+        image_size=(lens.camera.width, lens.camera.height),
+        options=options,
+        circle=None,
+        start=lens.camera,
+        free="pose",
+    )
+    if len(usable) < FEWEST_SIGHTINGS:
+        return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST_SIGHTINGS}),))
+    start = _stated(lens, job)
+    sigma_px = noise_px(start, points.sigma_px[usable.index])
+    both = start, _other_hand(start)
+    sightings = _observed(usable, sigma_px, lens.camera)
+    # the same sightings for both hands, or their evidences could not be compared
+    close = max((_agreeing(at_every_angle(one.camera), thinned(sightings)) for one in both), key=np.sum)
+    if np.sum(close) < FEWEST_SIGHTINGS:
+        close = np.ones(close.size, dtype=bool)
+    try:
+        found, other = (_most_probable(one, sightings, close, math.radians(known.tilt_deg)) for one in both)
+    except np.linalg.LinAlgError:  # no pose is near the sightings: the equations mean nothing
+        return refused(job, (Finding("no_camera_fits"),))
+    fitted = handed_over(found.fit, start, usable, wander_rad=0.0)
+    result = calibration_from_fit(fitted, job, Handedness(mirrored=lens.camera.mirrored, ambiguous=False))
+    evidence = replace(result.evidence, options={**result.evidence.options, "lens_prior": lens.as_evidence()})
+    result = replace(result, evidence=evidence)
+    return _judged(result, found, other, lens, known)
+
+
+def _stated(lens: LensType, job: Job) -> Calibration:
+    """Return the calibration that a type of lens is; its pose is free of error here, and added where it is sought."""
+    camera = lens.camera
+    covariance = np.zeros((FREE.size, FREE.size))
+    covariance[np.ix_(IN_FREE, IN_FREE)] = lens.covariance
+    without_fit = refused(job, ())
+    return replace(
+        without_fit,
+        evidence=replace(without_fit.evidence, sigma_px=job.usable.stated_sigma_px),
+        camera=camera,
+        poses=(camera.rotation_cam_enu,),
+        covariance=covariance,
+        field=_field(lens),
+        parameter_names=FREE_NAMES,
+    )
+
+
+def _field(lens: LensType) -> Field:
+    """Return the field of a type: its scales, and nothing known of its course."""
+    if lens.field_px <= 0.0 or lens.field_length_px <= 0.0:
+        return no_field(lens.camera, size=FREE.size)
+    length = lens.field_length_px
+    basis = wave_basis(width=lens.camera.width, height=lens.camera.height, shortest_px=length, longest_px=length)
+    cross = np.zeros((2, FREE.size, len(basis.orders)))
+    return Field(amplitude_px=lens.field_px, length_px=length, basis=basis, cross=cross)
+
+
+def _other_hand(start: Calibration) -> Calibration:
+    return replace(start, camera=replace(start.camera, mirrored=not start.camera.mirrored))
+
+
+def _observed(usable: FilteredSightings, sigma_px: FloatArray, camera: Camera) -> PredictedSightings:
+    """Return the sightings; a false one may be anywhere in the image."""
+    anywhere = false_density(np.full(usable.pixels.shape, np.inf), area_px2=float(camera.width * camera.height))
+    return PredictedSightings(
+        directions=usable.directions, pixels=usable.pixels, variance=sigma_px**2, false_density=anywhere
+    )
+
+
+def _agreeing(camera: Camera, thin: PredictedSightings) -> BoolArray:
+    """Return which sightings agree on a rotation of a camera, whichever it is."""
+    tolerance = np.sqrt(thin.variance + _LENS_PX**2)
+    rotation = ransac_rotation(camera, thin.directions, thin.pixels, tolerance)
+    off = thin.pixels - project_fast(rotated(camera, rotation), thin.directions)
+    return np.asarray(np.linalg.norm(finite(off), axis=-1) < _CLOSE * tolerance)
+
+
+def _most_probable(start: Calibration, sightings: PredictedSightings, close: BoolArray, tilt_rad: float) -> _Found:
+    """Return the most probable pose at any azimuth of a camera that is level within a 1-sigma per axis."""
+    error_model, camera = error_model_of(start), at_every_angle(start.camera)
+    some = np.flatnonzero(close)
+    coarse = thinned(sightings).select(some[np.unique(np.linspace(0, some.size - 1, _COARSE).astype(int))])
+    spread = np.array([tilt_rad, tilt_rad, _CELL_RAD])
+    cell = error_model.with_free_rotation(np.zeros(3), sigma_rad=spread)
+    bases = [level(camera, azimuth) for azimuth in np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)]
+    order = np.argsort([-_rough_evidence(cell, base, coarse) for base in bases])
+    tried = sorted((_refined(cell, bases[k], coarse) for k in order[:_REFINED]), key=lambda one: -one[0])
+    evidence, best = tried[0]
+    rivals = [other for other, one in tried if apart_rad(one, best) > _SAME_POSE_RAD]
+    # about the best pose: the prior is level at its own azimuth, which is as good as unknown
+    base = replace(camera, rotation_cam_enu=best.rotation_cam_enu)
+    spread[2] = _AZIMUTH_RAD
+    prior = error_model.with_free_rotation(levelling(base), sigma_rad=spread)
+    fit = conditioned_pose([prior], np.zeros(1), base, sightings, close, inflation=1.0)
+    return _Found(fit, base, prior, evidence, evidence - max(rivals, default=-math.inf))
+
+
+def _rough_evidence(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -> float:
+    """Return the log evidence of a level camera, by equations that are good to some px."""
+    at = predicted(cell, base, coarse.directions)
+    about = Sightings(
+        residual=finite(coarse.pixels - at.pixels),
+        variance=coarse.variance + _NONLINEAR_PX**2,
+        false_density=coarse.false_density,
+    )
+    everyone = np.ones(coarse.variance.size, dtype=bool)
+    return fit_inlier_mixture(np.nan_to_num(joint_covariance(cell, at)), about, everyone).log_evidence
+
+
+def _refined(cell: CameraErrorModel, base: Camera, coarse: PredictedSightings) -> tuple[float, Camera]:
+    """Return the log evidence of the poses about a level camera, and the best of them."""
+    try:
+        after, mixture = settled(cell, base, coarse, np.ones(coarse.variance.size, dtype=bool))
+    except np.linalg.LinAlgError:  # so far off that the equations mean nothing
+        return -math.inf, base
+    return mixture.log_evidence, moved(base, after, after.mean)
+
+
+def _judged(result: Calibration, found: _Found, other: _Found, lens: LensType, known: FirstPoseOptions) -> Calibration:
+    """Return the calibration with a verdict that says what is known of its pose, and why it is not served."""
+    north = {"north_sigma_deg": north_sigma_deg(result), "top_azimuth_deg": top_azimuth_deg(result.camera)}
+    against = _against(found, other, known, north)
+    departure = _departure(found, lens)
+    if departure.contradicts and not against:
+        return contradicted(result, departure)
+    if against:
+        others = () if result.verdict.accepted else result.verdict.findings
+        return replace(result, verdict=Verdict(accepted=False, findings=(*against, *others)))
+    described = with_finding(result, Finding("first_pose", {"n": result.evidence.n_used, **north}))
+    return with_finding(described, lens_finding("lens_prior_used", lens))
+
+
+def _against(found: _Found, other: _Found, known: FirstPoseOptions, north: dict[str, float]) -> list[Finding]:
+    """Return what speaks against serving a pose."""
+    hand = found.log_evidence - other.log_evidence
+    if hand < -_DECIDED:
+        return [Finding("first_pose_mirrored", {"log10_odds": -hand / math.log(10.0)})]
+    if hand < _DECIDED:
+        return [Finding("mirroring_ambiguous")]
+    if found.log_odds < _DECIDED:
+        return [Finding("north_ambiguous", {"log10_odds": found.log_odds / math.log(10.0)})]
+    if known.top_azimuth_deg is None:
+        return []
+    off = abs((north["top_azimuth_deg"] - known.top_azimuth_deg + 180.0) % 360.0 - 180.0)
+    if off <= known.top_within_deg + 2.0 * north["north_sigma_deg"]:
+        return []
+    expected = {"expected_deg": known.top_azimuth_deg, "off_deg": off}
+    return [Finding("north_not_as_mounted", {**north, **expected})]
+
+
+def _departure(found: _Found, lens: LensType) -> Departure:
+    """Return how far lens and tilt are from what was known of them."""
+    prior, after = found.prior, found.fit.error_model
+    vector = found.fit.camera.to_vector() - found.base.to_vector()
+    tilt = prior.rotation[:2]
+    spread = np.sqrt(np.diag(prior.covariance)[tilt])
+    root = np.linalg.cholesky(lens.in_frame().covariance)
+    to_unit = np.zeros((N_LENS + 2, FREE.size))
+    to_unit[:N_LENS, IN_FREE] = np.linalg.solve(root, np.linalg.inv(lens.frame.basis))
+    to_unit[N_LENS + np.arange(2), tilt] = 1.0 / spread
+    change = to_unit[:, IN_FREE] @ vector[FREE][IN_FREE]
+    change[N_LENS:] = -levelling(found.fit.camera)[:2] / spread
+    return departure_of(change, to_unit @ after.covariance @ to_unit.T)

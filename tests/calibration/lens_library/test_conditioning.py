@@ -1,0 +1,132 @@
+"""A day's fit with its type of lens: better and honest where the type is right, refused or left out where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from tests.calibration.conftest import SGP
+
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    LensType,
+    UnitSpread,
+    calibrate,
+    hemisphere,
+    project_with_covariance,
+    reproduce_calibration,
+)
+from sunarc.calibration.lens_library import conditioning, with_lens
+from sunarc.calibration.lens_library.conditioning import conditioned_lens
+from sunarc.calibration.lens_library.frame import frame_of, gaussian_of, information_of, prior_precision_of
+from sunarc.errors import InputError
+from sunarc.optics import Camera, project
+
+if TYPE_CHECKING:
+    from tests.calibration.lens_library.conftest import Fitted, Units
+
+SKY = hemisphere(300)
+OPTIONS = CalibrationOptions(level_within_deg=15.0)
+
+
+def error_px(found: Calibration, truth: Camera) -> tuple[float, float]:
+    """Return the RMS error over the sky, px, and the share of it within the stated 95 %."""
+    pixels, covariance = project_with_covariance(found, SKY)
+    error = pixels - project(truth, SKY)
+    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    return float(np.sqrt(np.nanmean(np.sum(error**2, axis=-1)))), float(np.nanmean(square < 5.991))
+
+
+def test_a_part_of_a_day_is_better_with_the_type_and_its_errors_as_stated(
+    fitted: Fitted, unit: Units, lens: LensType
+) -> None:
+    rows = []
+    for number in range(3):
+        points = fitted(number)[0]
+        half = points.select(slice(0, len(points) // 2))
+        alone = calibrate(half, site=SGP, image_size=(1748, 1748), options=OPTIONS)
+        found = with_lens(alone, lens, points=half, options=OPTIONS)
+        assert found.verdict.accepted == alone.verdict.accepted
+        assert found.sky_rms_deg < alone.sky_rms_deg
+        rows.append([error_px(alone, unit(number))[0], *error_px(found, unit(number))])
+    before, after, covered = np.array(rows).T
+    assert 0.1 < np.median(after) / np.median(before) < 0.95
+    assert 0.8 < np.mean(covered) <= 1.0
+
+
+def test_the_lens_is_the_product_of_sightings_and_type(fitted: Fitted, lens: LensType) -> None:
+    calibration = fitted(1)[1]
+    frame, prior = lens.frame, lens.in_frame()
+    known = information_of(gaussian_of(calibration, frame), calibration.evidence.radial_px)
+    covariance = np.linalg.inv(known.matrix + np.linalg.inv(prior.covariance))
+    found = with_lens(calibration, lens, points=fitted(1)[0], options=OPTIONS)
+    assert gaussian_of(found, frame).covariance == pytest.approx(covariance, abs=1e-5)
+    to = conditioned_lens(calibration, lens).lens
+    changed = conditioning._changed(calibration, lens, to, OPTIONS)
+    assert frame.whitened(changed.camera) == pytest.approx(to.mean, abs=1e-6)
+    sigma = np.sqrt(np.diag(to.covariance))
+    assert np.abs((frame.whitened(found.camera) - to.mean) / sigma).max() < 1.0  # solved again, not linearised
+    assert found.evidence.options["lens_prior"] == lens.as_evidence()
+
+
+def test_a_type_that_says_nothing_changes_nothing(fitted: Fitted, lens: LensType) -> None:
+    points, calibration = fitted(1)
+    frame = frame_of(lens.camera)
+    precision = prior_precision_of(gaussian_of(calibration, frame), calibration.evidence.radial_px) + 1e-8
+    vague = replace(lens, covariance=frame.basis @ np.diag(1.0 / precision) @ frame.basis.T)
+    centred = replace(vague, camera=replace(lens.camera, radial=(0.0,) * 8, decentering=(0.0,) * 4, skew_px=0.0))
+    found = with_lens(calibration, centred, points=points, options=OPTIONS)
+    moved = project(found.camera, SKY) - project(calibration.camera, SKY)
+    assert np.sqrt(np.nanmean(moved**2)) < 0.06
+    assert found.sky_rms_deg == pytest.approx(calibration.sky_rms_deg, rel=0.15)
+
+
+def test_information_adds_the_prior_back_to_the_posterior(fitted: Fitted, lens: LensType) -> None:
+    calibration = fitted(2)[1]
+    posterior = gaussian_of(calibration, lens.frame)
+    precision = prior_precision_of(posterior, calibration.evidence.radial_px)
+    known = information_of(posterior, calibration.evidence.radial_px)
+    assert np.linalg.eigvalsh(known.matrix)[0] > -1e-6
+    again = np.linalg.inv(known.matrix + np.diag(precision + 1e-9))
+    assert np.sqrt(np.diag(again)) == pytest.approx(np.sqrt(np.diag(posterior.covariance)), rel=0.15)
+
+
+def test_another_lens_is_refused_with_its_size(fitted: Fitted, lens: LensType) -> None:
+    points, calibration = fitted(0)
+    other = replace(lens, camera=replace(lens.camera, focal_length_px=(630.0, 630.0)))
+    found = with_lens(calibration, other, points=points, options=OPTIONS)
+    finding = found.verdict.findings[0]
+    assert not found.verdict.accepted
+    assert finding.code == "lens_prior_contradicted"
+    assert float(finding.data["departure"]) > float(finding.data["limit"]) > 1.0
+    assert with_lens(calibration, lens, points=points, options=OPTIONS).verdict.accepted
+
+
+def test_a_type_that_makes_a_good_fit_worse_is_left_out(
+    fitted: Fitted, lens: LensType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points, calibration = fitted(0)
+    shifted = conditioned_lens(calibration, lens)
+    away = shifted.lens._replace(mean=shifted.lens.mean + np.r_[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, np.zeros(11)])
+    monkeypatch.setattr(conditioning, "conditioned_lens", lambda *_: shifted._replace(lens=away))
+    far = replace(calibration.camera, focal_length_px=(605.0, 605.0))
+    monkeypatch.setattr(conditioning, "_most_probable", lambda *_: far)
+    found = with_lens(calibration, lens, points=points, options=OPTIONS)
+    assert found.verdict.accepted
+    assert found.verdict.findings[-1].code == "lens_prior_left_out"
+    assert found.camera == calibration.camera
+
+
+def test_it_is_not_solved_again_without_its_type(fitted: Fitted, lens: LensType) -> None:
+    points, calibration = fitted(0)
+    found = with_lens(calibration, lens, points=points, options=OPTIONS)
+    with pytest.raises(InputError) as refused:
+        reproduce_calibration(found, points)
+    assert refused.value.field == "evidence.options.lens_prior"
+
+
+def test_the_default_spread_is_wider_than_the_stated_one() -> None:
+    assert np.all(UnitSpread().scales(600.0) >= UnitSpread(focal_length=0.003, center_px=8.0).scales(600.0))
