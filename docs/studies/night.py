@@ -96,6 +96,8 @@ def one_lens(seed: int, asked: argparse.Namespace) -> tuple[FloatArray, FloatArr
     day = fitted(sun)
     moments = nights.MIDNIGHT + 3600.0 * (np.arange(asked.frames) - (asked.frames - 1) / 2.0)
     stars = stars_of(rng, camera, day, nights.Night(sigma_px=asked.star_sigma, field=field), moments)
+    if asked.stars < len(stars):
+        stars = stars.select(rng.permutation(len(stars))[: asked.stars])
     both = fitted(together(sun, stars)) if len(stars) else day
     return error_of(day, camera, field), error_of(both, camera, field), len(stars)
 
@@ -107,6 +109,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--days", type=int, default=1)
     parser.add_argument("--frames", type=int, default=6, help="images of the night, an hour apart")
+    parser.add_argument("--stars", type=int, default=150, help="of those matched, at random")
     parser.add_argument("--star-sigma", type=float, default=0.1, help="px, of a star of V 3")
     parser.add_argument("--field", type=float, default=0.0, help="px, of the lens, that no model knows")
     asked = parser.parse_args()
