@@ -112,3 +112,27 @@ def test_a_vector_without_a_direction_is_refused(direction: list[float]) -> None
     with pytest.raises(InputError) as refused:
         SunPoints(unix_s=np.zeros(1), pixels=np.ones((1, 2)), directions=np.array([direction]))
     assert refused.value.field == "directions"
+
+
+def test_a_field_is_not_lost_where_stars_outnumber_a_finer_sun() -> None:
+    """Most sightings are stars of 0.2 px, the sun's are six times finer: what moves both by 0.3 px is a field."""
+    rng = np.random.default_rng(7001)
+    camera = pop.random_camera(rng)
+    field = pop.smooth_field(rng, amplitude_px=0.3, length_px=425.0)
+    times = pop.sun_track(np.zeros(1), cadence_s=120.0)
+    sun = pop.sightings(camera, times, pop.white_noise(rng, times.size, 0.03), field=field)
+    directions = _spread(rng, 1200)
+    pixels, sigma = project(camera, directions), rng.uniform(0.1, 0.3, 1200)
+    stars = pixels + field(pixels) + rng.normal(size=pixels.shape) * sigma[:, None]
+    points = SunPoints(
+        unix_s=np.r_[sun.unix_s, np.full(1200, NIGHT)],
+        pixels=np.r_[sun.pixels, stars],
+        sigma_px=np.r_[np.full(times.size, 0.03), sigma],
+        directions=np.r_[np.full((times.size, 3), np.nan), directions],
+    )
+    fit = _fitted(camera, points)
+    assert fit.verdict.accepted
+    assert 0.15 < fit.field.amplitude_px < 0.6
+    truth = project(camera, directions)
+    error = project(fit.camera, directions) - truth - field(truth)
+    assert 0.005 < np.sqrt(np.mean(np.sum(error**2, axis=-1))) < 0.08

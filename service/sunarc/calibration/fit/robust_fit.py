@@ -28,7 +28,7 @@ from sunarc.calibration.fit.hyperparameter_grid import (
     scale_grid,
 )
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
-from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares
+from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, Scales, field_at, marginal_fit, prior_precision
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
@@ -206,10 +206,12 @@ def _with_field(
     again.
     """
     distance = distance_sigmas(problem, observed, plain)
-    sigma = robust_sigma(distance, floor=SMALLEST_SIGMA_PX)
+    sigma, weight = robust_sigma(distance, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
     state, noise = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
-        level = allowed_level(distance, sigma=sigma, field_px=state.proven_field_px, cost_ratio=_FIELD_MAY_COST)
+        level = allowed_level(
+            distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
+        )
         if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
