@@ -18,10 +18,11 @@ from sunarc.calibration import CalibrationOptions, UnitSpread, calibrate, to_doc
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_files import calibrate_file
 from sunarc.offline.calibrate_joint import LENS_FILE, calibrate_joint, read_joint_spec
-from sunarc.offline.lens_priors import combined_lens, read_lens_prior, write_lens_prior
+from sunarc.offline.lens_priors import combined_lens, write_lens_prior
 from sunarc.optics import Camera
 from sunarc.runtime.clock import VirtualClock
 from sunarc.utc import utc_time
+from sunarc.workers import read_lens_prior
 
 NOW = datetime(2013, 5, 14, tzinfo=UTC)
 SPREAD = UnitSpread(focal_length=0.003, center_px=8.0)

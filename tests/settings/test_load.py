@@ -105,7 +105,9 @@ def beyond(bounds: tuple[Bound, ...]) -> Iterator[float]:
 NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
 
 
-NEW = {"store", "hub.url", "hub.token_file"} | {name for name in NAMES if name.startswith(("push.", "nightly."))}
+NEW = {"store", "hub.url", "hub.token_file"} | {
+    name for name in NAMES if name.startswith(("push.", "nightly.", "first_pose."))
+}
 """Settings that came after 0.2.0."""
 
 
@@ -124,7 +126,7 @@ def test_a_settings_file_of_0_2_0_is_read_and_has_every_setting() -> None:
 
 
 def test_there_are_about_fifty_settings() -> None:
-    assert len(NAMES) <= 70
+    assert len(NAMES) <= 71
 
 
 def test_every_number_has_a_lower_and_an_upper_bound() -> None:

@@ -56,7 +56,7 @@ MESSAGES = Messages(
         "mask these positions",
     ),
     provisional=Message(
-        "provisional: the lens is that of an earlier pose, within its uncertainty",
+        "provisional: the lens is that of an earlier pose, or of its type, within its uncertainty",
         "The pose was estimated from few sightings.",
         "none: a full fit replaces it after the day",
     ),

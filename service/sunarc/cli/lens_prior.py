@@ -12,8 +12,9 @@ from sunarc.calibration import LensType, UnitSpread
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
 from sunarc.offline.calibrate_joint import calibrate_joint
-from sunarc.offline.lens_priors import combined_lens, read_lens_prior, write_lens_prior
+from sunarc.offline.lens_priors import combined_lens, write_lens_prior
 from sunarc.runtime.clock import SystemClock
+from sunarc.workers import read_lens_prior
 
 _PANEL = "Cameras of one type of lens"
 LensPriorFile = Annotated[

@@ -14,19 +14,10 @@ from sunarc.calibration import (
     Unit,
     UnitSpread,
     from_document,
-    lens_type_from_json,
     lens_type_of,
 )
 from sunarc.errors import InputError
 from sunarc.offline.files import read_file
-
-
-def read_lens_prior(path: Path) -> LensType:
-    """Return the type of lens of a lens prior file; InputError names what is wrong with it."""
-    try:
-        return lens_type_from_json(_json(path))
-    except InputError as error:
-        raise InputError(field=f"{path.name}, {error.field}", problem=error.problem, remedy=error.remedy) from None
 
 
 def write_lens_prior(path: Path, lens: LensType) -> None:

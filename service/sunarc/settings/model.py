@@ -21,6 +21,7 @@ from sunarc.workers import (
     CaptureOptions,
     ClockOptions,
     HubOptions,
+    LensPriorOptions,
     NightlyOptions,
     PushOptions,
     RefitOptions,
@@ -78,6 +79,7 @@ class Settings(_WithStore):
     capture, sun_exposure : the cycle, and the control of its sun exposures.
     clock : how the time of the frames is watched.
     calibration, refit : the fit, when and how it is run.
+    first_pose : what is known of lens and pose before the first fit.
     watch : thresholds of a change of the camera.
     disk : how much of the disk images may have.
     api : the web server.
@@ -103,6 +105,7 @@ class Settings(_WithStore):
     clock: ClockOptions = ClockOptions()
     calibration: CalibrationOptions = CalibrationOptions()
     refit: RefitOptions = RefitOptions()
+    first_pose: LensPriorOptions = LensPriorOptions()
     watch: WatchOptions = WatchOptions()
     disk: DiskOptions = DiskOptions()
     api: ApiOptions = ApiOptions()

@@ -2,6 +2,7 @@
 
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge
+from sunarc.workers.calibrating.lens_prior_file import FirstPose, LensPriorOptions, read_lens_prior
 from sunarc.workers.calibrating.monitor import WatchWorker
 from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator
 from sunarc.workers.calibrating.refit import RefitOptions, RefitWorker
@@ -45,10 +46,12 @@ __all__ = [
     "DiskWorker",
     "DropOldestQueue",
     "FeedWorker",
+    "FirstPose",
     "FrameTime",
     "FrozenFrames",
     "HubConnection",
     "HubOptions",
+    "LensPriorOptions",
     "MqttBroker",
     "NightlyOptions",
     "NightlyWork",
@@ -71,5 +74,6 @@ __all__ = [
     "image_document",
     "nightly_jobs",
     "points_of",
+    "read_lens_prior",
     "webhook_name",
 ]

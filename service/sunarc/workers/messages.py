@@ -37,6 +37,23 @@ MESSAGES = Messages(
         "The stated uncertainty says how far the pose is known.",
         "wait: every sighting improves it, and the fit after the day replaces it",
     ),
+    first_sun=Message(
+        "first sightings of the sun: {n} of {least} that a first pose needs, the last at x {x_px:.0f}, y {y_px:.0f}",
+        "Directions cannot be given yet.",
+        "see in the image that it is the sun, and which way it goes: in the northern hemisphere clockwise",
+    ),
+    first_pose_provisional=Message(
+        "first pose, of {n} sightings: north to {north_sigma_deg:.1f}° (1-sigma), directions to {sigma_deg:.1f}°; the "
+        "top of the image looks towards azimuth {top_azimuth_deg:.0f}°",
+        "Served as provisional. The stated uncertainty says how far the pose is known.",
+        "compare the top of the image with a map; the sightings of the next minutes improve the pose, and the fit "
+        "after a clear day replaces it",
+    ),
+    first_pose_refused=Message(
+        "no first pose is served: {reason}",
+        "Directions cannot be given yet; further sightings are tried.",
+        "{remedy}",
+    ),
     epoch_in_future=Message(
         "pose epoch {pose_epoch} begins at {started_at}, later than now; a clock that was ahead dated it",
         "It is not used, but no other can begin.",

@@ -27,7 +27,8 @@ from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
 from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
-from sunarc.workers.calibrating.provisional_pose import ProvisionalPoseEstimator, is_provisional
+from sunarc.workers.calibrating.pose_conditions import pose_condition, refused_condition, waiting_condition
+from sunarc.workers.calibrating.provisional_pose import FEWEST, ProvisionalPoseEstimator, is_provisional
 from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
@@ -35,6 +36,7 @@ _POLL_S = 0.5
 _WAITING = 256
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
+_POSE_CODES = ("provisional_pose", "first_pose_provisional")
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
@@ -158,9 +160,12 @@ class WatchWorker:
 
     def _process(self, sighting: Sighting) -> None:
         current = self._current()
-        if current is None or (len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]):
-            return
         if sighting.unix_s > self._latest().timestamp():
+            return
+        if current is None:
+            self._begin(sighting)
+            return
+        if len(self._watch) and sighting.unix_s <= self._watch.unix_s[-1]:
             return
         site = self._camera.site_at(utc_time(sighting.unix_s))
         if site != self._camera.site:  # not in `notice`, which must not wait for the database
@@ -180,6 +185,17 @@ class WatchWorker:
             self._act(change)
         if self._reposer.improve():
             self._publish_pose()
+
+    def _begin(self, sighting: Sighting) -> None:
+        """Estimate the first pose of a camera whose type of lens is known, and publish how far that is."""
+        if self._reposer.first is None:
+            return
+        if self._reposer.improve():
+            self._publish_pose()
+            return
+        n, refusal = self._reposer.count, self._reposer.refusal
+        self._board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
+        self._board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
 
     def _act(self, change: Change) -> None:
         """Report a change, and act on it by its kind."""
@@ -256,23 +272,22 @@ class WatchWorker:
             self._board.set_condition(f"changed_{kind}", None)
 
     def _publish_pose(self) -> None:
-        """Set or clear the condition `provisional_pose`; a full fit of the epoch clears it."""
+        """Set or clear the conditions of a provisional pose; a full fit of the epoch clears them."""
         current = self._current()
         if current is None:
             return
         self._clear_move()
-        if not is_provisional(current):
-            self._board.set_condition("provisional_pose", None)
-            return
-        reason = condition("provisional_pose", n=current.evidence.n_used, sigma_deg=current.sky_rms_deg)
-        self._board.set_condition("provisional_pose", reason)
+        reason = pose_condition(current)
+        for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
+            self._board.set_condition(code, reason if reason is not None and reason.code == code else None)
 
     def _current(self) -> Calibration | None:
         """Return what is served, and show how its pose stands where that is another calibration than before."""
         record, model = self._camera.current_calibration(), self._camera.current_model()
         before, self._shown = self._shown, None if record is None else record.id
         if record is None:
-            self._board.set_condition("provisional_pose", None)
+            for code in _POSE_CODES:
+                self._board.set_condition(code, None)
         elif model is not None and before != record.id:
             self._publish_pose()
         return model

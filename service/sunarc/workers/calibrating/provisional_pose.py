@@ -1,4 +1,7 @@
-"""Provisional pose of an epoch without a full fit, from its first sightings on, updated with every few more."""
+"""Provisional pose of an epoch without a full fit, from its first sightings on, updated with every few more.
+
+The lens is that of an earlier calibration, or, where there is none, of its type as the settings' lens prior file says.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,23 @@ from datetime import UTC, datetime, timedelta
 
 import sunarc
 from sunarc.archive import LENS_CHANGED, CalibrationRecord, CameraArchive, PoseEpoch
-from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, estimate_pose, to_document
+from sunarc.calibration import (
+    MAX_CLOCK_ERROR_S,
+    Calibration,
+    CalibrationOptions,
+    SunPoints,
+    Verdict,
+    estimate_pose,
+    first_pose,
+    to_document,
+)
 from sunarc.errors import InputError
+from sunarc.workers.calibrating.lens_prior_file import FirstPose
 from sunarc.workers.fit_input import points_of
 
 _log = logging.getLogger(__name__)
 _GROWTH = 1.3
-_FEWEST = 4
+FEWEST = 4
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 
@@ -23,6 +36,11 @@ _JITTER = timedelta(seconds=1)
 def is_provisional(calibration: Calibration) -> bool:
     """Return whether only the pose was fitted, with the lens of an earlier calibration."""
     return calibration.evidence.options.get("free") == "pose"
+
+
+def is_first_pose(calibration: Calibration) -> bool:
+    """Return whether only the pose was fitted, with a lens that is known by its type alone."""
+    return is_provisional(calibration) and "lens_prior" in calibration.evidence.options
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +58,13 @@ class ProvisionalPoseEstimator:
     options : what makes a pose acceptable.
     wander_deg : 1-sigma by which the mount wanders.
     now : frame time, which dates calibrations; pose epochs and sightings dated later are not used.
+    first : the type of lens, where no calibration knows the lens; None: there is no pose before the first full fit.
+
+    Attributes
+    ----------
+    first : the same.
+    count : sightings of the epoch when a pose was last due.
+    refusal : the verdict of the last estimate where it was refused; None where it was not.
     """
 
     def __init__(
@@ -49,46 +74,69 @@ class ProvisionalPoseEstimator:
         options: CalibrationOptions,
         wander_deg: float,
         now: Callable[[], datetime],
+        first: FirstPose | None = None,
     ) -> None:
         self._camera = camera
         self._options = options
         self._wander_deg = wander_deg
         self._now = now
         self._tried: _Tried | None = None
+        self.first = first
+        self.count = 0
+        self.refusal: Verdict | None = None
 
     def improve(self) -> bool:
         """Estimate the pose again where that is due; return whether the result was activated."""
         now = self._now()
         epoch = self._camera.current_epoch(at=now + _JITTER)
         current = self._camera.current_calibration()
-        if epoch is None or current is None or epoch.reason == LENS_CHANGED:
+        if epoch is None or epoch.reason == LENS_CHANGED or (current is None and self.first is None):
             return False
-        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.model(current.id)):
+        if current is not None and self._is_answered(current, epoch):
             return False
-        lens = self._lens(current)
-        if lens is None or self._is_of_later(current, epoch):
+        lens = None if current is None else self._lens(current)
+        if lens is None and self.first is None:
             return False
         columns = self._camera.sun_point_columns(
             pose_epoch=epoch.id, until=now + _JITTER, largest_clock_error_s=MAX_CLOCK_ERROR_S
         )
-        count = int(columns.unix_s.size)
+        self.count = count = int(columns.unix_s.size)
         done = self._tried.count if self._tried is not None and self._tried.epoch == epoch.id else 0
-        if count < max(_FEWEST, _GROWTH * done):
+        if count < max(FEWEST, _GROWTH * done):
             return False
         self._tried = _Tried(epoch.id, count)
-        posed = estimate_pose(
-            points_of(columns),
+        points = points_of(columns)
+        posed = self._of_type(points) if lens is None else self._of_lens(points, lens)
+        self.refusal = None if posed.verdict.accepted else posed.verdict
+        if not posed.verdict.accepted:
+            _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
+            return False
+        document = self._document(posed, epoch, count)
+        record = self._camera.archive.add_calibration(document, parent=None if lens is None else lens.id, used=columns)
+        return self._camera.archive.activate(record.id, at=epoch.started_at).state == "current"
+
+    def _is_answered(self, current: CalibrationRecord, epoch: PoseEpoch) -> bool:
+        """Return whether a full fit knows the pose of an epoch, or a calibration is of a later one."""
+        if current.pose_epoch == epoch.id and not is_provisional(self._camera.archive.model(current.id)):
+            return True
+        return self._is_of_later(current, epoch)
+
+    def _of_type(self, points: SunPoints) -> Calibration:
+        """Return a first pose, of a lens that is known by its type."""
+        if self.first is None:
+            raise InputError(field="first_pose.lens_prior", problem="unset", remedy="name a lens prior file")
+        lens, pose = self.first
+        return first_pose(points, lens=lens, site=self._camera.site, options=self._options, pose=pose)
+
+    def _of_lens(self, points: SunPoints, lens: CalibrationRecord) -> Calibration:
+        """Return a new pose of a lens that was calibrated."""
+        return estimate_pose(
+            points,
             start=self._camera.archive.model(lens.id),
             site=self._camera.site,
             options=self._options,
             wander_deg=self._wander_deg,
         )
-        if not posed.verdict.accepted:
-            _log.info("pose estimation failed: %s", "; ".join(posed.verdict.reasons))
-            return False
-        document = self._document(posed, epoch, count)
-        record = self._camera.archive.add_calibration(document, parent=lens.id, used=columns)
-        return self._camera.archive.activate(record.id, at=epoch.started_at).state == "current"
 
     def _lens(self, current: CalibrationRecord) -> CalibrationRecord | None:
         """Return the full fit whose lens is kept."""
