@@ -95,7 +95,7 @@ def test_a_job_that_fails_is_a_reason_until_it_succeeds(
     with caplog.at_level(logging.ERROR):
         make_schedule(job, SOON_S).start()
         assert third_call.wait(PATIENCE_S)
-    assert reasons[:3] == [(), ("checking for completed days failed: OSError: disk full",), ()]
+    assert reasons[:3] == [(), ("scheduled work failed: OSError: disk full",), ()]
     assert caplog.text.count("Traceback") == 1
 
 

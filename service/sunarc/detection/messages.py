@@ -73,6 +73,9 @@ MESSAGES = Messages(
     blob_flat=Message("it does not stand out: {near:.2f} and {far:.2f} of its level beside it", _BY_RIM),
     blob_not_clipped=Message("only {flat:.2f} of it is saturated: bright cloud may look so", _BY_RIM, _PREDICT),
     blob_off_glare=Message("it is {distance_px:.0f} px off the middle of the glare", _BY_RIM, _PREDICT),
+    blob_elongated=Message(
+        "it is too elongated for a sun: its axes differ by {ellipticity:.2f} of the larger one", _BY_RIM, _PREDICT
+    ),
     blob_wide=Message(
         "it is too wide for a sun: its radius is {radius:.2f} of the image's smaller side", _BY_RIM, _PREDICT
     ),
@@ -101,7 +104,9 @@ MESSAGES = Messages(
     ),
     stars_one_sided=Message("no star over {gap_deg:.0f} degrees of azimuth, {limit:.0f} allowed", _NO_STARS),
     stars_brightness=Message(
-        "the detections' brightness is not the stars': correlation {correlation:.2f}", _NO_STARS, _BETTER_START
+        "the detections' brightness is not the stars': correlation {correlation:.2f}, {limit:.2f} asked",
+        _NO_STARS,
+        _BETTER_START,
     ),
     stars_scattered=Message(
         "the stars scatter by {scatter_px:.2f} px within a search of {radius_px:.1f} px", _NO_STARS, _BETTER_START

@@ -80,8 +80,8 @@ def as_markdown() -> str:
 
 
 def attributes_of(documented: type) -> dict[str, str]:
-    """Return the meaning of each attribute of a class from the numpydoc section of its docstring, on one line."""
-    found = _ATTRIBUTE.findall(documented.__doc__ or "")
+    """Return the meaning of each attribute of a class and its bases from their docstrings' section, on one line."""
+    found = [one for each in reversed(documented.__mro__) for one in _ATTRIBUTE.findall(each.__doc__ or "")]
     return {name: " ".join(text.split()) for names, text in found for name in names.split(", ")}
 
 

@@ -56,6 +56,7 @@ def test_a_round_clipped_rim_in_its_glare_is_the_suns() -> None:
         ("share", 0.499, 0.501, "blob_one_sided"),
         ("scatter", 1.93, 1.91, "blob_uneven"),
         ("flat", 0.599, 0.601, "blob_not_clipped"),
+        ("ellipticity", 0.351, 0.349, "blob_elongated"),
     ],
 )
 def test_the_limits_of_a_rim(field: str, bad: float, good: float, expected: str) -> None:

@@ -114,7 +114,8 @@ def test_a_clipped_star_says_so_and_the_others_do_not() -> None:
     )
     apart, row = nearest(stars, places)
     assert {int(row[9]), int(row[30])} == set(np.flatnonzero(stars.saturated).tolist())
-    assert apart[[9, 30]].max() < 0.3
+    # most of their light is cut off: placed to a part of a pixel, by no more than their rims
+    assert apart[[9, 30]].max() < 0.4
     assert stars.peak_fraction[row[9]] > 0.99
     assert stars.flux[row[9]] > 5.0 * np.median(stars.flux)
 

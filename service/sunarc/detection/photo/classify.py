@@ -39,6 +39,9 @@ _MAX_SIGMA_PX = 0.6  # a sigma up to this is always of use
 _OFF_GLARE_RADIUS = 0.3  # of the radius: within it a plateau is in the middle of the glare
 _MAX_RADIUS = 0.09
 """Of the smaller side, without a prediction: thin cloud before the sun gave 0.09 at most."""
+_MAX_ELLIPTICITY = 0.35
+"""1 - minor/major axis of a plateau without an edge, without a prediction: suns of five real series had 0.31 and less
+(with an edge, in short exposures, 0.47), a contrail had 0.39."""
 _OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
 """Plateau areas, and of the square of the smaller side, for what else is as light, without a prediction: real suns had
 1.8 plateaus and less, text has up to 0.001; overcast is as light in many places."""
@@ -132,6 +135,8 @@ def _one_of_many(seen: Candidate) -> tuple[Verdict, Finding] | None:
     radius = seen.rim.radius / seen.size_px
     if radius > _MAX_RADIUS:
         return "veiled", Finding("blob_wide", {"radius": radius})
+    if not seen.rim.edged and seen.rim.ellipticity > _MAX_ELLIPTICITY:
+        return "veiled", Finding("blob_elongated", {"ellipticity": seen.rim.ellipticity})
     if seen.other_area > max(_OTHER_PLATEAUS * math.pi * radius**2, _OTHER_AREA):
         return "veiled", Finding("blob_not_alone", {"area": seen.other_area})
     if seen.lighter > _AUREOLE_LIGHTER:

@@ -19,9 +19,6 @@ class LensPriorOptions(FirstPoseOptions):
     Attributes
     ----------
     lens_prior : file of the type of lens (`sunarc calibrate --write-lens-prior`); unset: no pose before the first fit.
-    tilt_deg : 1-sigma of the tilt about each horizontal axis.
-    top_azimuth_deg : azimuth at the top of the image, as the camera was mounted; unset where it is not known.
-    top_within_deg : a pose that differs by more is not served.
     """
 
     lens_prior: Path | None = None
