@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
 
 geometry = settings(derandomize=True, deadline=None)
 AZIMUTHS = st.floats(0.0, 360.0, exclude_max=True)
@@ -71,3 +71,9 @@ def test_the_distance_is_the_angle_between_at_every_size(angle: float, about: fl
 def test_the_distance_of_a_nanoradian_is_a_nanoradian() -> None:
     assert float(angular_distance(UP, [1e-9, 0.0, 1.0])) == pytest.approx(1e-9, rel=1e-9)
     assert float(angular_distance(UP, -UP)) == pytest.approx(np.pi)
+
+
+def test_wrapped_angles_lie_from_minus_180_to_below_180() -> None:
+    given = np.array([-540.0, -190.0, -180.0, -1.0, 0.0, 179.0, 180.0, 359.0, 720.0])
+    np.testing.assert_array_equal(wrapped_deg(given), [-180.0, 170.0, -180.0, -1.0, 0.0, 179.0, -180.0, -1.0, 0.0])
+    assert float(wrapped_deg(350.0 - 10.0)) == -20.0

@@ -121,7 +121,7 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
 
     Raises
     ------
-    InputError : the answer is no, or nobody can be asked.
+    InputError : the answer is no, or there is no terminal to ask at.
     """
     for one in indexed.cameras:
         width, height = one.size
@@ -135,7 +135,7 @@ def _confirm(indexed: Indexed, *, yes: bool) -> None:
         return
     if not sys.stdin.isatty():
         raise InputError(
-            field="--yes", problem="missing, and nobody can be asked whether the times are right", remedy="give it"
+            field="--yes", problem="missing, and there is no terminal to confirm the times at", remedy="give it"
         )
     if not typer.confirm("Are cameras and times right?", err=True):
         raise InputError(

@@ -15,7 +15,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.change_detection import pole_of
 from sunarc.cross_checks.rotation_steps import RotationStep
-from sunarc.sky import SECONDS_PER_DEGREE, Site
+from sunarc.sky import SECONDS_PER_DEGREE, Site, wrapped_deg
 
 Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved"]
 """`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
@@ -49,7 +49,7 @@ def rotation_of_site(before: Site, after: Site) -> FloatArray:
 
     For differences of a few degrees and less.
     """
-    east = (after.longitude - before.longitude + 180.0) % 360.0 - 180.0
+    east = float(wrapped_deg(after.longitude - before.longitude))
     return np.array([after.latitude - before.latitude, 0.0, 0.0]) - east * pole_of(before)
 
 

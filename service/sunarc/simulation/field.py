@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sunarc.array_types import BoolArray, FloatArray
 from sunarc.optics import Camera, rotation_matrix, unproject
 from sunarc.simulation.options import Obstruction
+from sunarc.sky import wrapped_deg
 
 _ROWS_AT_ONCE = 64
 
@@ -45,7 +46,7 @@ def is_blocked(direction_enu: FloatArray, obstructions: tuple[Obstruction, ...])
     blocked = up <= 0.0
     azimuth = np.degrees(np.arctan2(east, north))
     for thing in obstructions:
-        aside = (azimuth - thing.azimuth_deg + 180.0) % 360.0 - 180.0
+        aside = wrapped_deg(azimuth - thing.azimuth_deg)
         blocked |= (np.abs(aside) < 0.5 * thing.width_deg) & (up < math.sin(math.radians(thing.height_deg)))
     return np.asarray(blocked)
 

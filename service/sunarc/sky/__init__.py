@@ -2,7 +2,7 @@
 
 from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
 from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
-from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles
+from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
 from sunarc.sky.night import STAR, WANDERERS, NightSky, Wanderer, WandererPlace, night_sky, wanderer_place
 from sunarc.sky.refraction import (
     ASSUMED_AIR_SD,
@@ -53,4 +53,5 @@ __all__ = [
     "sun_directions",
     "upward",
     "wanderer_place",
+    "wrapped_deg",
 ]

@@ -43,6 +43,11 @@ def angles_from_direction(direction_enu: ArrayLike) -> tuple[FloatArray, FloatAr
     return zenith, np.where(azimuth >= 360.0, 0.0, azimuth)  # -1e-17 % 360 rounds up to 360
 
 
+def wrapped_deg(angle_deg: ArrayLike) -> FloatArray:
+    """Return angles, or their differences, (...) in degrees as -180 <= angle < 180."""
+    return np.asarray((np.asarray(angle_deg, dtype=np.float64) + 180.0) % 360.0 - 180.0)
+
+
 def angular_distance(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Return the angle between vectors in radians, accurate at all sizes (Kahan's formula).
 

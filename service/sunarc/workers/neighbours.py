@@ -29,7 +29,7 @@ from sunarc.cross_checks import (
 )
 from sunarc.json_fields import Returned, described
 from sunarc.optics import unproject
-from sunarc.sky import Site, date_of_day, day_bounds_unix_s, solar_days, sun_directions
+from sunarc.sky import Site, date_of_day, day_bounds_unix_s, solar_days, sun_directions, wrapped_deg
 
 _DAYS = timedelta(days=60)
 """Compared at once; a step that is older has become what was always so."""
@@ -103,7 +103,7 @@ def _neighbours(camera: CameraRecord, cameras: Sequence[CameraRecord]) -> list[C
 
 def _east_north_m(origin: CameraRecord, camera: CameraRecord) -> FloatArray:
     """Return (2,): how far a camera stands east and north of another, on a sphere; for tens of kilometres."""
-    east = (camera.longitude - origin.longitude + 180.0) % 360.0 - 180.0
+    east = float(wrapped_deg(camera.longitude - origin.longitude))
     level = math.cos(math.radians(0.5 * (camera.latitude + origin.latitude)))
     return _M_PER_DEG * np.array([east * level, camera.latitude - origin.latitude])
 

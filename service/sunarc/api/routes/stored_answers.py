@@ -71,7 +71,7 @@ class AnswerFiles:
 
     Parameters
     ----------
-    most_bytes : of the files that are kept; the one that nobody asked for longest goes first.
+    most_bytes : of the files that are kept; the one not requested for the longest time goes first.
     most_readers : large answers that are being sent; of more, an address that has more of them than another loses its
         oldest, and the one that has the most is refused (429).
     """

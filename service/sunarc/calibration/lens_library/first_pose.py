@@ -47,7 +47,7 @@ from sunarc.calibration.quality.fit_checks import Handedness
 from sunarc.calibration.robust_loss import finite
 from sunarc.findings import Finding
 from sunarc.optics import Camera, project_fast
-from sunarc.sky import Site
+from sunarc.sky import Site, wrapped_deg
 
 FEWEST_SIGHTINGS = 4
 _AZIMUTHS = 48
@@ -306,7 +306,7 @@ def _against(found: _Found, other: _Found, known: FirstPoseOptions, north: dict[
         return [Finding("north_ambiguous", {"log10_odds": found.log_odds / math.log(10.0)})]
     if known.top_azimuth_deg is None:
         return []
-    off = abs((north["top_azimuth_deg"] - known.top_azimuth_deg + 180.0) % 360.0 - 180.0)
+    off = abs(float(wrapped_deg(north["top_azimuth_deg"] - known.top_azimuth_deg)))
     if off <= known.top_within_deg + 2.0 * north["north_sigma_deg"]:
         return []
     expected = {"expected_deg": known.top_azimuth_deg, "off_deg": off}

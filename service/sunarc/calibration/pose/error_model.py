@@ -34,7 +34,6 @@ class CameraErrorModel:
     mean : (p,) expected error of the estimate (true minus estimated).
     covariance : (p, p) of the errors.
     field : on all the waves that it needs.
-    variances : (m,) of the field's coefficients before any sighting.
     """
 
     selected: IntArray
@@ -42,7 +41,11 @@ class CameraErrorModel:
     mean: FloatArray
     covariance: FloatArray
     field: Field
-    variances: FloatArray
+
+    @property
+    def variances(self) -> FloatArray:
+        """(m,) of the field's coefficients before any sighting."""
+        return self.field.amplitude_px**2 * self.field.basis.variances(length_px=self.field.length_px)
 
     def with_free_rotation(self, mean: FloatArray, *, sigma_rad: float | FloatArray) -> CameraErrorModel:
         """Return the error model after a rotation by `mean` (3,), radians, with a 1-sigma of all axes or of each."""
@@ -113,7 +116,6 @@ def error_model_of(calibration: Calibration) -> CameraErrorModel:
             known=stated.basis.spread(stated.known, basis),
             coupling=stated.basis.spread(stated.coupling, basis),
         ),
-        variances=stated.amplitude_px**2 * basis.variances(length_px=length),
     )
 
 

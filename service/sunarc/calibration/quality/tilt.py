@@ -14,7 +14,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.findings import Finding
 from sunarc.optics import Camera, rotation_matrix
-from sunarc.sky import Site
+from sunarc.sky import Site, angles_from_direction, wrapped_deg
 
 _TURN_DEG_PER_H = 15.0
 _LARGEST_ZONE_H = 14.0
@@ -50,16 +50,16 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
     camera level; and `odds`, how much more probable that is than a real tilt: 0 where nothing simple makes it level.
     """
     axis = rotation_matrix(camera.rotation_cam_enu)[2]
-    tilt_deg = _zenith_deg(axis)
+    tilt_deg = float(angles_from_direction(axis)[0])
     if tilt_deg <= _QUESTIONED_DEG:
         return None
     best = max(_explanations(axis, site), key=lambda one: one.density)
-    odds = best.density / (_NO_MISTAKE * _mounted(axis))
+    odds = best.density / (_NO_MISTAKE * float(_mounted(axis)))
     if odds < _NOT_WORTH_ASKING:
         return Finding("camera_tilted", {"tilt_deg": tilt_deg, "odds": 0.0})
     level = {
         "camera_tilted_by_clock": {"hours": best.turn_deg / _TURN_DEG_PER_H},
-        "camera_tilted_by_longitude": {"longitude": _wrapped(site.longitude - best.turn_deg)},
+        "camera_tilted_by_longitude": {"longitude": float(wrapped_deg(site.longitude - best.turn_deg))},
         "camera_tilted_by_latitude": {"latitude": site.latitude + best.turn_deg},
     }[best.code]
     return Finding(best.code, {**level, "tilt_deg": tilt_deg, "odds": odds})
@@ -90,29 +90,15 @@ def _explained(
     code: str, axis: FloatArray, about: FloatArray, turns_deg: FloatArray, shares: FloatArray
 ) -> _Explanation:
     """Return the explanation of the optical axis by turns of the sky, with the one that counts most."""
-    densities = shares * [_mounted(_turned(axis, about, math.radians(turn))) for turn in turns_deg.tolist()]
+    turned = rotation_matrix(np.radians(turns_deg)[:, None] * about) @ axis
+    densities = shares * _mounted(turned)
     return _Explanation(code, float(densities.sum()), float(turns_deg[np.argmax(densities)]))
 
 
-def _mounted(axis: FloatArray) -> float:
-    """Return how probable it is that a mount holds the optical axis in a direction (3,), per steradian."""
-    tilt_deg = _zenith_deg(axis)
-    sigma = math.radians(_LEVELLED_DEG)
-    levelled = math.exp(-0.5 * (tilt_deg / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
+def _mounted(axis: FloatArray) -> FloatArray:
+    """Return (...): how probable it is that a mount holds the optical axis in directions (..., 3), per steradian."""
+    tilt_deg, sigma = angles_from_direction(axis)[0], math.radians(_LEVELLED_DEG)
+    levelled = np.exp(-0.5 * (tilt_deg / _LEVELLED_DEG) ** 2) / (2.0 * math.pi * sigma**2)
     cap = 2.0 * math.pi * (1.0 - math.cos(math.radians(_STEEPEST_DEG)))
-    on_purpose = 1.0 / cap if tilt_deg <= _STEEPEST_DEG else 0.01 / cap
-    return (1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose
-
-
-def _turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
-    """Return a vector turned about an axis (Rodrigues' formula)."""
-    across, along = np.cross(axis, vector), axis * float(axis @ vector)
-    return np.asarray(along + (vector - along) * math.cos(angle) + across * math.sin(angle))
-
-
-def _zenith_deg(direction: FloatArray) -> float:
-    return math.degrees(math.acos(min(max(float(direction[2]), -1.0), 1.0)))
-
-
-def _wrapped(longitude: float) -> float:
-    return (longitude + 180.0) % 360.0 - 180.0
+    on_purpose = np.where(tilt_deg <= _STEEPEST_DEG, 1.0, 0.01) / cap
+    return np.asarray((1.0 - _TILTED_ON_PURPOSE) * levelled + _TILTED_ON_PURPOSE * on_purpose)
