@@ -84,6 +84,7 @@ def served(folder: Path) -> Iterator[str]:
         latest_image=lambda: image,
         options=ApiOptions(token_file=folder / "token"),
     )
+    app.openapi()  # on a busy host it is not made within the time that schemathesis waits for it
     with listen("127.0.0.1", 0) as listening:  # the service's own: its answers are not delayed
         listening.listen()
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))

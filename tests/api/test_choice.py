@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.api.conftest import document
+from tests.api.test_cameras import OTHER
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -74,3 +77,34 @@ def test_routes_without_a_calibration_have_no_such_choice(made: Made) -> None:
     answer = made.client.get("/v1/events", params={"calibration": "best"})
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["field"] == "calibration"
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        *ASKED,
+        ("GET", "/v1/remap?size=16", None),
+        ("GET", "/v1/masks/sun", None),
+        ("GET", "/v1/masks/horizon", None),
+        ("GET", "/v1/back-projection-map", None),
+        ("GET", "/v1/difference?other=first", None),
+    ],
+)
+def test_a_calibration_of_another_camera_answers_for_none_but_its_own(
+    made: Made, method: str, path: str, body: dict[str, Any] | None
+) -> None:
+    made.archive.save_camera(OTHER)
+    of_mast = path.replace("/v1/", "/v1/cameras/mast/") + ("&" if "?" in path else "?") + "calibration=second"
+    answer = made.client.request(method, of_mast, json=body)
+    assert answer.status_code == 404
+    (fault,) = answer.json()["errors"]
+    assert fault["field"] == "calibration"
+    assert "/v1/cameras" in fault["remedy"]
+
+
+def test_calibrations_of_two_cameras_are_not_compared(made: Made) -> None:
+    made.archive.save_camera(OTHER)
+    made.archive.open_epoch("mast", at=made.noon - timedelta(days=30), reason="installed")
+    made.archive.add_calibration(document("of_mast") | {"camera": "mast", "pose_epoch": "mast-1"})
+    answer = made.client.get("/v1/difference", params={"other": "of_mast"})
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (404, "other")

@@ -21,10 +21,10 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.api.conftest import LENS, NOON, REFUSED
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import SunPoint
+from sunarc.archive import Event, SunPoint
 from sunarc.calibration.messages import MESSAGES, text_of
 from sunarc.findings import Finding
-from sunarc.optics import project
+from sunarc.optics import project, unproject
 from sunarc.runtime.status import Reason
 from sunarc.sky import sun_directions
 from sunarc.workers.messages import condition
@@ -72,7 +72,7 @@ def test_every_place_that_the_scripts_fill_is_on_the_page(made: Made) -> None:
 def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
     asked = set(re.findall(r'(?:ask|askImage|listen)\(["`](/[^"?`]+)', code()))
     assert asked <= set(made.client.get("/openapi.json").json()["paths"])
-    assert asked >= {"/v1/overlay", "/v1/uncertainty", "/v1/image/latest", "/v1/events/stream"}
+    assert asked >= {"/v1/overlay", "/v1/difference", "/v1/geolocate", "/v1/image/latest", "/v1/events/stream"}
 
 
 @contextmanager
@@ -133,8 +133,15 @@ MARKER = """() => {
   const frame = image.getBoundingClientRect();
   const x = (box.left + box.width / 2 - frame.left) / frame.width;
   const y = (box.top + box.height / 2 - frame.top) / frame.height;
-  const size = document.querySelector("#overlay").viewBox.baseVal;
-  return [x * size.width - 0.5, y * size.height - 0.5];
+  return [x * 1748 - 0.5, y * 1748 - 0.5];
+}"""
+
+
+PLACE_OF = """([x, y]) => {
+  const frame = document.querySelector("#picture").getBoundingClientRect();
+  const part = document.querySelector("#overlay").viewBox.baseVal;
+  const at = [(x - part.x) / part.width, (y - part.y) / part.height];
+  return [frame.left + at[0] * frame.width, frame.top + at[1] * frame.height, at.every((one) => one > 0 && one < 1)];
 }"""
 
 
@@ -173,6 +180,9 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         updates_live(desktop.page, pictured)
         has_a_history(desktop.page)
         can_be_used_by_keyboard(desktop.page)
+        can_be_asked(desktop.page, sun.tolist())
+        shows_events_by_kind(desktop.page, pictured)
+        compares_calibrations(desktop.page)
         is_accessible(desktop.page)
         phone = opened(chromium, address, width=360, height=740, dark=True)
         shown(phone.page)
@@ -218,16 +228,78 @@ def updates_live(page: Page, made: Made) -> None:
 def has_a_history(page: Page) -> None:
     """Check that the accepted calibrations are drawn, and only those within the span that is chosen."""
     assert len(page.query_selector_all("#history-sigma .x-mark")) == 2  # of three, one was refused
+    assert len(page.query_selector_all("#history-counts .bar")) == 2  # clear and hidden, of one day
     page.select_option("#history-span", "7")
     assert len(page.query_selector_all("#history-sigma .x-mark")) == 1  # made eight days after the other
     assert page.inner_text("#history-sum").startswith("1 accepted")
+
+
+def can_be_asked(page: Page, sun: list[float]) -> None:
+    """Check that a tap on the enlarged sky is answered for the pixel that is there, with a cloud at the height."""
+    page.click("#zoom-in")
+    page.click("#zoom-in")
+    assert page.evaluate("document.querySelector('#overlay').viewBox.baseVal.width") == pytest.approx(LENS.width / 4.0)
+    for _ in range(100):  # the page's policy forbids what wait_for_function does
+        if page.evaluate("document.querySelector('#image').naturalWidth") == LENS.width:
+            break
+        page.wait_for_timeout(100)
+    else:
+        pytest.fail("the enlarged image was not loaded")
+    assert page.evaluate(MARKER) == pytest.approx(sun, abs=1.0)  # the image and what is drawn over it move together
+    page.fill("#ask-height", "1500")
+    page.locator("#picture").scroll_into_view_if_needed()
+    at = page.evaluate(PLACE_OF, [900.0, 860.0])
+    assert at[2]
+    page.mouse.click(at[0], at[1])
+    page.wait_for_selector("#asked dd", timeout=10_000)
+    x, y = float(page.input_value("#ask-x")), float(page.input_value("#ask-y"))
+    expected = unproject(LENS, np.array([x, y]))
+    found = page.inner_text("#asked")
+    zenith, azimuth, sigma = (float(one) for one in re.findall(r"(\d+\.\d+)°", found)[:3])
+    assert zenith == pytest.approx(np.degrees(np.arccos(expected[2])), abs=2e-3)
+    assert azimuth == pytest.approx(np.degrees(np.arctan2(expected[0], expected[1])) % 360.0, abs=0.02)
+    assert 0.001 < sigma < 0.02
+    assert "Cloud at 1500 m" in found
+    latitude = float(re.findall(r"(\d+\.\d+)° N", found)[0])
+    assert latitude == pytest.approx(SITE.latitude + 1500.0 * expected[1] / expected[2] / 111_000.0, abs=1e-4)
+    page.click("#zoom-whole")
+    assert page.evaluate("document.querySelector('#overlay').viewBox.baseVal.width") == LENS.width
+
+
+def shows_events_by_kind(page: Page, made: Made) -> None:
+    """Check that events are asked for by kind and severity, however many others came since."""
+    old = Event(time=NOON - timedelta(days=40), kind="bump", severity="alarm", text="it was moved", camera="roof")
+    made.archive.add_event(old)
+    for number in range(60):
+        time = NOON - timedelta(minutes=number)
+        made.archive.add_event(Event(time=time, kind="clock", severity="info", text=f"step {number}", camera="roof"))
+    page.fill("#event-kind", "bump")
+    page.click("#events-form button")
+    page.wait_for_selector("#events >> text=it was moved", timeout=10_000)
+    assert len(page.query_selector_all("#events tbody tr")) == 1
+    assert page.is_hidden("#events-older")
+    page.fill("#event-kind", "")
+    page.select_option("#event-severity", "info")
+    page.click("#events-form button")
+    page.wait_for_selector("#events >> text=step 49", timeout=10_000)
+    page.click("#events-older")
+    page.wait_for_selector("#events >> text=step 59", timeout=10_000)
+
+
+def compares_calibrations(page: Page) -> None:
+    """Check that two calibrations are compared, and drawn."""
+    page.select_option("#compare-one", "second")
+    page.select_option("#compare-other", "first")
+    page.click("#compare-form button")
+    page.wait_for_selector("#compare path", timeout=10_000)
+    assert "differ by 0° RMS" in page.inner_text("#compare-sum")  # of one camera
 
 
 def can_be_used_by_keyboard(page: Page) -> None:
     """Check that the tab key reaches what can be done, that focus is seen, and that the keys do it."""
     page.evaluate("document.activeElement.blur()")
     reached = []
-    for _ in range(20):
+    for _ in range(45):
         page.keyboard.press("Tab")
         reached.append(page.evaluate("document.activeElement.className + '#' + document.activeElement.id"))
         assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none"

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.api.conftest import document
 
-from sunarc.optics import project
-from sunarc.sky import direction_from_angles
+from sunarc.optics import project, rotation_matrix, unproject
+from sunarc.sky import angular_distance, direction_from_angles
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -55,3 +59,38 @@ def test_what_is_drawn_is_sent_once(made: Made) -> None:
         tag = made.client.get(path).headers["etag"]
         again = made.client.get(path, headers={"if-none-match": tag})
         assert (again.status_code, again.content) == (304, b"")
+
+
+def test_two_calibrations_are_compared_over_the_image(made: Made) -> None:
+    turned = replace(made.lens, rotation_cam_enu=(0.02, -0.015, 2.1 + 1e-3))  # about the camera's axis, nearly upright
+    made.archive.add_calibration(document("turned", camera=turned))
+    found = made.client.get("/v1/difference", params={"other": "turned", "cells": 12}).json()
+    pixels = np.array([[x, y] for y in found["y_px"] for x in found["x_px"]])
+    apart = np.degrees(angular_distance(unproject(made.lens, pixels), unproject(turned, pixels)))
+    values = np.array([value for row in found["difference_deg"] for value in row], dtype=float)
+    seen = np.isfinite(values)
+    assert 0.5 < seen.mean() < 1.0
+    np.testing.assert_allclose(values[seen], apart[seen], atol=1e-5)
+    assert found["rms_deg"] == pytest.approx(np.sqrt(np.mean(apart[seen] ** 2)), rel=1e-3)
+    assert found["max_deg"] == pytest.approx(apart[seen].max(), rel=1e-3)
+    assert (found["calibration"], found["other"]) == ("second", "turned")
+    difference = rotation_matrix(made.lens.rotation_cam_enu).T @ rotation_matrix(turned.rotation_cam_enu)
+    expected = Rotation.from_matrix(difference).as_rotvec(degrees=True)
+    np.testing.assert_allclose(found["rotation_deg"], expected, atol=1e-6)
+    assert found["rms_rotated_deg"] < 1e-6 < found["rms_deg"]
+    same = made.client.get("/v1/difference", params={"other": "second", "cells": 4}).json()
+    assert (same["rms_deg"], same["max_deg"]) == (0.0, 0.0)
+
+
+def test_what_cannot_be_compared_is_refused(made: Made) -> None:
+    small = replace(made.lens, width=800, height=600)
+    made.archive.add_calibration(document("small", camera=small))
+    for query, status, field in (
+        ({}, 422, "other"),
+        ({"other": "absent"}, 404, "other"),
+        ({"other": "small"}, 422, "other"),
+        ({"other": "first", "cells": 10**9}, 422, "cells"),
+        ({"other": "first", "calibration": "absent"}, 404, "calibration"),
+    ):
+        answer = made.client.get("/v1/difference", params=query)
+        assert (answer.status_code, answer.json()["errors"][0]["field"]) == (status, field), query

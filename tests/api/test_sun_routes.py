@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from datetime import datetime
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -124,3 +125,32 @@ def test_a_parameter_that_cannot_be_used_is_named(made: Made, path: str, params:
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert [error["field"] for error in answer.json()["errors"]] == [field]
+
+
+def test_looks_at_the_sun_are_counted_by_day_and_verdict(made: Made) -> None:
+    points = made.archive.sun_points("roof")
+    night = datetime(2013, 5, 13, 6, 29, 45, tzinfo=UTC)  # before the solar midnight at 97.5 degrees west
+    at_night = [
+        replace(points[0], time=night + timedelta(seconds=s), accepted=False, clock_error_s=0.5) for s in (0, 60)
+    ]
+    made.archive.add_sun_points(at_night)
+    (today, yesterday) = made.client.get("/v1/sun-points/days").json()["days"]
+    clear, hidden = (sum(point.verdict == verdict for point in points) for verdict in ("clear", "hidden"))
+    assert (hidden, clear) > (5, 50)
+    assert today == {
+        "date": "2013-05-13",
+        "verdicts": {"clear": clear + 1, "hidden": hidden},
+        "accepted": clear,
+        "clock_error_s": 0.5,
+    }
+    assert (yesterday["date"], yesterday["verdicts"], yesterday["accepted"]) == ("2013-05-12", {"clear": 1}, 0)
+    older = made.client.get("/v1/sun-points/days", params={"until": "2013-05-13"}).json()["days"]
+    assert older == [yesterday]
+    far = {"since": "1995-10-31", "until": "2014-05-14"}  # 366 days before its end is after yesterday
+    assert made.client.get("/v1/sun-points/days", params=far).json()["days"] == [today]
+
+
+@pytest.mark.parametrize("query", [{"since": "2013-02-30"}, {"until": "soon"}, {"limit": "5"}])
+def test_counts_by_day_of_no_day_are_refused(made: Made, query: dict[str, str]) -> None:
+    answer = made.client.get("/v1/sun-points/days", params=query)
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, next(iter(query)))

@@ -82,3 +82,4 @@ def test_it_has_the_version_of_the_service_and_needs_numpy_alone() -> None:
     service, client = projects
     assert client["version"] == service["version"]
     assert [one.partition(">")[0] for one in client["dependencies"]] == ["numpy"]
+    assert client["optional-dependencies"] == {"xarray": service["optional-dependencies"]["xarray"]}

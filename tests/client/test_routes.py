@@ -57,6 +57,8 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "GET /v1/sun": Imager.sun,
     "GET /v1/sun-points": lambda imager: list(imager.sun_points(accepted=True, residuals=True)),
     "GET /v1/sun/track": lambda imager: imager.sun_track(day=DAY, step_s=600),
+    "GET /v1/sun-points/days": lambda imager: imager.sightings_by_day(since=DAY),
+    "GET /v1/difference": lambda imager: imager.difference("first", cells=8),
     "GET /v1/uncertainty": lambda imager: imager.uncertainty(cells=8),
 }
 

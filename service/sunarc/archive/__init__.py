@@ -69,6 +69,7 @@ from sunarc.archive.values import (
     PoseEpoch,
     Refit,
     RefitState,
+    SightingCounts,
     SunPoint,
     SunPointColumns,
 )
@@ -113,6 +114,7 @@ __all__ = [
     "RefitState",
     "Refusal",
     "Reserve",
+    "SightingCounts",
     "SightingTable",
     "SinkState",
     "SunPoint",

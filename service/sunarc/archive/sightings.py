@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, replace
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 
-from sqlalchemy import ColumnElement, Connection, Engine, func, insert, or_, select, text, update
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Engine,
+    func,
+    insert,
+    or_,
+    select,
+    text,
+    type_coerce,
+    update,
+)
 
 from sunarc.archive import tables
 from sunarc.archive.columns import read_columns, read_levels, read_times
@@ -16,7 +29,7 @@ from sunarc.archive.sighting_revisions import FROZEN
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.validity import SERVED
-from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
+from sunarc.archive.values import CameraRecord, PoseEpoch, SightingCounts, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.sky import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
@@ -262,6 +275,35 @@ class Sightings(Store):
         with self._reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
         return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
+
+    def sightings_by_day(
+        self, camera: str, *, longitude: float, since: date, until: date
+    ) -> tuple[SightingCounts, ...]:
+        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
+        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
+        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
+        time = type_coerce(c.time, BigInteger)
+        day = ((time + ahead) // round(1e6 * DAY_S)).label("day")
+        counts = select(day, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
+        of_days = counts.where(c.camera == camera, c.body == "sun", time >= begin, time < end)
+        with self._reading() as connection:
+            rows = connection.execute(of_days.group_by(day, c.verdict, c.accepted)).all()
+        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
+        for number, *row in rows:
+            by_day.setdefault(int(number), []).append((row[0], row[1], row[2], row[3]))
+        return tuple(_counted(number, by_day[number]) for number in sorted(by_day, reverse=True))
+
+
+def _counted(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
+    verdicts: Counter[str] = Counter()
+    for verdict, _, count, _ in rows:
+        verdicts[verdict] += count
+    return SightingCounts(
+        date=date(1970, 1, 1) + timedelta(days=day),
+        verdicts=dict(sorted(verdicts.items())),
+        accepted=sum(count for _, accepted, count, _ in rows if accepted),
+        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
+    )
 
 
 def _next_id(connection: Connection, camera: str) -> str:

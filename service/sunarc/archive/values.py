@@ -214,6 +214,20 @@ class Day(Returned):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SightingCounts(Returned):
+    """Looks at the sun on one solar day, accepted or not, and how well the clock was known."""
+
+    date: SolarDate
+    verdicts: Annotated[
+        dict[str, int], described("How many looks had a verdict, by verdict.", {"clear": 2210, "hidden": 310})
+    ]
+    accepted: Annotated[int, described("Looks that were accepted, a count.", 2210)]
+    clock_error_s: Annotated[
+        float | None, described("Largest bound of the clock's error at one of them, s; null where not known.", 0.01)
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
     """A calibration: its document (schema sunarc.calibration/2), with what the archive asks about as fields.
 

@@ -2,7 +2,8 @@
 
 It is also a distribution of its own, `sunarc-client`, whose package is `sunarc_client`: hence the relative imports.
 `imager` the requests · `asynchronous` the same to be awaited · `local`, `camera` a calibration evaluated without the
-service · `answers` values · `events` what happens · `transport` retries.
+service · `answers` values · `events` what happens · `transport` retries · `xarray_accessor` images as
+xarray, where that is installed.
 """
 
 from .answers import BackProjection, Condition, Finding, Located, Projection

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -87,3 +88,20 @@ class Condition(NamedTuple):
     text: str
     remedy: str
     since: datetime | None = None
+
+
+def conditions_of(status: Mapping[str, Any]) -> tuple[Condition, ...]:
+    """Return the conditions that a status lists."""
+    findings = status.get("findings", ())  # version 0.2 has the reasons alone
+    data = {finding["code"]: finding["data"] for finding in findings}
+    return tuple(
+        Condition(
+            one["code"],
+            one["severity"],
+            data.get(one["code"], {}),
+            one["text"],
+            one["remedy"],
+            datetime.fromisoformat(one["since"]) if one.get("since") else None,
+        )
+        for one in status["reasons"]
+    )

@@ -73,6 +73,8 @@ class AsyncImager:
     sun_track = _in_thread(Imager.sun_track)
     overlay = _in_thread(Imager.overlay)
     uncertainty = _in_thread(Imager.uncertainty)
+    difference = _in_thread(Imager.difference)
+    sightings_by_day = _in_thread(Imager.sightings_by_day)
     day_air = _in_thread(Imager.day_air)
     set_day_air = _in_thread(Imager.set_day_air)
     cameras = _in_thread(Imager.cameras)

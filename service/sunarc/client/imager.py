@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection
+from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection, conditions_of
 from .events import ImagerEvent, parsed
 from .requests import Requests, _day, _expected_content, _located, _named, _number, _points, _quoted, _time
 from .transport import ImagerError
@@ -246,6 +246,17 @@ class Imager(Requests):
         given = None if cells is None else str(cells)
         return self._json("/uncertainty", cells=given, at=_time(at), calibration=self._chosen)
 
+    def difference(self, other: str, *, cells: int | None = None, at: datetime | None = None) -> dict[str, Any]:
+        """Return how far another calibration's directions are from these, on a coarse grid of the image."""
+        given = None if cells is None else str(cells)
+        return self._json("/difference", other=other, cells=given, at=_time(at), calibration=self._chosen)
+
+    def sightings_by_day(self, *, since: date | None = None, until: date | None = None) -> list[dict[str, Any]]:
+        """Return how many looks at the sun had which verdict on each solar day, the newest first; 366 days at most."""
+        found = self._json("/sun-points/days", since=_day(since), until=_day(until))
+        with _expected_content():
+            return list(found["days"])
+
     def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:
         """Yield the verdicts of the solar days with since <= date < until, the newest first."""
         return self._pages("/days", "days", since=_day(since), until=_day(until))
@@ -296,19 +307,7 @@ class Imager(Requests):
         """Return why the service is degraded or not ready; empty when it is ready. Select by code."""
         status = self._service_json("/v1/status")
         with _expected_content():
-            findings = status.get("findings", ())  # version 0.2 has the reasons alone
-            data = {finding["code"]: finding["data"] for finding in findings}
-            return tuple(
-                Condition(
-                    one["code"],
-                    one["severity"],
-                    data.get(one["code"], {}),
-                    one["text"],
-                    one["remedy"],
-                    datetime.fromisoformat(one["since"]) if one.get("since") else None,
-                )
-                for one in status["reasons"]
-            )
+            return conditions_of(status)
 
     def events(self, *, after: str | None = None, silent_s: float = 60.0) -> Iterator[ImagerEvent]:
         """Yield what happens, for as long as it is iterated over; first a "state" that says how things are.

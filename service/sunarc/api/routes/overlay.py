@@ -10,24 +10,29 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from pydantic import BaseModel
+from scipy.spatial.transform import Rotation
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import tagged
 from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.routes.sun import track_of
-from sunarc.api.schemas.overlay import AzimuthLine, Overlay, SunPath, Uncertainty, ZenithCircle
+from sunarc.api.schemas.overlay import AzimuthLine, Difference, Overlay, SunPath, Uncertainty, ZenithCircle
 from sunarc.api.schemas.parameters import At, IfNoneMatch
 from sunarc.array_types import FloatArray
 from sunarc.calibration import Calibration, unproject_with_sigma
+from sunarc.errors import InputError
 from sunarc.optics import Camera, project
-from sunarc.sky import direction_from_angles, solar_date
+from sunarc.sky import angular_distance, direction_from_angles, solar_date
 
 _CIRCLES_DEG = (30.0, 60.0, 90.0)
 _NAMES = {0: "N", 90: "E", 180: "S", 270: "W"}
 _AROUND_DEG = np.arange(0.0, 361.0, 3.0)
 _OUTWARDS_DEG = np.arange(6.0, 90.1, 3.0)
 _PATH_STEP_S = 300
+_FEWEST = 3
+"""Directions that a rotation is taken from."""
+_Cells = Annotated[int, Query(ge=4, le=96, description="Cells along the image's longer side.")]
 _SOLSTICES = (("june solstice", 6, 21), ("december solstice", 12, 21))
 
 
@@ -62,7 +67,7 @@ def overlay_routes(context: ApiContext) -> APIRouter:
     def uncertainty(
         request: Request,
         at: At = None,
-        cells: Annotated[int, Query(ge=4, le=96, description="Cells along the image's longer side.")] = 48,
+        cells: _Cells = 48,
         if_none_match: IfNoneMatch = None,
     ) -> Response:
         """Tell how sure the calibration is over the image, on a coarse grid."""
@@ -70,7 +75,30 @@ def overlay_routes(context: ApiContext) -> APIRouter:
         record = selected.record(at)
         return _sent(_uncertainty(selected.archive.model(record.id), cells, record.id), if_none_match)
 
+    _add_difference(routes, context)
     return routes
+
+
+def _add_difference(routes: APIRouter, context: ApiContext) -> None:
+    @routes.get(
+        "/difference",
+        dependencies=BY_CALIBRATION,
+        responses=_described(Difference) | answers(404, 422),
+        response_model=Difference,
+    )
+    def difference(
+        *,
+        request: Request,
+        other: Annotated[str, Query(max_length=100, description="Id of a calibration of this camera.")],
+        at: At = None,
+        cells: _Cells = 48,
+        if_none_match: IfNoneMatch = None,
+    ) -> Response:
+        """Tell how far another calibration's directions are from these over the image, on a coarse grid."""
+        selected = context.of(request)
+        record, second = selected.record(at), selected.calibration(other, field_name="other")
+        both = selected.archive.model(record.id), selected.archive.model(second.id)
+        return _sent(_difference(*both, cells, (record.id, second.id)), if_none_match)
 
 
 def _sent(answer: BaseModel, if_none_match: str | None) -> Response:
@@ -116,16 +144,55 @@ def _drawn(camera: Camera, zenith_deg: FloatArray, azimuth_deg: FloatArray) -> l
 
 
 def _uncertainty(calibration: Calibration, cells: int, calibration_id: str) -> Uncertainty:
-    width, height = calibration.camera.width, calibration.camera.height
-    step = max(width, height) / cells
-    x = (np.arange(math.ceil(width / step)) + 0.5) * step - 0.5
-    y = (np.arange(math.ceil(height / step)) + 0.5) * step - 0.5
+    x, y, pixels = _grid(calibration.camera, cells)
     with np.errstate(all="ignore"):  # what lies outside the field is answered with null
-        _, sigma, inside = unproject_with_sigma(calibration, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+        _, sigma, inside = unproject_with_sigma(calibration, pixels)
     rows = np.where(inside, sigma, np.nan).reshape(len(y), len(x))
-    return Uncertainty(
-        calibration=calibration_id,
+    return Uncertainty(calibration=calibration_id, x_px=x.tolist(), y_px=y.tolist(), sigma_deg=_finite(rows))
+
+
+def _difference(calibration: Calibration, other: Calibration, cells: int, ids: tuple[str, str]) -> Difference:
+    sizes = [(one.camera.width, one.camera.height) for one in (calibration, other)]
+    if sizes[0] != sizes[1]:
+        problem = f"is of an image of {sizes[1][0]}x{sizes[1][1]} px, {ids[0]} of {sizes[0][0]}x{sizes[0][1]}"
+        raise InputError(field="other", problem=problem, remedy="choose one of the same size")
+    x, y, pixels = _grid(calibration.camera, cells)
+    with np.errstate(all="ignore"):
+        (first, _, in_first), (second, _, in_second) = (unproject_with_sigma(o, pixels) for o in (calibration, other))
+    seen = in_first & in_second & np.all(np.isfinite(first + second), axis=-1)
+    angles = np.full(len(pixels), np.nan)
+    angles[seen] = np.degrees(angular_distance(first[seen], second[seen]))
+    answer = Difference(
+        calibration=ids[0],
+        other=ids[1],
         x_px=x.tolist(),
         y_px=y.tolist(),
-        sigma_deg=[[value if math.isfinite(value) else None for value in row] for row in rows.tolist()],
+        difference_deg=_finite(angles.reshape(len(y), len(x))),
+        rms_deg=None,
+        max_deg=None,
+        rotation_deg=None,
+        rms_rotated_deg=None,
     )
+    if np.count_nonzero(seen) < _FEWEST:
+        return answer
+    turn, _ = Rotation.align_vectors(first[seen], second[seen])
+    left = np.degrees(angular_distance(first[seen], turn.apply(second[seen])))
+    numbers = {
+        "rms_deg": float(np.sqrt(np.mean(angles[seen] ** 2))),
+        "max_deg": float(np.max(angles[seen])),
+        "rotation_deg": turn.as_rotvec(degrees=True).tolist(),
+        "rms_rotated_deg": float(np.sqrt(np.mean(left**2))),
+    }
+    return answer.model_copy(update=numbers)
+
+
+def _grid(camera: Camera, cells: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return x and y of the centres of square cells over the image, and all of them as pixels (n, 2)."""
+    step = max(camera.width, camera.height) / cells
+    x: FloatArray = (np.arange(math.ceil(camera.width / step), dtype=np.float64) + 0.5) * step - 0.5
+    y: FloatArray = (np.arange(math.ceil(camera.height / step), dtype=np.float64) + 0.5) * step - 0.5
+    return x, y, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def _finite(rows: FloatArray) -> list[list[float | None]]:
+    return [[value if math.isfinite(value) else None for value in row] for row in rows.tolist()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +17,7 @@ from sunarc.api.routes.choice import BY_CALIBRATION
 from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWithResidual, SunTrack
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, Since, Until, row_limit
+from sunarc.api.schemas.record import SightingsByDay
 from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
 from sunarc.json_fields import SolarDate
@@ -25,6 +26,8 @@ from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angle
 from sunarc.utc import utc_time
 
 _HORIZON_DEG = 90.0
+_DAYS, _MOST_DAYS = 30, 366
+"""Of counts by day: unless asked, and at most: a year has a million looks, which are counted in seconds."""
 
 
 def sun_routes(context: ApiContext) -> APIRouter:
@@ -76,7 +79,28 @@ def sun_routes(context: ApiContext) -> APIRouter:
         rows, next_ = page.cut(found, request, time=lambda point: point.time)
         return _sun_points(selected, rows, residuals=residuals, next_=next_)
 
+    _add_counts(routes, context)
     return routes
+
+
+def _add_counts(routes: APIRouter, context: ApiContext) -> None:
+    @routes.get("/sun-points/days", responses=answers(422))
+    def sightings_by_day(
+        *,
+        request: Request,
+        since: Annotated[
+            SolarDate | None, Query(description="From this date on; the last 30 days where not given.")
+        ] = None,
+        until: Annotated[SolarDate | None, Query(description="Before this date; tomorrow where not given.")] = None,
+    ) -> SightingsByDay:
+        """Tell by day how many looks at the sun had which verdict, and the clock's error; of 366 days at most."""
+        selected = context.of(request)
+        longitude = selected.site.longitude
+        end = until or solar_date(context.frame_clock().timestamp(), longitude=longitude) + timedelta(days=1)
+        longest = timedelta(days=_DAYS if since is None else _MOST_DAYS)
+        begin = max(since or date.min, end - longest)
+        counts = selected.archive.sightings_by_day(selected.camera, longitude=longitude, since=begin, until=end)
+        return SightingsByDay(days=list(counts))
 
 
 def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:

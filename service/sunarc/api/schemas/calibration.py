@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from pydantic.config import JsonDict
+from pydantic import BaseModel, Field, model_validator
 
 from sunarc.api.schemas.parameters import (
     AnsweringId,
@@ -68,37 +67,17 @@ class BackProjectAnswer(BaseModel):
     draws: DirectionDraws | None = Field(default=None, description="Present where draws were asked for.")
 
 
-_TWO_WAYS: tuple[JsonDict, ...] = (
-    {
-        "required": ["zenith_deg", "azimuth_deg"],
-        "properties": {
-            "zenith_deg": {"type": "array"},
-            "azimuth_deg": {"type": "array"},
-            "direction_enu": {"type": "null"},
-        },
-    },
-    {
-        "required": ["direction_enu"],
-        "properties": {
-            "zenith_deg": {"type": "null"},
-            "azimuth_deg": {"type": "null"},
-            "direction_enu": {"type": "array"},
-        },
-    },
-)
-
-
 class ProjectRequest(Body):
     """Directions whose pixels are wanted: zenith and azimuth (as many of each), or vectors (none of length 0)."""
 
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"oneOf": [*_TWO_WAYS]})
-
-    zenith_deg: list[Number] | None = Field(default=None, description="Apparent zenith, degrees.", examples=[[41.7]])
+    zenith_deg: list[Number] | None = Field(
+        default=None, description="Apparent zenith, degrees; with azimuth_deg.", examples=[[41.7]]
+    )
     azimuth_deg: list[Number] | None = Field(
-        default=None, description="Degrees clockwise from north.", examples=[[262.3]]
+        default=None, description="Degrees clockwise from north; with zenith_deg.", examples=[[262.3]]
     )
     direction_enu: list[Vector] | None = Field(
-        default=None, description="(n, 3) east-north-up.", examples=[[[0.0, 0.6, 0.8]]]
+        default=None, description="(n, 3) east-north-up; in place of the angles.", examples=[[[0.0, 0.6, 0.8]]]
     )
 
     @model_validator(mode="after")

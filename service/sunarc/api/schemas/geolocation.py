@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from sunarc.api.schemas.parameters import Answers, Number, Pair, Pixel
+from sunarc.api.schemas.parameters import Answers, Body, Number, Pair, Pixel
 from sunarc.json_fields import Time, described
 
 Height = Annotated[Number, Field(gt=0.0, le=30_000.0, description="Of the cloud base above the camera's altitude, m.")]
@@ -16,38 +16,16 @@ HeightSigma = Annotated[
 Point = Annotated[list[Number], Field(min_length=3, max_length=3, description="x, y in px, cloud base height in m.")]
 
 
-class GeolocateRequest(BaseModel):
+class GeolocateRequest(Body):
     """Pixels and the height of the cloud base that they see: one for all (height_m), or one each (points)."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "oneOf": [
-                {
-                    "required": ["pixels", "height_m"],
-                    "properties": {
-                        "pixels": {"type": "array"},
-                        "height_m": {"type": "number"},
-                        "points": {"type": "null"},
-                    },
-                },
-                {
-                    "required": ["points"],
-                    "properties": {
-                        "pixels": {"type": "null"},
-                        "height_m": {"type": "null"},
-                        "points": {"type": "array"},
-                    },
-                },
-            ]
-        },
+    pixels: list[Pixel] | None = Field(
+        default=None, description="(n, 2) px; with height_m.", examples=[[[400.0, 912.5]]]
     )
-
-    pixels: list[Pixel] | None = Field(default=None, description="(n, 2) px.", examples=[[[400.0, 912.5]]])
-    height_m: Height | None = Field(default=None, description="Of all, m.", examples=[1500.0])
+    height_m: Height | None = Field(default=None, description="Of all pixels, m.", examples=[1500.0])
     points: list[Point] | None = Field(
         default=None,
-        description="(n, 3) px, px, metres; no place for a height of 0 or less.",
+        description="(n, 3) px, px, metres, in place of pixels and height_m; no place for a height of 0 or less.",
         examples=[[[400.0, 912.5, 1500.0]]],
     )
 

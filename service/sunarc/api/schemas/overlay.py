@@ -53,3 +53,26 @@ class Uncertainty(BaseModel):
         description="1-sigma per axis on the sphere, degrees; a row for each y; null outside the field.",
         examples=[[[None, 0.004], [0.004, 0.003]]],
     )
+
+
+class Difference(BaseModel):
+    """How far the directions of two calibrations are from each other over the image, on a coarse grid of cells."""
+
+    calibration: str = Field(description="Id of the calibration that answered.", examples=["20130514T150508Z"])
+    other: str = Field(description="Id of the one it is compared with.", examples=["20130513T150508Z"])
+    x_px: list[float] = Field(description="Of the cells' centres, px.", examples=[[18.0, 54.5]])
+    y_px: list[float] = Field(description="Of the cells' centres, px.", examples=[[18.0, 54.5]])
+    difference_deg: list[Answers] = Field(
+        description="Angle between the directions of a pixel, degrees; a row for each y; null outside either's field.",
+        examples=[[[None, 0.004], [0.004, 0.003]]],
+    )
+    rms_deg: float | None = Field(description="Over the cells, degrees; null where they share none.", examples=[0.004])
+    max_deg: float | None = Field(description="At most, degrees; null where they share none.", examples=[0.011])
+    rotation_deg: list[float] | None = Field(
+        description="Rotation about east, north and up that brings the other's directions closest to these, degrees; "
+        "null where they share none.",
+        examples=[[0.003, -0.001, 0.002]],
+    )
+    rms_rotated_deg: float | None = Field(
+        description="What is left by that rotation: of the lens, RMS, degrees.", examples=[0.002]
+    )

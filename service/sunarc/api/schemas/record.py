@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, Field
 
 from sunarc.api.schemas.parameters import Body, Next, Number
-from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit
+from sunarc.archive import CalibrationState, CameraRecord, Day, Event, Refit, SightingCounts
 from sunarc.json_fields import EXAMPLE_TIME, Findings, Time, described
 from sunarc.sky import PRESSURE_BOUNDS_HPA, TEMPERATURE_BOUNDS_C
 
@@ -49,6 +49,12 @@ class Days(BaseModel):
 
     days: Annotated[list[DayWithAir], described("On this page, the newest first.")]
     next: Next
+
+
+class SightingsByDay(BaseModel):
+    """Looks at the sun by solar day, the newest day first; days without a look are left out."""
+
+    days: Annotated[list[SightingCounts], described("The newest first.")]
 
 
 class CalibrationSummary(BaseModel):

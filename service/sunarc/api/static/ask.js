@@ -19,8 +19,11 @@ async function fetched(path, how = {}) {
   return answer;
 }
 
-// What a path answers; null where there is nothing yet.
-export const ask = async (path) => (await fetched(path))?.json() ?? null;
+// What a path answers, to a body where it takes one; null where there is nothing yet.
+export const ask = async (path, body = null) => {
+  const how = body ? { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) } : {};
+  return (await fetched(path, how))?.json() ?? null;
+};
 
 // An image as an address that an element can show; whoever asked gives it back with URL.revokeObjectURL.
 export async function askImage(path) {

@@ -2,10 +2,13 @@
 import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
 import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
-import { drawHistory } from "./history.js";
+import { compare, offerComparison } from "./compare.js";
+import { drawHistory, spanDays } from "./history.js";
+import { lookUp } from "./lookup.js";
 import { drawResiduals } from "./residuals.js";
 import { drawSigma } from "./sigma.js";
-import { drawSky, showImage } from "./sky.js";
+import { drawSky, showImage, showPart } from "./sky.js";
+import { Zoom } from "./zoom.js";
 
 const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
 const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
@@ -18,7 +21,14 @@ const STATUS_MS = 60000;
 const SKY_MS = 30000;
 const RESIDUALS_MS = 60000;
 const RECORD_MS = 3600000;
-const known = { status: null, points: [], calibrations: [], overlay: null, calibration: undefined, residualsBy: undefined, date: null };
+const MORE_EVENTS = 50;
+const MOST_EVENTS = 1000;
+const CALENDAR_DAYS = 182;
+const COUNTED_DAYS = 366; // as many as are counted at once
+const known = {
+  status: null, points: [], calibrations: [], days: [], counts: [], overlay: null, sun: null, asked: null, calibration: undefined,
+  residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+};
 
 function showHealth(health, headline) {
   const [sign, word] = SIGNS[health];
@@ -98,6 +108,7 @@ function addFact(facts, name, value) {
 
 async function refreshSky() {
   const sun = await ask("/v1/sun");
+  known.sun = sun;
   if (sun.calibration !== known.calibration || sun.time.slice(0, 10) !== known.date) {
     known.overlay = await ask("/v1/overlay");
     known.calibration = sun.calibration;
@@ -107,12 +118,28 @@ async function refreshSky() {
   }
   $("sky-time").textContent = moment(sun.time);
   const last = known.points.find((point) => point.accepted);
-  drawSky(known.status?.image_size, known.overlay, sun, last);
+  redrawSky();
   fillFacts("sun", {
     Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
     "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px)}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
     "Last sighting at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px)} (${moment(last.time)})` : "not yet",
   });
+}
+
+const zoom = new Zoom($("picture"), (part, factor) => { showPart(part, factor, known.status); redrawSky(); }, ([x, y]) => {
+  [$("ask-x").value, $("ask-y").value] = [x.toFixed(1), y.toFixed(1)];
+  askSky();
+});
+
+function redrawSky() {
+  if (!known.sun) return;
+  zoom.fit(known.status?.image_size ?? [1, 1]);
+  drawSky(known.status?.image_size, zoom.part, known.overlay, known.sun, known.points.find((point) => point.accepted), known.asked);
+}
+
+async function askSky() {
+  known.asked = await lookUp();
+  redrawSky();
 }
 
 const redrawResiduals = () => drawResiduals(known.points, known.overlay, known.status?.image_size, known.status?.calibration?.pose_epoch);
@@ -128,14 +155,32 @@ async function refreshResiduals() {
 }
 
 async function refreshRecord() {
-  const [days, calibrations, events] = await Promise.all([ask("/v1/days?limit=182"), ask("/v1/calibrations?limit=1000"), ask("/v1/events?limit=50")]);
-  drawCalendar(days.days, known.status?.frame_time);
-  known.calibrations = calibrations.calibrations;
-  drawHistory(known.calibrations);
+  const days = spanDays();
+  const until = (known.status?.frame_time ?? "").slice(0, 10);
+  const since = until ? new Date(Date.parse(until) - (Math.min(days, COUNTED_DAYS) - 1) * 86400000).toISOString().slice(0, 10) : null;
+  const [record, calibrations, counts] = await Promise.all([
+    ask(`/v1/days?limit=${Math.max(CALENDAR_DAYS, days)}`), ask("/v1/calibrations?limit=1000"),
+    ask(`/v1/sun-points/days?${since ? `since=${since}` : ""}`), refreshEvents(),
+  ]);
+  [known.days, known.calibrations, known.counts] = [record.days, calibrations.calibrations, counts.days];
+  drawCalendar(known.days.slice(0, CALENDAR_DAYS), known.status?.frame_time);
+  redrawHistory();
+  offerComparison(known.calibrations);
   fillRows("calibrations", known.calibrations.slice(0, MOST_ROWS).map((c) => [
     judged(c.state), moment(c.created_at), telling(c.rmse_px, " px"), telling(c.sky_rms_deg, "°"), moment(c.valid_from), findingsOf(c),
   ]), "None yet: the first one follows the first clear day.");
-  fillRows("events", events.events.map((event) => [moment(event.time), judged(event.severity), sentences([event.text], event.findings)]), "No events yet.");
+}
+
+const redrawHistory = () => drawHistory(known.calibrations, known.days, known.counts);
+
+async function refreshEvents() {
+  const filters = { kind: $("event-kind").value.trim(), severity: $("event-severity").value };
+  const query = Object.entries(filters).filter(([, value]) => value).map(([name, value]) => `&${name}=${encodeURIComponent(value)}`).join("");
+  const { events } = await ask(`/v1/events?limit=${known.events}${query}`);
+  for (const event of events) known.kinds.add(event.kind);
+  $("event-kinds").replaceChildren(...[...known.kinds].sort().map((kind) => { const option = node("option"); option.value = kind; return option; }));
+  fillRows("events", events.map((event) => [moment(event.time), judged(event.severity), happened(event)]), query ? "No such events." : "No events yet.");
+  $("events-older").hidden = events.length < known.events || known.events >= MOST_EVENTS;
 }
 
 function findingsOf(calibration) {
@@ -154,6 +199,12 @@ function complain(error) {
 }
 
 const refreshes = new Map();
+
+function happened(event) {
+  const cell = document.createElement("span");
+  cell.append(node("code", event.kind), " ", sentences([event.text], event.findings));
+  return cell;
+}
 
 // Refresh now, or after the refresh that is under way: several messages at once cost one.
 async function refresh(what) {
@@ -188,8 +239,15 @@ $("token-form").addEventListener("submit", (event) => {
   $("token").value = "";
   [refreshStatus, refreshSky, refreshResiduals, refreshRecord].forEach(refresh);
 });
-window.addEventListener("resize", () => { redrawResiduals(); drawHistory(known.calibrations); });
-$("history-span").addEventListener("change", () => drawHistory(known.calibrations));
+window.addEventListener("resize", () => { redrawResiduals(); redrawHistory(); });
+$("history-span").addEventListener("change", () => { redrawHistory(); refresh(refreshRecord); });
+$("zoom-in").addEventListener("click", () => zoom.by(2, known.asked ?? undefined));
+$("zoom-out").addEventListener("click", () => zoom.by(0.5));
+$("zoom-whole").addEventListener("click", () => zoom.whole());
+$("events-older").addEventListener("click", () => { known.events = Math.min(known.events + MORE_EVENTS, MOST_EVENTS); refresh(refreshEvents); });
+for (const [id, act] of [["ask-form", askSky], ["compare-form", () => compare(known.overlay)], ["events-form", () => { known.events = MORE_EVENTS; refresh(refreshEvents); }]]) {
+  $(id).addEventListener("submit", (event) => { event.preventDefault(); act(); });
+}
 document.querySelectorAll("input[name=unit]").forEach((input) => input.addEventListener("change", redrawResiduals));
 await refreshStatus().catch(complain);
 await refreshSky().catch(() => {});

@@ -96,9 +96,11 @@ export function label(at, text, size, style) {
   return made;
 }
 
-export const symbol = (style, x, y, r) => (style === "x-mark"
-  ? element("circle", { class: style, cx: x, cy: y, r })
-  : element("rect", { class: style, x: x - r, y: y - r, width: 2 * r, height: 2 * r }));
+export function symbol(style, x, y, r) {
+  if (style === "x-mark") return element("circle", { class: style, cx: x, cy: y, r });
+  if (style === "z-mark") return element("path", { class: style, d: `M${x} ${y - 1.2 * r}L${x + 1.2 * r} ${y + r}H${x - 1.2 * r}Z` });
+  return element("rect", { class: style, x: x - r, y: y - r, width: 2 * r, height: 2 * r });
+}
 
 export function ticksOf(low, high, count) {
   const raw = (high - low) / count;

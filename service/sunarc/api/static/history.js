@@ -1,20 +1,75 @@
-// Accepted calibrations over time: how sure each is of the sky, and what its fit left over. Scales begin at 0.
-import { $, element, symbol, telling, ticksOf, timeTicks } from "./draw.js";
+// What was: calibrations, the camera's rotation, looks at the sun and the clock, over a span that is chosen.
+import { $, element, node, symbol, telling, ticksOf, timeTicks } from "./draw.js";
 
 const DAY_MS = 86400000;
 const [HEIGHT, LEFT, BOTTOM] = [150, 60, 24];
+const AXES = [["x-mark", "about east"], ["y-mark", "about north"], ["z-mark", "about up"]];
+const VERDICTS = 6; // shades that tell them apart
 
-export function drawHistory(calibrations) {
+export const spanDays = () => Number($("history-span").value);
+
+export function drawHistory(calibrations, days, counts) {
+  drawCalibrations(calibrations);
+  const within = (rows) => { // of the span that ends with the newest row
+    const dated = rows.map((row) => ({ ...row, at: Date.parse(row.date) }));
+    const newest = Math.max(...dated.map((row) => row.at));
+    return dated.filter((row) => row.at > newest - spanDays() * DAY_MS);
+  };
+  drawOffsets(within(days).filter((day) => day.pose_offset_deg));
+  drawCounts(within(counts));
+}
+
+function drawCalibrations(calibrations) {
   const known = calibrations.filter((one) => one.accepted && one.sky_rms_deg !== null).map((one) => ({ ...one, at: Date.parse(one.created_at) }));
   const newest = Math.max(...known.map((one) => one.at));
-  const shown = known.filter((one) => one.at >= newest - Number($("history-span").value) * DAY_MS);
+  const shown = known.filter((one) => one.at >= newest - spanDays() * DAY_MS);
   $("history-plots").hidden = !shown.length;
   $("history-sum").textContent = shown.length
     ? `${shown.length} accepted; 1-sigma over the sky ${range(shown, "sky_rms_deg", "°")}, RMSE ${range(shown, "rmse_px", " px")}.`
     : "No accepted calibration yet.";
   if (!shown.length) return;
-  draw("history-sigma", shown, "sky_rms_deg", "x-mark");
-  draw("history-rmse", shown.filter((one) => one.rmse_px !== null), "rmse_px", "y-mark");
+  draw("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]]);
+  draw("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]]);
+}
+
+function drawOffsets(days) {
+  $("offset-plot").hidden = !days.length;
+  if (!days.length) return;
+  draw("history-offset", AXES.map(([style], k) => [style, days.map((day) => [day.at, day.pose_offset_deg[k]])]));
+  $("offset-legend").replaceChildren(...AXES.map(([style, name]) => keyed(symbol(style, 0, 0, 4), name, "-10 -10 20 20")));
+}
+
+// A bar a day, as high as there were looks, in parts by verdict: the most frequent verdict lowest.
+function drawCounts(days) {
+  $("counts-plot").hidden = !days.length;
+  if (!days.length) return;
+  const totals = new Map();
+  for (const day of days) for (const [verdict, count] of Object.entries(day.verdicts)) totals.set(verdict, (totals.get(verdict) ?? 0) + count);
+  const verdicts = [...totals.keys()].sort((a, b) => totals.get(b) - totals.get(a));
+  const shade = (k) => `shade-${VERDICTS - 1 - (k % VERDICTS)}`;
+  $("counts-sum").textContent = `Looks at the sun by verdict${spanDays() > days.length && spanDays() > 366 ? ", of the last 366 days" : ""}`;
+  $("counts-legend").replaceChildren(...verdicts.map((verdict, k) => keyed(element("rect", { class: shade(k), width: 10, height: 10 }), `${verdict} (${totals.get(verdict)})`)));
+  const highest = Math.max(...days.map((day) => Object.values(day.verdicts).reduce((sum, count) => sum + count, 0)));
+  const frame = axes("history-counts", days.map((day) => day.at), 0, highest * 1.05);
+  const width = Math.max(1, Math.min(14, (frame.x(days[0].at) - frame.x(days[0].at - DAY_MS)) * 0.8));
+  for (const day of days) {
+    let below = 0;
+    verdicts.forEach((verdict, k) => {
+      const count = day.verdicts[verdict] ?? 0;
+      if (count) frame.parts.push(element("rect", { class: `bar ${shade(k)}`, x: frame.x(day.at) - width / 2, y: frame.y(below + count), width, height: frame.y(below) - frame.y(below + count) }));
+      below += count;
+    });
+  }
+  $("history-counts").replaceChildren(...frame.parts);
+  draw("history-clock", [["x-mark", days.filter((day) => day.clock_error_s !== null).map((day) => [day.at, day.clock_error_s])]]);
+}
+
+function keyed(mark, text, viewBox = "0 0 10 10") {
+  const item = node("li", ` ${text}`);
+  const key = element("svg", { viewBox, "aria-hidden": "true" });
+  key.append(mark);
+  item.prepend(key);
+  return item;
 }
 
 function range(shown, field, unit) {
@@ -22,24 +77,31 @@ function range(shown, field, unit) {
   return values.length ? `${telling(Math.min(...values))} to ${telling(Math.max(...values), unit)}` : "not known";
 }
 
-function draw(id, shown, field, style) {
+// Series of [time, value], one symbol each; the scale holds 0.
+function draw(id, series) {
+  const values = series.flatMap(([, points]) => points.map(([, value]) => value));
+  const [low, high] = [Math.min(0, ...values) * 1.15, Math.max(0, ...values) * 1.15];
+  const frame = axes(id, series.flatMap(([, points]) => points.map(([at]) => at)), low, Math.max(high, low < 0 ? 0 : 1e-6));
+  for (const [style, points] of series) for (const [at, value] of points) frame.parts.push(symbol(style, frame.x(at), frame.y(value), 3));
+  $(id).replaceChildren(...frame.parts);
+}
+
+function axes(id, times, low, high) {
   const plot = $(id);
   const width = plot.clientWidth || 600;
   plot.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
-  const from = Math.min(...shown.map((one) => one.at));
-  const to = Math.max(...shown.map((one) => one.at), from + 1);
-  const most = Math.max(...shown.map((one) => one[field]), 1e-6) * 1.15;
+  const from = Math.min(...times);
+  const to = Math.max(...times, from + 1);
   const x = (time) => LEFT + 8 + ((time - from) / (to - from)) * (width - LEFT - 24);
-  const y = (value) => 8 + (1 - value / most) * (HEIGHT - 16 - BOTTOM);
-  const { ticks, digits } = ticksOf(0, most, 4);
+  const y = (value) => 8 + (1 - (value - low) / (high - low)) * (HEIGHT - 16 - BOTTOM);
+  const { ticks, digits } = ticksOf(low, high, 4);
   const parts = ticks.flatMap((tick) => [
-    element("path", { class: "grid", d: `M${LEFT} ${y(tick)}H${width - 8}` }),
+    element("path", { class: Math.abs(tick) < 1e-12 && low < 0 ? "zero" : "grid", d: `M${LEFT} ${y(tick)}H${width - 8}` }),
     element("text", { x: LEFT - 6, y: y(tick) + 4, "text-anchor": "end" }, tick.toFixed(digits)),
   ]);
   const named = to - from > 400 * DAY_MS ? yearTicks(from, to) : timeTicks(from, to, width / 90);
   for (const [at, text] of named) parts.push(element("text", { x: x(at), y: HEIGHT - 6, "text-anchor": "middle" }, text));
-  for (const one of shown) parts.push(symbol(style, x(one.at), y(one[field]), 3));
-  plot.replaceChildren(...parts);
+  return { x, y, parts };
 }
 
 function yearTicks(from, to) {

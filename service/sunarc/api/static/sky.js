@@ -5,9 +5,11 @@ import { $, element, label, mark, path } from "./draw.js";
 const EXPECTED = "M0-4.4V-2M0 4.4V2M-4.4 0H-2M4.4 0H2M2.7 0A2.7 2.7 0 1 1-2.7 0A2.7 2.7 0 1 1 2.7 0";
 const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
 
+const ASKED = "M-3 0H-1M1 0H3M0-3V-1M0 1V3";
 const THUMBNAIL_PX = 640;
 const IMAGE_EVERY_MS = 60000;
 let shownAt = -Infinity;
+let enlarged = false;
 
 // The preview as a thumbnail, at most once a minute: it is nearly all that the page loads.
 export async function showImage(status) {
@@ -16,7 +18,7 @@ export async function showImage(status) {
   if (image.dataset.stamp === stamp || Date.now() - shownAt < IMAGE_EVERY_MS) return;
   image.dataset.stamp = stamp;
   shownAt = Date.now();
-  const address = await askImage(`/v1/image/latest?width=${THUMBNAIL_PX}`);
+  const address = await askImage(`/v1/image/latest?width=${enlarged ? Math.min(4096, status.image_size?.[0] ?? THUMBNAIL_PX) : THUMBNAIL_PX}`);
   if (!address) return;
   const next = new Image();
   next.src = address;
@@ -28,6 +30,17 @@ export async function showImage(status) {
   if (before) URL.revokeObjectURL(before);
 }
 
+// The part [x, y, width, height] of the image that is shown; enlarged it is loaded in full, once and with what comes.
+export function showPart([x, y, width, height], factor, status) {
+  const [across, down] = [((x + 0.5) / width) * 100, ((y + 0.5) / height) * 100];
+  $("image").style.transform = `translate(${-across}%, ${-down}%) scale(${factor})`;
+  if (factor <= 1 || enlarged || !status) return;
+  enlarged = true;
+  delete $("image").dataset.stamp;
+  shownAt = -Infinity;
+  showImage(status).catch(() => {});
+}
+
 // N, E, S, W just inside the horizon, where it is in the image.
 export function compass(overlay) {
   return (overlay?.azimuth_lines ?? []).filter((line) => line.name).map((line) => {
@@ -36,10 +49,11 @@ export function compass(overlay) {
   }).filter(([, at]) => at);
 }
 
-export function drawSky(size, overlay, sun, last) {
+// Marks and names have the size of the part that is shown, not of the image.
+export function drawSky(size, part, overlay, sun, last, asked) {
   const [width, height] = size ?? [1, 1];
-  const u = width / 100;
-  $("overlay").setAttribute("viewBox", `-0.5 -0.5 ${width} ${height}`);
+  const u = part[2] / 100;
+  $("overlay").setAttribute("viewBox", part.join(" "));
   $("picture").style.setProperty("aspect-ratio", `${width} / ${height}`);
   const parts = [];
   for (const line of overlay?.azimuth_lines ?? []) parts.push(element("path", { class: line.name ? "azimuth named" : "azimuth", d: path(line.pixels) }));
@@ -48,6 +62,7 @@ export function drawSky(size, overlay, sun, last) {
   for (const [name, at] of compass(overlay)) parts.push(label(at, name, u * 4, "corner"));
   if (last) parts.push(mark(SEEN, "seen", [last.x_px, last.y_px], u));
   if (sun?.pixel) for (const style of ["expected-under", "expected"]) parts.push(mark(EXPECTED, style, sun.pixel, u));
+  if (asked) for (const style of ["expected-under", "asked"]) parts.push(mark(ASKED, style, asked, u));
   $("overlay").replaceChildren(...parts);
 }
 

@@ -1,0 +1,113 @@
+"""A client generated from the OpenAPI document: it has every operation, compiles, and works against the service.
+
+The generator, openapi-python-client, needs another typer than requirements.lock pins, and so an environment of its own:
+
+    python3 -m venv /tmp/generator && /tmp/generator/bin/pip install openapi-python-client
+    PATH=$PATH:/tmp/generator/bin .venv/bin/python -m pytest tests/client/test_generated_client.py
+"""
+
+from __future__ import annotations
+
+import compileall
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.api.conftest import archives, make
+from tests.api.test_event_stream import serving
+
+if TYPE_CHECKING:
+    from tests.api.conftest import Made, Make
+
+__all__ = ["archives", "make"]
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "openapi.json"
+CONFIG = Path(__file__).with_name("generated_client.yml")
+GENERATOR = shutil.which("openapi-python-client")
+PROGRAM = """
+import json, sys
+sys.path.insert(0, sys.argv[1])
+from imager import Client, models
+from imager.api.calibrations import calibrations
+from imager.api.directions import back_project, geolocate, project
+from imager.api.health import status
+from imager.api.images import sun_mask
+
+client = Client(base_url=sys.argv[2])
+looks = back_project.sync(client=client, body=models.BackProjectRequest(pixels=[[871.96, 700.0]]))
+angles = models.ProjectRequest(zenith_deg=looks.zenith_deg, azimuth_deg=looks.azimuth_deg)
+lands = project.sync(client=client, body=angles)
+found = geolocate.sync(client=client, body=models.GeolocateRequest(pixels=[[871.96, 700.0]], height_m=1500.0))
+refused = back_project.sync_detailed(client=client, body=models.BackProjectRequest(pixels=[[1.0]]))
+mask = sun_mask.sync(client=client)
+print(json.dumps({
+    "pixel": lands.pixels[0],
+    "height": found.cloud.up_m[0],
+    "camera": status.sync(client=client).camera_name,
+    "ids": [one.id for one in calibrations.sync(client=client).calibrations],
+    "refused": [int(refused.status_code), refused.parsed.errors[0].field],
+    "mask": mask.payload.read(8).hex() if hasattr(mask, "payload") else mask[:8].hex(),
+}))
+"""
+
+
+def schemas(part: Any) -> Iterator[dict[str, Any]]:  # noqa: ANN401 - JSON
+    if isinstance(part, dict):
+        yield part
+        for inner in part.values():
+            yield from schemas(inner)
+    elif isinstance(part, list):
+        for inner in part:
+            yield from schemas(inner)
+
+
+def test_the_document_has_no_alternatives_that_generators_cannot_read() -> None:
+    alternatives = [
+        one
+        for schema in schemas(json.loads(DOCUMENT.read_text())["components"]["schemas"])
+        for name in ("oneOf", "anyOf")
+        for one in (schema[name] if isinstance(schema.get(name), list) else ())
+    ]
+    assert len(alternatives) > 50
+    assert [one for one in alternatives if not {"type", "$ref", "const", "enum"} & one.keys()] == []
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if GENERATOR is None:
+        pytest.skip("openapi-python-client is not installed; see the top of this file")
+    folder = tmp_path_factory.mktemp("generated") / "imager"
+    command = [GENERATOR, "generate", "--path", str(DOCUMENT), "--output-path", str(folder), "--meta", "none"]
+    done = subprocess.run([*command, "--config", str(CONFIG)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stdout, done.stdout
+    return folder
+
+
+def test_every_operation_is_there_and_compiles(generated: Path) -> None:
+    document = json.loads(DOCUMENT.read_text())
+    names = {operation["operationId"] for path in document["paths"].values() for operation in path.values()}
+    modules = {path.stem for path in generated.glob("api/*/*.py")} - {"__init__"}
+    assert modules == {re.sub(r"\W", "_", name) for name in names}
+    assert compileall.compile_dir(generated, quiet=1)
+
+
+def test_it_works_against_the_service(generated: Path, make: Make) -> None:
+    made: Made = make(history="filled")
+    assert GENERATOR is not None
+    python = Path(GENERATOR).resolve().with_name("python")
+    with serving(made) as address:
+        command = [str(python), "-c", PROGRAM, str(generated.parent), address.rstrip("/")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["pixel"] == pytest.approx([871.96, 700.0], abs=1e-6)
+    assert found["height"] == pytest.approx(1500.0, abs=1.0)
+    assert (found["camera"], found["ids"]) == ("roof", ["second", "refused", "first"])
+    assert found["refused"] == [422, "pixels[0]"]
+    assert bytes.fromhex(found["mask"]) == b"\x89PNG\r\n\x1a\n"
