@@ -9,10 +9,11 @@ from sunarc.app.hub import serve_hub
 from sunarc.app.service import Service
 from sunarc.app.serving import end_process, serve
 from sunarc.app.simulating import simulate
-from sunarc.simulation import ImagerOptions, SceneOptions, SensorModel
+from sunarc.simulation import ImagerOptions, NightOptions, SceneOptions, SensorModel
 
 __all__ = [
     "ImagerOptions",
+    "NightOptions",
     "SceneOptions",
     "SensorModel",
     "Service",

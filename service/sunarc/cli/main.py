@@ -145,6 +145,9 @@ def simulate(
     moon: Annotated[
         tuple[float, float] | None, typer.Option(help="A full moon that stays there: zenith angle, azimuth in degrees.")
     ] = None,
+    nights: Annotated[
+        bool, typer.Option("--nights", help="Show the nights, with stars and moon; else skip them.")
+    ] = False,
     truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
 ) -> None:
     """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
@@ -152,11 +155,18 @@ def simulate(
     Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
     """
     start_log(os.environ)
-    scene = app.SceneOptions(nd_transmission=nd_transmission, ghost_strength=ghost, sun_cover=sun_cover, moon_at=moon)
+    scene = app.SceneOptions(
+        nd_transmission=nd_transmission,
+        ghost_strength=ghost,
+        sun_cover=sun_cover,
+        moon_at=moon,
+        night=app.NightOptions() if nights else None,
+    )
     options = app.ImagerOptions(
         address=address,
         start=parse_time(start, where="--start"),
         speed=speed,
+        skip_nights=not nights,
         site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
         lens_seed=lens_seed,
         clouds=clouds,

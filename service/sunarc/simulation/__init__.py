@@ -2,6 +2,7 @@
 
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.simulation.imager import ImagerOptions, halve_speed, run_imager, scene_of
+from sunarc.simulation.night_options import NightOptions
 from sunarc.simulation.options import WEATHERS, Bump, Obstruction, SceneOptions, SensorModel, Weather
 from sunarc.simulation.scene import Scene, bumped_camera
 from sunarc.simulation.scene_camera import SceneCamera
@@ -15,6 +16,7 @@ __all__ = [
     "Bump",
     "FakeCamera",
     "ImagerOptions",
+    "NightOptions",
     "Obstruction",
     "Scene",
     "SceneCamera",

@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from sunarc.bounds import NonNegative, Positive, Share, require_bounds
 from sunarc.errors import InputError
+from sunarc.simulation.night_options import NightOptions
 
 Weather = Literal["clear", "veil", "broken", "overcast"]
 WEATHERS: tuple[Weather, ...] = get_args(Weather)
@@ -93,6 +94,7 @@ class SceneOptions:
     field_deg : half the lens's field of view: the image circle.
     obstructions : what stands before the sky.
     bump : when the camera is turned, if it is.
+    night : what shines at night; None leaves the nights black.
     """
 
     seed: int = 0
@@ -110,6 +112,7 @@ class SceneOptions:
     field_deg: Annotated[float, Ge(10.0), Le(120.0)] = 93.0
     obstructions: tuple[Obstruction, ...] = ()
     bump: Bump | None = None
+    night: NightOptions | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no scene."""

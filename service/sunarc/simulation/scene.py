@@ -16,6 +16,7 @@ from sunarc.simulation.clouds import CloudLayer, cloud_layer
 from sunarc.simulation.disc import Stamp, disc_points, is_covered, stamp_of
 from sunarc.simulation.field import is_blocked, pixel_field
 from sunarc.simulation.kernels import count_light, sky_light, transmittance_towards
+from sunarc.simulation.night import NightLight
 from sunarc.simulation.options import Bump, SceneOptions, SensorModel, Weather
 from sunarc.sky import Site, clear_transmission, solar_date, sun_angles
 from sunarc.sky.directions import direction_from_angles
@@ -25,6 +26,8 @@ Region = tuple[int, int, int, int]
 _NOISE_LENGTH = 1 << 20
 _HEADROOM = 1.15  # a full well holds a little more than full scale, so that what is saturated stays so under noise
 _GLARE_CORE_DEG = 0.5
+_NIGHT_UP = math.sin(math.radians(-6.0))
+"""The night's light is added while the sun is lower: before, the twilight is brighter by far."""
 _MOON = 2.5e-6  # the full moon's brightness over the sun's
 
 
@@ -53,6 +56,10 @@ class Scene:
         self.sensor = sensor or SensorModel()
         self._bumped: Scene | None = None
         self._field = pixel_field(camera, field_deg=self.options.field_deg, obstructions=self.options.obstructions)
+        self._night = None
+        if (night := self.options.night) is not None:
+            obstructions = self.options.obstructions
+            self._night = NightLight(camera, site, options=night, seed=self.options.seed, obstructions=obstructions)
         rng = np.random.default_rng([self.options.seed, 11])
         self._noise = rng.standard_normal(_NOISE_LENGTH + camera.width, dtype=np.float32)
         self._hot_at = rng.integers(0, [camera.width, camera.height], size=(self.sensor.hot_pixels, 2))
@@ -150,7 +157,7 @@ class Scene:
         x, y, width, height = region
         blooms = self.sensor.blooming > 0.0
         first_row, rows = (0, self.camera.height) if blooms else (y, height)  # charge comes from outside the region too
-        light, smear = self._light(unix_s, (x, first_row, width, rows))
+        light, smear = self._light(unix_s, (x, first_row, width, rows), exposure_us)
         if bayer is not None:
             behind_mosaic(light, bayer, first=(x, first_row))
         if blooms:
@@ -158,7 +165,9 @@ class Scene:
             light = np.ascontiguousarray(light[y : y + height])
         return light, smear
 
-    def _light(self, unix_s: float, region: Region) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _light(
+        self, unix_s: float, region: Region, exposure_us: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the light of a region in full scales per microsecond, and its smear in electrons, (w,)."""
         sun = self.sun_direction(unix_s)
         layer = cloud_layer(self.weather(unix_s), seed=self.options.seed, unix_s=unix_s)
@@ -169,6 +178,9 @@ class Scene:
         stamps, share = self._stamps(sun, layer)
         stamps += self._moon(layer)
         sky_light(field, sun.astype(np.float32), self._levels(sun[2], share), *layer, light)
+        if self._night is not None and sun[2] < _NIGHT_UP:
+            well_e, at = self.sensor.full_well_e, (x, y)
+            self._night.add(light, field, unix_s=unix_s, exposure_us=exposure_us, origin=at, layer=layer, well_e=well_e)
         for stamp in stamps:
             _add(light, stamp, (x, y))
             column_sum = stamp.values.sum(axis=0, keepdims=True) * self.sensor.smear_us_per_row

@@ -1,0 +1,264 @@
+"""The light of the night on the sensor: stars, planets, moon, glow, trails, and pixels that only look like stars."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sunarc.array_types import FloatArray
+from sunarc.optics import Camera, project, rotation_matrix
+from sunarc.simulation.clouds import CloudLayer
+from sunarc.simulation.disc import disc_points
+from sunarc.simulation.field import is_blocked
+from sunarc.simulation.kernels import transmittance_towards
+from sunarc.simulation.night_kernels import add_glow, add_points
+from sunarc.simulation.night_options import NightOptions
+from sunarc.simulation.options import Obstruction
+from sunarc.simulation.star_places import star_directions_by_series
+from sunarc.sky import Site, direction_from_angles, relative_air_mass, sun_angles
+from sunarc.sky.night import WANDERERS, WandererPlace, star_table, wanderer_place
+from sunarc.utc import DAY_S
+
+_CATALOGUE_ENDS = 5.5
+_TABLE_YEAR_UNIX_S = 1_704_067_200.0
+"""The start of 2024, the epoch of the table's places."""
+_YEAR_S = 365.25 * DAY_S
+_COUNT_SLOPE = 0.49
+"""Of the number of stars to a magnitude, in powers of ten a magnitude (the sky's between V 5 and 8)."""
+_ARCSEC_PER_RAD = 206_264.806
+_FULL_MOON, _MOONLIT_SKY = -12.7, 18.2
+"""V of the full moon, and of a square arcsecond of the sky far from it (K. Krisciunas and B. Schaefer 1991)."""
+_GLARE = 2e-6
+"""Light scattered in the lens one degree from a source, of one square pixel over all of the source's."""
+_BLOBS = np.array([[0.62, 0.0, 1.0], [0.26, 1.0, 1.4], [0.12, 2.0, 1.9]])
+"""A star's image as three Gaussians: shares, places along the coma and widths over the first one's. Their centre of
+light is the star's place, as the sun's is its disc's centre."""
+_SIGMA_PX, _SIGMA_AT_EDGE_PX = 0.8, 0.5
+_TRAIL_STEP_PX = 0.3
+_EDGE_RAD = math.radians(90.0)
+
+
+class NightLight:
+    """The light of one camera's nights, the same for the same moment.
+
+    Parameters
+    ----------
+    camera, site : of the scene.
+    options : what shines.
+    seed : draws faint stars, twinkling, trails and warm pixels.
+    obstructions : what stands before the sky.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        site: Site,
+        *,
+        options: NightOptions,
+        seed: int,
+        obstructions: tuple[Obstruction, ...] = (),
+    ) -> None:
+        self._camera = camera
+        self._site = site
+        self._options = options
+        self._seed = seed
+        self._obstructions = obstructions
+        self._middle = np.array(camera.principal_point_px)
+        self._edge_px = _EDGE_RAD * camera.focal_length_px[0] * 0.9
+
+    def add(
+        self, light: NDArray[np.float32], field: NDArray[np.float32], *, unix_s: float, exposure_us: float,
+        origin: tuple[int, int], layer: CloudLayer, well_e: float,
+    ) -> None:  # fmt: skip
+        """Add the night to the light of a region, in full scales per microsecond.
+
+        Parameters
+        ----------
+        light, field : (h, w) of the region, and what its pixels look at.
+        unix_s, exposure_us : middle of the exposure and its length.
+        origin : the region's first pixel.
+        layer : the clouds.
+        well_e : electrons of a full scale.
+        """
+        scale = 1e-6 / well_e
+        rng = np.random.default_rng([self._seed, 17, round(unix_s * 1e3)])
+        moon = wanderer_place("moon", unix_s, self._site) if self._options.moon else None
+        add_glow(field, *self._glow(moon, scale), *layer, light)
+        points = [
+            self._images(*self._stars(unix_s, exposure_us, rng, layer)),
+            self._images(*self._planets(unix_s, layer)),
+            self._images(*self._trails(exposure_us, rng, layer)),
+            self._moon(moon, unix_s, layer),
+            self._warm(),
+        ]
+        every = np.concatenate(points)
+        every[:, :2] -= origin
+        every[:, 2] *= scale
+        add_points(every, light)
+
+    def _glow(self, moon: WandererPlace | None, scale: float) -> tuple[NDArray[np.float32], ...]:
+        """Return the levels, the town's direction and the moon's, of `add_glow`."""
+        options = self._options
+        pixel_arcsec2 = (_ARCSEC_PER_RAD / self._camera.focal_length_px[0]) ** 2
+        zero = options.star_e_per_s * scale
+        per_magnitude = [zero * pixel_arcsec2 * 10.0 ** (-0.4 * one) for one in (options.airglow, options.city)]
+        moonlit, glare, direction = 0.0, 0.0, (0.0, 0.0, -1.0)
+        if moon is not None and moon.direction[2] > 0.0:
+            direction = moon.direction
+            through = self._through(np.array([moon.direction]))[0]
+            relative = 10.0 ** (-0.4 * (moon.magnitude - _FULL_MOON)) * through
+            moonlit = zero * pixel_arcsec2 * 10.0 ** (-0.4 * _MOONLIT_SKY) * relative
+            glare = zero * 10.0 ** (-0.4 * moon.magnitude) * through * _GLARE
+        azimuth = math.radians(options.city_azimuth_deg)
+        return (
+            np.array([*per_magnitude, moonlit, glare], dtype=np.float32),
+            np.array([math.sin(azimuth), math.cos(azimuth)], dtype=np.float32),
+            np.array(direction, dtype=np.float32),
+        )
+
+    @cached_property
+    def _catalogue(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """ICRS unit vectors (n, 3), their motion a year (n, 3), and V: the table's stars, and faint ones at random."""
+        table = star_table()
+        right, up = table.right_ascension, table.declination
+        place = _unit(right, up)
+        east = np.stack([-np.sin(right), np.cos(right), np.zeros_like(right)], axis=-1)
+        north = np.stack([-np.cos(right) * np.sin(up), -np.sin(right) * np.sin(up), np.cos(up)], axis=-1)
+        motion = np.nan_to_num(table.motion)
+        bright = table.magnitude <= self._options.faintest
+        rng = np.random.default_rng([self._seed, 13])
+        growth = 10.0 ** (_COUNT_SLOPE * max(self._options.faintest - _CATALOGUE_ENDS, 0.0))
+        faint = int(bright.sum() * (growth - 1.0))
+        magnitude = _CATALOGUE_ENDS + np.log10(rng.uniform(1.0, growth, faint)) / _COUNT_SLOPE
+        anywhere = rng.standard_normal((faint, 3))
+        return (
+            np.concatenate([place[bright], anywhere / np.linalg.norm(anywhere, axis=-1, keepdims=True)]),
+            np.concatenate([(east * motion[:, :1] + north * motion[:, 1:])[bright], np.zeros((faint, 3))]),
+            np.concatenate([table.magnitude[bright], magnitude]),
+        )
+
+    def _stars(
+        self, unix_s: float, exposure_us: float, rng: np.random.Generator, layer: CloudLayer
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return pixels (n, steps, 2) along the trails and electrons a second (n,) of the stars in the image."""
+        place, motion, magnitude = self._catalogue
+        place = place + motion * ((unix_s - _TABLE_YEAR_UNIX_S) / _YEAR_S)
+        ends = [
+            star_directions_by_series(place, unix_s + side * exposure_us * 0.5e-6, self._site) for side in (-1.0, 1.0)
+        ]
+        direction = 0.5 * (ends[0] + ends[1])
+        electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._through(direction, layer)
+        seen = electrons > 0.0
+        pixels = np.stack([self._project(one[seen]) for one in ends], axis=1)
+        air_mass = relative_air_mass(np.degrees(np.arccos(np.clip(direction[seen, 2], 0.0, 1.0))))
+        spread = np.log1p(self._options.twinkle * np.minimum(air_mass, 10.0) ** 0.9)
+        flicker = np.exp(spread * rng.standard_normal(spread.size) - 0.5 * spread**2)
+        inside = np.all(np.isfinite(pixels), axis=(1, 2))
+        longest = float(np.max(np.linalg.norm(pixels[inside, 1] - pixels[inside, 0], axis=-1), initial=0.0))
+        steps = (np.arange(count := math.ceil(longest / _TRAIL_STEP_PX) + 1) + 0.5) / count
+        trail = pixels[inside, :1] + steps[None, :, None] * (pixels[inside, 1:] - pixels[inside, :1])
+        return trail, (electrons[seen] * flicker)[inside]
+
+    def _planets(self, unix_s: float, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
+        if not self._options.moon:
+            return np.zeros((0, 1, 2)), np.zeros(0)
+        places = [wanderer_place(name, unix_s, self._site) for name in WANDERERS if name != "moon"]
+        direction = np.array([place.direction for place in places])
+        magnitude = np.array([place.magnitude for place in places])
+        electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * magnitude) * self._through(direction, layer)
+        pixels = self._project(direction)
+        seen = np.all(np.isfinite(pixels), axis=-1) & (electrons > 0.0)
+        return pixels[seen, None], electrons[seen]
+
+    def _trails(self, exposure_us: float, rng: np.random.Generator, layer: CloudLayer) -> tuple[FloatArray, FloatArray]:
+        """Return pixels (n, 1, 2) and electrons a second (n,) of satellites (even trails) and aircraft (flashes)."""
+        places, light = [np.zeros((0, 2))], [np.zeros(0)]
+        for kind, mean in (("satellite", self._options.satellites), ("aircraft", self._options.aircraft)):
+            for _ in range(rng.poisson(mean)):
+                start = direction_from_angles(
+                    zenith_deg=math.degrees(math.acos(rng.uniform(0.2, 0.98))), azimuth_deg=rng.uniform(0.0, 360.0)
+                )
+                heading = np.cross(start, rng.standard_normal(3))
+                heading /= np.linalg.norm(heading)
+                length = math.radians(rng.uniform(0.2, 1.0)) * exposure_us * 1e-6
+                count = max(int(length * self._camera.focal_length_px[0] / _TRAIL_STEP_PX), 2)
+                share = np.linspace(0.0, 1.0, count)
+                if kind == "aircraft":
+                    share = share[share * exposure_us * 1e-6 % 1.0 < 0.1]  # a flash a second
+                way = np.cos(share * length)[:, None] * start
+                way = way + np.sin(share * length)[:, None] * heading
+                # a point of a trail has the light of the time that it was lit
+                brightest = -3.0 if kind == "aircraft" else 0.0
+                electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * rng.uniform(brightest, brightest + 4.0))
+                places.append(self._project(way))
+                light.append(electrons / max(share.size, 1) * self._through(way, layer))
+        pixels, electrons_per_s = np.concatenate(places), np.concatenate(light)
+        seen = np.all(np.isfinite(pixels), axis=-1) & (electrons_per_s > 0.0)
+        return pixels[seen, None], electrons_per_s[seen]
+
+    def _moon(self, moon: WandererPlace | None, unix_s: float, layer: CloudLayer) -> FloatArray:
+        """Return the moon's lit part as points (n, 4) of `add_points`; its disc has the sun's size, 10 % off."""
+        if moon is None:
+            return np.zeros((0, 4))
+        direction = np.array(moon.direction)
+        through = float(self._through(direction[None], layer)[0])
+        points = disc_points(self._camera, direction, limb_darkening=0.0)
+        if points is None or through <= 0.0:
+            return np.zeros((0, 4))
+        angles = sun_angles(unix_s, self._site)
+        sun = direction_from_angles(zenith_deg=angles.zenith, azimuth_deg=angles.azimuth)
+        offset = points.direction_enu - direction
+        offset /= np.max(np.linalg.norm(offset, axis=-1)) * 1.001
+        outwards = offset - np.sqrt(1.0 - np.sum(offset**2, axis=-1))[:, None] * direction
+        lit = points.weight_px * np.maximum(outwards @ sun, 0.0)
+        if not np.any(lit > 0.0):
+            return np.zeros((0, 4))
+        electrons = self._options.star_e_per_s * 10.0 ** (-0.4 * moon.magnitude) * through * lit / lit.sum()
+        bright = electrons > 0.0
+        return np.column_stack([points.pixel[bright], electrons[bright], np.full(int(bright.sum()), _SIGMA_PX)])
+
+    def _warm(self) -> FloatArray:
+        """Return the clumps of warm pixels as points (n, 4): the same in every image."""
+        count = self._options.warm_spots
+        rng = np.random.default_rng([self._seed, 19])
+        place = rng.uniform(0.0, 1.0, (count, 2)) * [self._camera.width, self._camera.height]
+        return np.column_stack([place, 10.0 ** rng.uniform(1.5, 3.5, count), np.full(count, _SIGMA_PX)])
+
+    def _images(self, pixels: FloatArray, electrons: FloatArray) -> FloatArray:
+        """Return the images of sources along their trails, pixels (n, steps, 2), as points (n, 4) of `add_points`."""
+        steps = pixels.shape[1]
+        every = pixels.reshape(-1, 2)
+        light = np.repeat(electrons / max(steps, 1), steps)
+        outwards = every - self._middle
+        far = np.linalg.norm(outwards, axis=-1, keepdims=True)
+        edge = (far / self._edge_px) ** 2
+        outwards = outwards / np.maximum(far, 1e-9) * (self._options.coma_px * edge)
+        mean = float(_BLOBS[:, 0] @ _BLOBS[:, 1])
+        sigma = _SIGMA_PX + _SIGMA_AT_EDGE_PX * edge[:, 0]
+        return np.concatenate(
+            [
+                np.column_stack([every + (place - mean) * outwards, share * light, width * sigma])
+                for share, place, width in _BLOBS
+            ]
+        )
+
+    def _project(self, direction: FloatArray) -> FloatArray:
+        return project(self._camera, direction)
+
+    def _through(self, direction: FloatArray, layer: CloudLayer | None = None) -> FloatArray:
+        """Return the share of light that comes through air, clouds and obstructions; 0 below the horizon."""
+        zenith = np.degrees(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
+        through = 10.0 ** (-0.4 * self._options.extinction * relative_air_mass(np.minimum(zenith, 89.9)))
+        if layer is not None and layer.transmittance.shape[0] > 1:
+            through *= [transmittance_towards(*layer, *ray) for ray in direction.astype(np.float32)]
+        axis = rotation_matrix(self._camera.rotation_cam_enu)[2]
+        hidden = is_blocked(direction, self._obstructions) | (direction @ axis < math.cos(self._camera.max_angle))
+        return np.where(hidden, 0.0, through)
+
+
+def _unit(right: FloatArray, up: FloatArray) -> FloatArray:
+    """Return unit vectors (n, 3) of right ascensions and declinations, rad."""
+    return np.stack([np.cos(up) * np.cos(right), np.cos(up) * np.sin(right), np.sin(up)], axis=-1)
