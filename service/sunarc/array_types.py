@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+NameArray = NDArray[np.str_]
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 """An image as the sensor counted it, (height, width)."""
 

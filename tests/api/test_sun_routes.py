@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.optics import project
-from sunarc.sky import solar_date, sun_angles, sun_directions
+from sunarc.sky import angles_from_direction, body_directions, solar_date, sun_angles, sun_directions
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -95,6 +95,26 @@ def test_residuals_are_sighting_minus_the_current_calibration(made: Made) -> Non
         assert 7.0 < residual["distance_px"] / residual["distance_deg"] < 15.5  # px per degree, the lens's range
 
 
+def test_stars_are_listed_by_name_with_residuals_of_their_own_directions(made: Made) -> None:
+    moment = datetime(2013, 5, 13, 9, 0, tzinfo=UTC)
+    names = np.array(["star:HIP91262", "star:HIP69673"])
+    direction = body_directions(names, np.full(2, moment.timestamp()), made.site)
+    pixels = project(made.lens, direction) + np.array([[0.25, -0.5], [1.0, 0.0]])
+    point = next(point for point in made.archive.sun_points("roof") if point.accepted)
+    made.archive.add_sun_points(
+        replace(point, time=moment, method="star", body=name, x_px=x, y_px=y)
+        for name, (x, y) in zip(names.tolist(), pixels.tolist(), strict=True)
+    )
+    number = len(made.client.get("/v1/sun-points").json()["sun_points"])
+    everything = made.client.get("/v1/sun-points", params={"body": "all"}).json()["sun_points"]
+    assert len(everything) == number + 2
+    told = made.client.get("/v1/sun-points", params={"body": "star:HIP91262", "residuals": True}).json()
+    (star,) = told["sun_points"]
+    assert star["body"] == "star:HIP91262"
+    assert (star["residual"]["x_px"], star["residual"]["y_px"]) == pytest.approx((0.25, -0.5), abs=1e-6)
+    assert star["residual"]["azimuth"] == pytest.approx(angles_from_direction(direction)[1][0])
+
+
 def test_residuals_without_a_calibration_are_absent(empty: Made) -> None:
     told = empty.client.get("/v1/sun-points", params={"residuals": True}).json()
     assert told == {"sun_points": [], "next": None, "calibration": None}
@@ -114,6 +134,8 @@ def test_residuals_without_a_calibration_are_absent(empty: Made) -> None:
         ("/v1/sun-points", {"limit": "0"}, "limit"),
         ("/v1/sun-points", {"limit": "1000000"}, "limit"),
         ("/v1/sun-points", {"accepted": "perhaps"}, "accepted"),
+        ("/v1/sun-points", {"body": "pluto"}, "body"),
+        ("/v1/sun-points", {"body": "star:HIP"}, "body"),
         ("/v1/days", {"since": "2013"}, "since"),
         ("/v1/days", {"until": "0"}, "until"),
         ("/v1/events", {"severity": "loud"}, "severity"),

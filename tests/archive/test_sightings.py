@@ -166,3 +166,19 @@ def test_the_first_epoch_reaches_back_to_earlier_sightings_and_no_other_does(arc
     reaching = archive.epoch_at("roof", early, reason="import")
     assert (reaching.id, reaching.started_at) == ("roof-1", early)
     assert archive.epochs("roof") == (reaching, archive.current_epoch("roof"))
+
+
+STAR = replace(SEEN, time=NOON + timedelta(hours=12), method="star", body="star:HIP32349")
+
+
+def test_stars_are_beside_the_sun_and_only_where_they_are_wanted(archive: Archive) -> None:
+    other = replace(STAR, body="venus", x_px=12.0)
+    archive.add_sun_points([SEEN, STAR, other])
+    assert archive.sun_points("roof") == (SEEN,)
+    assert archive.sun_points("roof", body="venus") == (other,)
+    assert archive.sun_points("roof", body=None) == (SEEN, STAR, other)
+    assert archive.sun_point_columns("roof").body.tolist() == ["sun"]
+    every = archive.sun_point_columns("roof", body=None)
+    assert every.body.tolist() == ["sun", "star:HIP32349", "venus"]
+    assert every.select(np.array([2, 1])).body.tolist() == ["venus", "star:HIP32349"]
+    assert archive.dates_with_points("roof", longitude=-97.5) == (date(2013, 5, 13),)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
@@ -103,3 +104,14 @@ def test_the_keys_of_ten_thousand_sightings_take_a_few_kilobytes(rested: Archive
     with closing(sqlite3.connect(path)) as by_hand:
         (size,) = by_hand.execute("SELECT length(ids) FROM used_sightings WHERE calibration = 'b'").fetchone()
     assert size < 6000
+
+
+def test_stars_that_a_calibration_rests_on_come_back_with_their_names(archive: Archive) -> None:
+    night = MAY + timedelta(hours=14)
+    star = replace(point(night, 300.0, sigma_px=0.1), method="star", body="star:HIP11767")
+    archive.add_sun_points([point(MAY, 800.0, sigma_px=0.02), star])
+    columns = archive.sun_point_columns("roof", body=None)
+    archive.add_calibration(document("a"), used=columns)
+    found = archive.sightings_of("a")
+    assert found.body.tolist() == ["sun", "star:HIP11767"]
+    assert found.ids.tolist() == columns.ids.tolist()

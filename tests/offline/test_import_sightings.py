@@ -6,12 +6,14 @@ import io
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.fixtures.settings import new_settings
 
 from sunarc.archive import open_archive, read_sightings
 from sunarc.errors import InputError
 from sunarc.offline.import_sightings import import_points, write_points
+from sunarc.sky import angles_from_direction, body_directions
 
 HEADER = "time_utc,x_px,y_px,sigma_px,temperature_c,pressure_hpa"
 ROWS = ("2013-05-13T18:30:00Z,3.25,2.5,0.04,21.5,980.25", "2013-05-13T18:31:00Z,3.5,2.75,,,")
@@ -100,3 +102,49 @@ def test_only_the_sightings_from_since_to_before_until_are_written(
     first = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
     since, until = (None if m is None else first + timedelta(minutes=m) for m in (since_min, until_min))
     assert write_points(settings, io.StringIO(), since=since, until=until) == count
+
+
+def stars_file(folder: Path, *, body: str = "star:HIP91262", zenith_deg: float | None = None) -> Path:
+    settings = new_settings(folder)
+    time = datetime(2013, 5, 13, 9, 0, tzinfo=UTC)
+    direction = body_directions(np.array(["star:HIP91262"]), np.array([time.timestamp()]), settings.site)
+    zenith, azimuth = (float(angle[0]) for angle in angles_from_direction(direction))
+    path = folder / "stars.csv"
+    path.write_text(
+        "time_utc,x_px,y_px,sigma_px,body,zenith_deg,azimuth_deg\n"
+        "2013-05-13T18:30:00Z,3.25,2.5,0.04,sun,,\n"
+        f"2013-05-13T09:00:00Z,2.0,1.0,0.1,{body},{zenith_deg or zenith:.6f},{azimuth:.6f}\n"
+    )
+    return path
+
+
+def test_stars_go_into_the_archive_and_come_back_with_their_directions(tmp_path: Path) -> None:
+    settings, target = new_settings(tmp_path), io.StringIO()
+    path = stars_file(tmp_path)
+    assert import_points(settings, path, image_size=(8, 6)) == (2, 2)
+    with open_archive(settings.database) as archive:
+        (star,) = archive.sun_points("roof", body="star:HIP91262")
+        assert len(archive.sun_points("roof")) == 1
+    assert (star.x_px, star.method) == (2.0, "import")
+    write_points(settings, target, since=None, until=None)
+    given = read_sightings(path.read_text().splitlines(), name="given")
+    back = read_sightings(target.getvalue().splitlines(), name="back")
+    assert back.body.tolist() == ["star:HIP91262", "sun"]
+    assert back.directions[::-1] == pytest.approx(given.directions, nan_ok=True, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("body", "zenith_deg", "field"),
+    [
+        ("star:HIP91262", 20.0, "stars.csv, zenith_deg"),
+        ("mast", None, "stars.csv, body"),
+        ("sun", None, "stars.csv, body"),
+    ],
+)
+def test_a_direction_that_is_no_body_s_is_refused(
+    tmp_path: Path, body: str, zenith_deg: float | None, field: str
+) -> None:
+    path = stars_file(tmp_path, body=body, zenith_deg=zenith_deg)
+    with pytest.raises(InputError) as refused:
+        import_points(new_settings(tmp_path), path, image_size=(8, 6))
+    assert refused.value.field == field

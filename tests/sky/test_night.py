@@ -21,6 +21,7 @@ from sunarc.sky import (
     angles_from_direction,
     angular_distance,
     apparent_elevation,
+    body_directions,
     direction_from_angles,
     night_sky,
     sun_angles,
@@ -185,3 +186,26 @@ def test_without_ephem_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(InputError) as raised:
         night_sky(0.0, SITES[0], faintest=3.0)
     assert "sunarc[night]" in raised.value.remedy
+
+
+def test_bodies_by_name_are_those_of_the_night_sky_and_of_their_own_moments() -> None:
+    site, moments = SITES[0], (MOMENTS[3], MOMENTS[3] + 3600.0)
+    skies = [night_sky(moment, site, faintest=3.0) for moment in moments]
+    names = np.concatenate([skies[0].names, skies[1].names, ["sun", "star:HIP999999", "mast", "moon"]])
+    times = np.concatenate([np.full(len(skies[0]), moments[0]), np.full(len(skies[1]) + 4, moments[1])])
+    found = body_directions(names, times, site)
+    expected = np.concatenate([sky.directions for sky in skies])
+    np.testing.assert_allclose(found[:-4], expected, rtol=0.0, atol=1e-14)
+    assert np.all(np.isnan(found[-4:-1]))
+    np.testing.assert_allclose(found[-1], wanderer_place("moon", moments[1], site).direction, rtol=0.0, atol=1e-14)
+
+
+def test_a_measured_air_bends_the_light_of_a_star_as_the_sun_s() -> None:
+    site, moment = SITES[0], MOMENTS[3]
+    sky = night_sky(moment, site, faintest=3.0)
+    times, cold = np.full(len(sky), moment), np.full(len(sky), -20.0)
+    found = body_directions(sky.names, times, site, temperature=cold, pressure=np.full(len(sky), np.nan))
+    expected = night_sky(moment, site.with_air(temperature=-20.0, pressure=None), faintest=3.0)
+    low = expected.directions[:, 2] > 0.0
+    np.testing.assert_allclose(found[: low.sum()], expected.directions[low][: len(found)], rtol=0.0, atol=1e-14)
+    assert np.max(angular_distance(found, sky.directions)) > 1e-6

@@ -40,7 +40,7 @@ def restore_last_known(
     """
     filters: _Filters = {"until": until, "largest_clock_error_s": MAX_CLOCK_ERROR_S, "newest_first": True, "limit": 1}
     try:
-        points = archive.sun_points(camera, **filters)
+        points = archive.sun_points(camera, body=None, **filters)
         sightings = archive.sun_points(camera, accepted=True, **filters)
         frames: list[datetime] = [point.time for point in points]
         if (image_at := images.newest_at(kind="hdr.png", until=until)) is not None:

@@ -10,6 +10,7 @@ disk · `images` composites · `csv_files` sightings as CSV.
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.camera_archive import CameraArchive
+from sunarc.archive.columns import SUN
 from sunarc.archive.csv_files import (
     SightingTable,
     read_pairs,
@@ -81,6 +82,7 @@ __all__ = [
     "LEAST_KEPT",
     "LENS_CHANGED",
     "MOVED",
+    "SUN",
     "Archive",
     "CalibrationRecord",
     "CalibrationState",

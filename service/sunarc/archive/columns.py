@@ -13,7 +13,7 @@ from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
 from sunarc.archive.types import stored_as
 from sunarc.archive.values import SunPointColumns
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, IntArray, NameArray
 from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
@@ -26,12 +26,19 @@ _COLUMNS = np.dtype(
         ("id", "i8"),
     ]
 )
+SUN = "sun"
+"""The body of most sightings."""
 _UNMEASURED = -1e9
 """Stands for NULL while rows are read; no temperature and no pressure."""
 
 
-def read_columns(connection: Connection, camera: str, filters: list[ColumnElement[bool]]) -> SunPointColumns:
-    """Return the sightings of a camera that meet the conditions, in the order of their times."""
+def read_columns(
+    connection: Connection, camera: str, filters: list[ColumnElement[bool]], *, others: bool = True
+) -> SunPointColumns:
+    """Return the sightings of a camera that meet the conditions, in the order of their times.
+
+    Without `others` none of them can be of another body than the sun.
+    """
     # Few epochs and millions of rows: a row has its epoch's number in the order of time, and no name.
     numbered = _numbered_epochs(camera)
     rows = _numbers(connection, numbered, filters)
@@ -48,7 +55,15 @@ def read_columns(connection: Connection, camera: str, filters: list[ColumnElemen
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,
+        body=_bodies(connection, filters, rows["id"]) if others else np.full(rows.size, SUN),
     )
+
+
+def _bodies(connection: Connection, filters: list[ColumnElement[bool]], ids: IntArray) -> NameArray:
+    """Return the names of the bodies of rows (n,): few are not the sun, and only these are read as text."""
+    c = sun_point.c
+    named = {row.id: row.body for row in connection.execute(select(c.id, c.body).where(*filters, c.body != SUN))}
+    return np.array([named.get(key, SUN) for key in ids.tolist()], dtype=np.str_)
 
 
 def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:

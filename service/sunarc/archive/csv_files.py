@@ -11,7 +11,7 @@ from typing import TextIO
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, NameArray
 from sunarc.errors import InputError
 from sunarc.sky import (
     PA_PER_HPA,
@@ -40,6 +40,7 @@ class SightingTable:
     sigma_px : (n,) 1-sigma per axis; NaN where the file states none.
     temperature, pressure : (n,) of the air, °C and Pa; NaN where the file states none.
     directions : (n, 3) apparent ones, east-north-up; NaN where the file states none.
+    body : (n,) as the file names it; `sun` where it does not.
     """
 
     unix_s: FloatArray
@@ -48,6 +49,7 @@ class SightingTable:
     temperature: FloatArray
     pressure: FloatArray
     directions: FloatArray
+    body: NameArray
 
 
 def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
@@ -66,8 +68,10 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
     InputError : naming the line and column, the problem and the remedy.
     """
     rows: list[tuple[float, ...]] = []
+    body: list[str] = []
     for where, row in _rows(lines, name=name, required=_REQUIRED):
         direction = _direction(row, where=where)
+        body.append((row.get("body") or "").strip() or "sun")
         rows.append(
             (
                 parse_time(row["time_utc"], where=f"{where}, time_utc").timestamp(),
@@ -87,6 +91,7 @@ def read_sightings(lines: Iterable[str], *, name: str) -> SightingTable:
         temperature=columns[:, 4],
         pressure=columns[:, 5],
         directions=direction_from_angles(zenith_deg=columns[:, 6], azimuth_deg=columns[:, 7]),
+        body=np.array(body, dtype=np.str_),
     )
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, replace
-from datetime import date, datetime, timedelta
+from datetime import date, datetime
 
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     Engine,
@@ -17,19 +15,18 @@ from sqlalchemy import (
     or_,
     select,
     text,
-    type_coerce,
     update,
 )
 
 from sunarc.archive import tables
-from sunarc.archive.columns import read_columns, read_levels, read_times
+from sunarc.archive.columns import SUN, read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.rows import insert_new, upsert
 from sunarc.archive.sighting_revisions import FROZEN
 from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.validity import SERVED
-from sunarc.archive.values import CameraRecord, PoseEpoch, SightingCounts, SunPoint, SunPointColumns
+from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
 from sunarc.sky import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
@@ -38,11 +35,11 @@ from sunarc.utc import DAY_S
 _FIRST_OF_EACH_DAY = text(
     """
     WITH RECURSIVE first(time) AS (
-        SELECT min(time) FROM sun_point WHERE camera = :camera AND time >= :since
+        SELECT min(time) FROM sun_point WHERE camera = :camera AND time >= :since AND body = 'sun'
         UNION ALL
         SELECT (
             SELECT min(time) FROM sun_point
-            WHERE camera = :camera AND time >= ((first.time + :ahead) / :day + 1) * :day - :ahead
+            WHERE camera = :camera AND time >= ((first.time + :ahead) / :day + 1) * :day - :ahead AND body = 'sun'
         )
         FROM first WHERE first.time IS NOT NULL
     )
@@ -191,14 +188,18 @@ class Sightings(Store):
         until: datetime | None = None,
         accepted: bool | None = None,
         pose_epoch: str | None = None,
+        body: str | None = SUN,
         largest_clock_error_s: float | None = None,
         newest_first: bool = False,
         limit: int | None = None,
     ) -> tuple[SunPoint, ...]:
-        """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter."""
+        """Return sightings with `since` <= time < `until`, in the order of their times; None does not filter.
+
+        Of the sun unless another `body` is named.
+        """
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=accepted, pose_epoch=pose_epoch)
-        filters += _clock_within(largest_clock_error_s)
+        filters += [*_clock_within(largest_clock_error_s), *given((c.body.__eq__, body))]
         fields = [column for column in c if column.name != "id"]
         order = (c.time.desc(), c.id.desc()) if newest_first else (c.time, c.id)
         return self._values(select(*fields).where(*filters).order_by(*order).limit(limit), SunPoint)
@@ -211,7 +212,7 @@ class Sightings(Store):
         until: datetime | None = None,
         pose_epoch: str | None = None,
         method: str | None = None,
-        body: str = "sun",
+        body: str | None = SUN,
         of_files: bool = False,
         largest_clock_error_s: float | None = None,
     ) -> SunPointColumns:
@@ -224,7 +225,7 @@ class Sightings(Store):
         filters += _clock_within(largest_clock_error_s)
         filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
         with self._reading() as connection:
-            return read_columns(connection, camera, filters)
+            return read_columns(connection, camera, filters, others=body != SUN)
 
     def newest_sighting_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
         """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
@@ -244,7 +245,7 @@ class Sightings(Store):
         """
         c = sun_point.c
         filters = [*_filters(camera, since=since, until=until), *_clock_within(largest_clock_error_s)]
-        filters += [c.body == "sun", c.verdict != FROZEN]
+        filters += [c.body == SUN, c.verdict != FROZEN]
         with self._reading() as connection:
             imported = select(c.id).where(*filters, c.method == "import").limit(1)
             if connection.scalar(imported) is not None:
@@ -260,12 +261,12 @@ class Sightings(Store):
         """
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=True) + _clock_within(largest_clock_error_s)
-        filters += [c.method == "disc", c.body == "sun"]
+        filters += [c.method == "disc", c.body == SUN]
         with self._reading() as connection:
             return read_levels(connection, filters)
 
     def dates_with_points(self, camera: str, *, longitude: float, since: date | None = None) -> tuple[date, ...]:
-        """Return the solar dates (from `since` on) on which anything was looked at, accepted or not."""
+        """Return the solar dates (from `since` on) on which the sun was looked at, accepted or not."""
         values = {
             "camera": camera,
             "since": 0 if since is None else round(1e6 * day_bounds_unix_s(since, longitude=longitude)[0]),
@@ -275,35 +276,6 @@ class Sightings(Store):
         with self._reading() as connection:
             times = connection.scalars(_FIRST_OF_EACH_DAY, values).all()
         return tuple(solar_date(time / 1e6, longitude=longitude) for time in times)
-
-    def sightings_by_day(
-        self, camera: str, *, longitude: float, since: date, until: date
-    ) -> tuple[SightingCounts, ...]:
-        """Return the counts of the looks at the sun on solar dates with `since` <= date < `until`, the newest first."""
-        c, ahead = sun_point.c, round(1e6 * longitude * SECONDS_PER_DEGREE)
-        begin, end = (round(1e6 * day_bounds_unix_s(one, longitude=longitude)[0]) for one in (since, until))
-        time = type_coerce(c.time, BigInteger)
-        day = ((time + ahead) // round(1e6 * DAY_S)).label("day")
-        counts = select(day, c.verdict, c.accepted, func.count(), func.max(c.clock_error_s))
-        of_days = counts.where(c.camera == camera, c.body == "sun", time >= begin, time < end)
-        with self._reading() as connection:
-            rows = connection.execute(of_days.group_by(day, c.verdict, c.accepted)).all()
-        by_day: dict[int, list[tuple[str, bool, int, float | None]]] = {}
-        for number, *row in rows:
-            by_day.setdefault(int(number), []).append((row[0], row[1], row[2], row[3]))
-        return tuple(_counted(number, by_day[number]) for number in sorted(by_day, reverse=True))
-
-
-def _counted(day: int, rows: list[tuple[str, bool, int, float | None]]) -> SightingCounts:
-    verdicts: Counter[str] = Counter()
-    for verdict, _, count, _ in rows:
-        verdicts[verdict] += count
-    return SightingCounts(
-        date=date(1970, 1, 1) + timedelta(days=day),
-        verdicts=dict(sorted(verdicts.items())),
-        accepted=sum(count for _, accepted, count, _ in rows if accepted),
-        clock_error_s=max((error for *_, error in rows if error is not None), default=None),
-    )
 
 
 def _next_id(connection: Connection, camera: str) -> str:

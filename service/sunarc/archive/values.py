@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, computed_field
 
 from sunarc.archive.messages import code_of_event, text_of
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray
 from sunarc.errors import InputError
 from sunarc.findings import Finding, Messages
 from sunarc.json_fields import EXAMPLE_TIME, Findings, FindingsJson, Returned, SolarDate, Time, described
@@ -68,16 +68,16 @@ class PoseEpoch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SunPoint(Returned):
-    """One sighting of the sun; the rejected ones with their reason."""
+    """One sighting of the sun or of another body; the rejected ones with their reason."""
 
     camera: Annotated[str, Field(exclude=True)]
     pose_epoch: Annotated[str, described("Id of the interval in which the camera did not move.", "imager-1")]
     time: Time
-    method: Annotated[str, described("The detector: `disc`, `paper`, or `import`.", "disc")]
+    method: Annotated[str, described("The detector: `disc`, `paper`, `star`, or `import`.", "disc")]
     accepted: Annotated[bool, described("Whether a fit may use it; then `x_px` and `y_px` are known.", True)]
     verdict: Annotated[str, described("What was detected, in a word.", "clear")]
     reason: Annotated[str, described("Why it was accepted or rejected, in words.", "the disc fits")] = ""
-    body: Annotated[str, described("The celestial body.", "sun")] = "sun"
+    body: Annotated[str, described("`sun`, `moon`, a planet, or `star:HIP` and its number.", "sun")] = "sun"
     exposure_us: Annotated[float, described("As read back from the camera, µs; 0 where not known.", 47.0)] = 0.0
     x_px: Annotated[float | None, described("To the right, px; null where there is no answer.", 871.96)] = None
     y_px: Annotated[float | None, described("Down, px; null where there is no answer.", 883.0)] = None
@@ -121,6 +121,7 @@ class SunPointColumns:
     epoch_ids : the pose epochs that occur.
     ids : (n,) the rows' keys.
     temperature, pressure : (n,) of the air, °C and Pa: the sighting's own, else its day's; NaN where not measured.
+    body : (n,) names of what was seen: `sun`, `venus`, `star:HIP32349`.
     """
 
     unix_s: FloatArray
@@ -132,6 +133,7 @@ class SunPointColumns:
     ids: IntArray
     temperature: FloatArray
     pressure: FloatArray
+    body: NameArray
 
     def select(self, which: IntArray | BoolArray) -> SunPointColumns:
         """Return the sightings that an index or a mask picks, with the epochs that occur among them."""
@@ -146,6 +148,7 @@ class SunPointColumns:
             ids=self.ids[which],
             temperature=self.temperature[which],
             pressure=self.pressure[which],
+            body=self.body[which],
         )
 
 

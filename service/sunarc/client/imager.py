@@ -232,10 +232,11 @@ class Imager(Requests):
         until: datetime | None = None,
         accepted: bool | None = None,
         residuals: bool = False,
+        body: str = "sun",
     ) -> Iterator[dict[str, Any]]:
-        """Yield the sightings of the sun with since <= time < until, the newest first, with residuals if asked."""
+        """Yield a body's (`venus`, `star:HIP32349`; `all`) sightings with since <= time < until, the newest first."""
         query = {"accepted": None if accepted is None else str(accepted).lower(), "residuals": str(residuals).lower()}
-        return self._pages("/sun-points", "sun_points", since=_time(since), until=_time(until), **query)
+        return self._pages("/sun-points", "sun_points", since=_time(since), until=_time(until), body=body, **query)
 
     def overlay(self, *, at: datetime | None = None) -> dict[str, Any]:
         """Return lines to draw over the image: zenith circles, azimuths, ways of the sun."""

@@ -60,7 +60,7 @@ def export_everything(state: Path, folder: Path) -> dict[str, int]:
 def _write(archive: Archive, folder: Path) -> dict[str, int]:
     cameras = archive.cameras()
     names = [camera.name for camera in cameras]
-    points = [point for name in names for point in archive.sun_points(name)]
+    points = [point for name in names for point in archive.sun_points(name, body=None)]
     calibrations = [record for name in names for record in archive.calibrations(name)]
     for record in calibrations:
         _write_json(folder / "calibrations" / f"{record.id}.json", dict(record.document))

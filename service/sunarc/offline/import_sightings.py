@@ -9,6 +9,7 @@ from typing import TextIO
 import numpy as np
 
 from sunarc.archive import (
+    SUN,
     Archive,
     SightingTable,
     SunPoint,
@@ -22,8 +23,11 @@ from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
-from sunarc.sky import PA_PER_HPA
+from sunarc.sky import PA_PER_HPA, Site, angular_distance, body_directions
 from sunarc.utc import utc_time
+
+_MOST_APART_DEG = 0.05
+"""Of a stated direction from the body's: the refraction of other air and formulas near the horizon."""
 
 
 def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -51,7 +55,7 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
-    _require_sun(table, path.name)
+    _require_bodies(table, settings.site, path.name)
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
@@ -61,10 +65,15 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:
     """Write the accepted sightings as CSV and return how many, with the air where it was measured (see `air_of`)."""
     with open_archive(settings.archive) as archive:
-        points = archive.sun_points(settings.name, since=since, until=until, accepted=True)
+        points = archive.sun_points(settings.name, since=since, until=until, accepted=True, body=None)
         placed = [(p, p.x_px, p.y_px) for p in points if p.x_px is not None and p.y_px is not None]
         air = archive.air_of(settings.name, [point for point, _, _ in placed])
-    return write_sightings(target, [(p.time, x, y, p.sigma_px, p.body) for p, x, y in placed], air=air)
+    rows = [(p.time, x, y, p.sigma_px, p.body) for p, x, y in placed]
+    if all(p.body == SUN for p, _, _ in placed):
+        return write_sightings(target, rows, air=air)
+    unix_s, body = np.array([p.time.timestamp() for p, _, _ in placed]), np.array([p.body for p, _, _ in placed])
+    directions = body_directions(body, unix_s, settings.site, temperature=air[0], pressure=air[1])
+    return write_sightings(target, rows, air=air, directions=directions)
 
 
 def _size_in_archive(settings: Settings) -> tuple[int, int] | None:
@@ -90,6 +99,7 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             camera=settings.name,
             pose_epoch=archive.epoch_at(settings.name, time, reason=reason).id,
             time=time,
+            body=str(body),
             method="import",
             accepted=True,
             verdict="clear",
@@ -100,20 +110,33 @@ def _points(archive: Archive, settings: Settings, table: SightingTable, name: st
             temperature_c=_finite_or_none(temperature),
             pressure_hpa=_finite_or_none(pressure / PA_PER_HPA),
         )
-        for time, (x, y), sigma, temperature, pressure in zip(
-            times, table.pixels, table.sigma_px, table.temperature, table.pressure, strict=True
+        for time, (x, y), sigma, temperature, pressure, body in zip(
+            times, table.pixels, table.sigma_px, table.temperature, table.pressure, table.body, strict=True
         )
     ]
 
 
-def _require_sun(table: SightingTable, name: str) -> None:
-    """Raise InputError where a direction is stated: the archive's sightings are of the sun."""
-    stated = int(np.count_nonzero(np.isfinite(table.directions[:, 0])))
-    if stated:
+def _require_bodies(table: SightingTable, site: Site, name: str) -> None:
+    """Raise InputError where a stated direction is not that of the body: the archive has bodies, and no directions."""
+    stated = np.isfinite(table.directions[:, 0])
+    if not np.any(stated):
+        return
+    known = body_directions(table.body, table.unix_s, site, temperature=table.temperature, pressure=table.pressure)
+    of_body = np.isfinite(known[:, 0])
+    unknown = int(np.count_nonzero(stated & ~of_body))
+    if unknown:
+        raise InputError(
+            field=f"{name}, body",
+            problem=f"{unknown} sightings state a direction and no star (star:HIP32349) or planet that it belongs to",
+            remedy="fit the file itself with sunarc calibrate, or leave these rows out",
+        )
+    apart_deg = np.degrees(angular_distance(table.directions[stated], known[stated]))
+    worst = int(np.argmax(apart_deg))
+    if apart_deg[worst] > _MOST_APART_DEG:
         raise InputError(
             field=f"{name}, zenith_deg",
-            problem=f"{stated} sightings state a direction, and the archive has the sun's alone",
-            remedy="fit the file itself with sunarc calibrate, or leave these rows out",
+            problem=f"{table.body[stated][worst]} was {apart_deg[worst]:.2f} degrees from the stated direction",
+            remedy="correct the time, the direction, the body, or the site in the settings",
         )
 
 

@@ -23,8 +23,8 @@ def solve_again(settings: Settings, calibration_id: str) -> dict[str, Any]:
     """
     with open_archive(settings.archive) as archive:
         record = archive.calibration(calibration_id)
-        points = points_of(archive.sightings_of(calibration_id), latest=record.pose_epoch)
-    past = from_document(record.document)
+        past = from_document(record.document)
+        points = points_of(archive.sightings_of(calibration_id), site=past.site, latest=record.pose_epoch)
     solved = reproduce_calibration(past, points)
     separation_px = distance_px(past, solved)
     document = to_document(

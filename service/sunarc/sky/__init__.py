@@ -3,7 +3,16 @@
 from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
 from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
-from sunarc.sky.night import STAR, WANDERERS, NightSky, Wanderer, WandererPlace, night_sky, wanderer_place
+from sunarc.sky.night import (
+    STAR,
+    WANDERERS,
+    NightSky,
+    Wanderer,
+    WandererPlace,
+    body_directions,
+    night_sky,
+    wanderer_place,
+)
 from sunarc.sky.refraction import (
     ASSUMED_AIR_SD,
     DAILY_AIR_SD,
@@ -37,6 +46,7 @@ __all__ = [
     "angles_from_direction",
     "angular_distance",
     "apparent_elevation",
+    "body_directions",
     "clear_transmission",
     "date_of_day",
     "day_bounds_unix_s",

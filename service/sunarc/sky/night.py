@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
+from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
 from sunarc.extras import extra_module
 from sunarc.sky.directions import direction_from_angles
 from sunarc.sky.refraction import apparent_elevation
@@ -72,7 +72,7 @@ class NightSky:
     magnitude : (n,) V, outside the atmosphere.
     """
 
-    names: np.ndarray[Any, np.dtype[np.str_]]
+    names: NameArray
     directions: FloatArray
     magnitude: FloatArray
 
@@ -178,6 +178,51 @@ def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
     )
     order = np.argsort(magnitude, kind="stable")
     return sky.select(order[(sky.directions[order, 2] > 0.0) & (magnitude[order] <= faintest)])
+
+
+def body_directions(
+    names: NameArray,
+    unix_s: FloatArray,
+    site: Site,
+    *,
+    temperature: FloatArray | None = None,
+    pressure: FloatArray | None = None,
+) -> FloatArray:
+    """Return the apparent directions (n, 3), east-north-up, of stars, planets and the moon at their moments.
+
+    NaN for the sun, whose path is computed by `sun_directions`, and for a name that no body has.
+
+    Parameters
+    ----------
+    names : (n,) as in `NightSky`.
+    unix_s : (n,) seconds since 1970-01-01 UTC.
+    site : the place and its air.
+    temperature, pressure : (n,) of the air, °C and Pa, as measured; the site's where None or NaN.
+
+    Raises
+    ------
+    InputError : ephem is not installed (extra `night`), and a body other than the sun is named.
+    """
+    directions = np.full((unix_s.size, 3), np.nan)
+    row_of = {f"{STAR}{hip}": row for row, hip in enumerate(_stars().hip.tolist())}
+    star = np.array([row_of.get(name, -1) for name in names.tolist()], dtype=np.int64)
+    wanderers = [(np.asarray(names == name), name) for name in WANDERERS]
+    # all of one moment at once: many stars are of one image
+    for moment in np.unique(unix_s[(star >= 0) | np.isin(names, WANDERERS)]).tolist():
+        now = unix_s == moment
+        air = site.with_air(temperature=_measured(temperature, now), pressure=_measured(pressure, now))
+        if np.any(stars := now & (star >= 0)):
+            directions[stars] = star_directions(picked(_stars(), star[stars]), moment, air)
+        for named, name in wanderers:
+            if np.any(here := now & named):
+                directions[here] = wanderer_place(name, moment, air).direction
+    return directions
+
+
+def _measured(column: FloatArray | None, now: BoolArray) -> float | None:
+    """Return the first number of some rows; None where it is not measured."""
+    value = math.nan if column is None else float(column[np.flatnonzero(now)[0]])
+    return value if math.isfinite(value) else None
 
 
 @cache

@@ -18,16 +18,38 @@ from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWit
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, Since, Until, row_limit
 from sunarc.api.schemas.record import SightingsByDay
-from sunarc.archive import SunPoint
+from sunarc.archive import SUN, SunPoint
 from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
 from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
-from sunarc.sky import angular_distance, day_bounds_unix_s, direction_from_angles, solar_date, sun_angles
+from sunarc.sky import (
+    STAR,
+    WANDERERS,
+    angles_from_direction,
+    angular_distance,
+    body_directions,
+    day_bounds_unix_s,
+    direction_from_angles,
+    solar_date,
+    sun_angles,
+    sun_directions,
+)
 from sunarc.utc import utc_time
 
 _HORIZON_DEG = 90.0
+_ALL = "all"
+_NAMES = rf"^({SUN}|{'|'.join(WANDERERS)}|{STAR}\d{{1,6}}|{_ALL})$"
 _DAYS, _MOST_DAYS = 30, 366
 """Of counts by day: unless asked, and at most: a year has a million looks, which are counted in seconds."""
+
+Body = Annotated[
+    str,
+    Query(
+        pattern=_NAMES,
+        description="Of which body: `sun`, `moon`, a planet, `star:HIP` and a number, or `all`.",
+        examples=["star:HIP32349"],
+    ),
+]
 
 
 def sun_routes(context: ApiContext) -> APIRouter:
@@ -53,33 +75,7 @@ def sun_routes(context: ApiContext) -> APIRouter:
         day = date or solar_date(context.frame_clock().timestamp(), longitude=selected.site.longitude)
         return track_of(selected, day, step_s=step_s)
 
-    @routes.get("/sun-points", responses=answers(422))
-    def sun_points(
-        *,
-        request: Request,
-        since: Since = None,
-        until: Until = None,
-        accepted: Annotated[
-            bool | None, Query(description="Only the accepted, or the rejected; both where not given.", examples=[True])
-        ] = None,
-        residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,
-        limit: Annotated[int, row_limit()] = 1000,
-        cursor: Cursor = None,
-    ) -> SunPoints:
-        """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
-        selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.sun_points(
-            selected.camera,
-            since=since,
-            until=page.until(until),
-            accepted=accepted,
-            newest_first=True,
-            limit=page.rows,
-        )
-        rows, next_ = page.cut(found, request, time=lambda point: point.time)
-        return _sun_points(selected, rows, residuals=residuals, next_=next_)
-
-    _add_counts(routes, context)
+    _add_sighting_routes(routes, context)
     return routes
 
 
@@ -101,6 +97,40 @@ def _add_counts(routes: APIRouter, context: ApiContext) -> None:
         begin = max(since or date.min, end - longest)
         counts = selected.archive.sightings_by_day(selected.camera, longitude=longitude, since=begin, until=end)
         return SightingsByDay(days=list(counts))
+
+
+def _add_sighting_routes(routes: APIRouter, context: ApiContext) -> None:
+    """Add the routes that list and count sightings."""
+
+    @routes.get("/sun-points", responses=answers(422))
+    def sun_points(
+        *,
+        request: Request,
+        since: Since = None,
+        until: Until = None,
+        accepted: Annotated[
+            bool | None, Query(description="Only the accepted, or the rejected; both where not given.", examples=[True])
+        ] = None,
+        body: Body = SUN,
+        residuals: Annotated[bool, Query(description="Add sighting minus current calibration.")] = False,
+        limit: Annotated[int, row_limit()] = 1000,
+        cursor: Cursor = None,
+    ) -> SunPoints:
+        """Tell the sightings with since <= time < until, the newest first, the rejected ones with their reason."""
+        selected, page = context.of(request), page_at(cursor, limit)
+        found = selected.archive.sun_points(
+            selected.camera,
+            since=since,
+            until=page.until(until),
+            accepted=accepted,
+            body=None if body == _ALL else body,
+            newest_first=True,
+            limit=page.rows,
+        )
+        rows, next_ = page.cut(found, request, time=lambda point: point.time)
+        return _sun_points(selected, rows, residuals=residuals, next_=next_)
+
+    _add_counts(routes, context)
 
 
 def _sun(context: ApiContext, time: datetime, *, past: datetime | None) -> Sun:
@@ -170,8 +200,12 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
     unix_s = np.array([point.time.timestamp() for point in points])
     observed = np.array([(point.x_px, point.y_px) for point in points], dtype=np.float64).reshape(-1, 2)
     temperature, pressure = context.archive.air_of(context.camera, points)
-    angles = sun_angles(unix_s, context.site, temperature=temperature, pressure=pressure)
-    directions = direction_from_angles(zenith_deg=angles.apparent_zenith, azimuth_deg=angles.azimuth)
+    sun = sun_directions(unix_s, context.site, temperature=temperature, pressure=pressure)
+    body = np.array([point.body for point in points])
+    of_sun = (body == SUN)[:, None]
+    others = body_directions(body, unix_s, context.site, temperature=temperature, pressure=pressure)
+    directions = np.where(of_sun, sun, others)
+    zenith_deg, azimuth_deg = angles_from_direction(directions)
     off_px = observed - project(calibration.camera, directions)
     off_deg = np.degrees(angular_distance(unproject(calibration.camera, observed), directions))
     return [
@@ -185,7 +219,5 @@ def _residuals(calibration: Calibration, context: ApiContext, points: Sequence[S
             apparent_zenith=float(zenith),
             azimuth=float(azimuth),
         )
-        for (x, y), angle, zenith, azimuth in zip(
-            off_px.tolist(), off_deg, angles.apparent_zenith, angles.azimuth, strict=True
-        )
+        for (x, y), angle, zenith, azimuth in zip(off_px.tolist(), off_deg, zenith_deg, azimuth_deg, strict=True)
     ]

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
+from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,7 +54,7 @@ class PredictedStars:
     azimuth_deg : (n,).
     """
 
-    names: np.ndarray[Any, np.dtype[np.str_]]
+    names: NameArray
     pixels: FloatArray
     sigma_px: FloatArray
     magnitude: FloatArray
