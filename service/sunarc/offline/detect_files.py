@@ -55,6 +55,7 @@ def detect_in_image(
     expectation: Expectation | None = None,
     static: BoolArray | None = None,
     exposure_us: float | None = None,
+    elsewhere: bool = True,
 ) -> Detection:
     """Look for the sun in one image.
 
@@ -67,12 +68,19 @@ def detect_in_image(
     expectation : where the sun should be, where that is known.
     static : what stands still in the series of an ordinary image, (rows, columns) or reduced.
     exposure_us : returned in the result.
+    elsewhere : as in `detect_sun_in_photo`.
     """
     top = full_scale or full_scale_of(image)
     selected = selected_method(image, method, full_scale=top)
     if selected == "paper":
         return detect_sun_in_photo(
-            image, full_scale=top, expectation=expectation, static=static, bayer=bayer, exposure_us=exposure_us
+            image,
+            full_scale=top,
+            expectation=expectation,
+            static=static,
+            bayer=bayer,
+            exposure_us=exposure_us,
+            elsewhere=elsewhere,
         )
     if image.ndim != 2:
         raise InputError(

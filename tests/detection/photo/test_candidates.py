@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from tests.detection.photo.suns import glare_image
 
-from sunarc.detection.photo.candidates import candidates_in, plane_of
+from sunarc.array_types import Image
+from sunarc.detection import Bayer, Expectation
+from sunarc.detection.photo.candidates import Candidate, candidates_near, window_step
+from sunarc.detection.photo.candidates import candidates_in as candidates_in_part
+from sunarc.detection.photo.part import part_near, plane_of, whole_part
+
+
+def candidates_in(image: Image, *, full_scale: int, bayer: Bayer | None = None) -> list[Candidate]:
+    return candidates_in_part(whole_part(image, static=None, bayer=bayer), full_scale=full_scale)
 
 
 def test_the_light_of_deep_images_is_compared_by_the_tones_of_eight_bits() -> None:
@@ -55,3 +63,36 @@ def test_what_is_as_light_elsewhere_is_counted_by_its_area(of_level: float, area
 def test_an_image_of_any_size_has_no_candidates_or_some(shape: tuple[int, int]) -> None:
     for level in (0, 255):
         assert candidates_in(np.full(shape, level, np.uint8), full_scale=255) == []
+
+
+@pytest.mark.parametrize("bayer", [None, "RGGB"])
+def test_near_a_predicted_place_candidates_are_those_of_the_whole_image(bayer: Bayer | None) -> None:
+    image = glare_image(300.0, 200.0, radius=11.0, size=900)
+    expectation = Expectation(x_px=303.0, y_px=198.0, uncertainty_px=2.0)
+    part = part_near(image, expectation, step=window_step(image, bayer), static=None, bayer=bayer)
+    seen = candidates_near(part, full_scale=4095)
+    assert seen is not None
+    assert part.plane.size < 0.5 * image.size / part.cell**2
+    (whole,) = candidates_in(image, full_scale=4095, bayer=bayer)
+    (found,) = seen
+    assert tuple(found.rim) == pytest.approx(tuple(whole.rim), abs=1e-9)
+    assert tuple(found[1:5]) == pytest.approx(tuple(whole[1:5]), abs=1e-9)
+
+
+@pytest.mark.parametrize(("x", "count"), [(300.0, 1), (345.0, 1), (700.0, 0)])
+def test_only_plateaus_within_reach_are_candidates(x: float, count: int) -> None:
+    image = glare_image(300.0, 200.0, radius=11.0, size=900)  # 5 times 9 and 2 px, and 2 px, and the radius
+    expectation = Expectation(x_px=x, y_px=200.0, uncertainty_px=2.0)
+    part = part_near(image, expectation, step=window_step(image, None), static=None, bayer=None)
+    seen = candidates_near(part, full_scale=4095)
+    assert seen is not None
+    assert len(seen) == count
+
+
+def test_a_plateau_without_room_in_the_window_is_left_to_the_whole_image() -> None:
+    image = glare_image(300.0, 400.0, radius=85.0, size=900)
+    expectation = Expectation(x_px=300.0, y_px=400.0, uncertainty_px=1.0)
+    step = window_step(image, None)
+    assert candidates_near(part_near(image, expectation, step=step, static=None, bayer=None), full_scale=4095) is None
+    complete = part_near(image, expectation, step=step, static=None, bayer=None, complete=True)
+    assert len(candidates_near(complete, full_scale=4095) or []) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.detection.photo.facts import KINDS, SUNLESS, accepted_without_a_sun, outcome_of, sun_photo
+from tests.detection.photo.predicted import compared, distance_px, stand_ins
 
 from sunarc.detection import detect_sun_in_photo
 
@@ -29,3 +30,21 @@ def test_an_overlay_brighter_than_a_clipped_sun_is_not_taken_for_it() -> None:
     assert int(image.max()) > 200
     assert found.peak_fraction == pytest.approx(160.0 / 255.0, abs=0.02)
     assert (found.x_px, found.y_px) == pytest.approx(place, abs=3.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_window_about_a_prediction_places_suns_as_the_whole_image_does(kind: str) -> None:
+    rng = np.random.default_rng(12)
+    for image, place in stand_ins(kind, 4, 720, rng):
+        one = compared(image, place, rng)
+        assert one.window.verdict == one.whole.verdict
+        if one.whole.verdict == "clear":
+            assert distance_px(one) < 0.01
+
+
+@pytest.mark.parametrize("kind", SUNLESS)
+def test_a_window_accepts_nothing_that_the_whole_image_does_not(kind: str) -> None:
+    rng = np.random.default_rng(13)
+    for image, place in stand_ins(kind, 6, 480, rng):
+        one = compared(image, place, rng)
+        assert (one.window.verdict == "clear") <= (one.whole.verdict == "clear")

@@ -170,3 +170,31 @@ def test_of_two_suns_alike_none_is_accepted_and_a_reflection_alone_is_one() -> N
     reflection = found_in(other, expectation=Expectation(x_px=60.0, y_px=100.0))
     assert (reflection.accepted, reflection.verdict) == (False, "reflection")
     assert codes(reflection.findings) == ["blob_displaced"]
+
+
+def test_a_sun_elsewhere_is_hidden_where_it_is_not_asked_for() -> None:
+    image = glare_image(150.0, 100.0, size=900)
+    expectation = Expectation(x_px=700.0, y_px=600.0)
+    anywhere, there = (
+        found_in(image, expectation=expectation),
+        found_in(image, expectation=expectation, elsewhere=False),
+    )
+    assert (anywhere.verdict, codes(anywhere.findings)) == ("reflection", ["blob_displaced"])
+    assert (there.verdict, codes(there.findings), there.x_px) == ("hidden", ["image_dark"], None)
+
+
+def test_a_sun_too_wide_for_the_window_is_found_in_the_whole_image() -> None:
+    image = glare_image(300.0, 400.0, radius=85.0, size=900)
+    expectation = Expectation(x_px=301.0, y_px=399.0, uncertainty_px=1.0)
+    found = found_in(image, expectation=expectation, elsewhere=False)
+    assert found.radius_px == pytest.approx(85.0, abs=8.0)
+    assert (found.x_px, found.y_px) == pytest.approx((300.0, 400.0), abs=0.5)
+
+
+@pytest.mark.parametrize("bayer", [None, "RGGB"])
+def test_the_background_of_a_window_is_the_whole_images(bayer: Any) -> None:  # noqa: ANN401 - the detector's own
+    image = glare_image(300.0, 200.0, radius=11.0, size=900)
+    expectation = Expectation(x_px=303.0, y_px=198.0, uncertainty_px=2.0)
+    near, whole = (found_in(image, bayer=bayer, expectation=one) for one in (expectation, None))
+    assert near.background_fraction == whole.background_fraction
+    assert (near.accepted, near.x_px, near.sigma_px) == pytest.approx((True, whole.x_px, whole.sigma_px))

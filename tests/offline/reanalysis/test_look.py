@@ -45,11 +45,18 @@ def test_every_image_has_an_answer_in_the_order_of_the_chunk(tmp_path: Path) -> 
     assert abs(float(clear.x_px or 0.0) - 90.0) < 1.0
 
 
-def test_a_prediction_elsewhere_refuses_what_is_found(tmp_path: Path) -> None:
-    elsewhere = Expectation(x_px=180.0, y_px=60.0, uncertainty_px=1.0)
-    (answer,) = answers(tmp_path, Item("clear.png", 0, None, elsewhere))
+@pytest.mark.parametrize(
+    ("found", "verdict", "codes"),
+    [(None, "hidden", ["no_round_region"]), ((90.0, 130.0), "reflection", ["blob_displaced"])],
+)
+def test_a_prediction_elsewhere_refuses_what_is_found(
+    found: tuple[float, float] | None, verdict: str, codes: list[str], tmp_path: Path
+) -> None:
+    elsewhere = Expectation(x_px=200.0, y_px=40.0, uncertainty_px=1.0)
+    (answer,) = answers(tmp_path, Item("clear.png", 0, None, elsewhere, found=found))
     assert isinstance(answer.found, Detection)
-    assert not answer.found.accepted
+    assert (answer.found.accepted, answer.found.verdict) == (False, verdict)
+    assert [one.code for one in answer.found.findings] == codes
 
 
 def test_where_the_sun_is_outside_the_image_nothing_is_the_sun(tmp_path: Path) -> None:

@@ -41,14 +41,15 @@ def blobs_of(mask: Mask, *, most: int) -> list[Blob]:
 
 def thickest(mask: Mask, *, most: int, least_radius: float) -> list[tuple[float, float, float]]:
     """Return centre and radius of the largest circles within a mask, largest first, no two in one another."""
-    padded = np.pad(mask, 1)
+    left, top, width, height = cv2.boundingRect(mask)
+    padded = np.pad(mask[top : top + height, left : left + width], 1)
     distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5), dtype=np.float32)
     found: list[tuple[float, float, float]] = []
     while len(found) < most:
         _, radius, _, (column, row) = cv2.minMaxLoc(distance)
         if radius < least_radius:
             break
-        found.append((float(column - 1), float(row - 1), float(radius)))
+        found.append((float(left + column - 1), float(top + row - 1), float(radius)))
         cv2.circle(distance, (column, row), math.ceil(2.0 * radius), 0.0, thickness=-1)
     return found
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, Image
-from sunarc.detection.photo.plateau import faintest_colour, faintest_of_mosaic, plateaus
+from sunarc.array_types import FloatArray, Image
+from sunarc.detection.photo.part import SURROUNDINGS, Part
+from sunarc.detection.photo.plateau import Plateau, plateaus, step_of
 from sunarc.detection.photo.rim import Rim, rim_of
 from sunarc.detection.values import Bayer
 
@@ -30,8 +31,6 @@ _GLARE_PX, _GLARE_BLUR_PX = 240, 4.0
 """Smaller side of the image, and the blur, in which the middle of the glare is found: 3 degrees wide."""
 _AS_LIGHT, _AWAY = 0.9, 2.6
 """Of the plateau's level (in tones), and radii beyond which so much light is another's: in glare it is below 0.84."""
-_SURROUNDINGS = 0.08
-"""Of the smaller side, beyond the radius: where a predicted sun is the brightest."""
 _LINEAR_TONES = 1.0 / 2.2
 """Images of more than 8 bits are taken for linear: their light beside the sun is compared by the tones of 8 bits."""
 _EIGHT_BITS = 255
@@ -77,50 +76,75 @@ class Candidate(NamedTuple):
 
 
 def candidates_in(
-    image: Image,
-    *,
-    full_scale: int,
-    least_level: float = MIN_LEVEL,
-    least_near: float | None = None,
-    static: BoolArray | None = None,
-    bayer: Bayer | None = None,
+    part: Part, *, full_scale: int, least_level: float = MIN_LEVEL, least_near: float | None = None
 ) -> list[Candidate]:
-    """Return the plateaus that have a rim.
+    """Return the plateaus of a part of an image that have a rim, in px of the image.
 
     Parameters
     ----------
-    image, full_scale, static, bayer : as in `detect_sun_in_photo`.
+    part, full_scale : where, and the largest count.
     least_level, least_near : of full scale and of a plateau's level, as in `plateaus`; None is an ordinary exposure's.
     """
-    plane = plane_of(image, bayer)
-    hidden = _enlarged(static, plane)
-    size, tones = min(plane.shape), 1.0 if full_scale == _EIGHT_BITS else _LINEAR_TONES
-    beside = _LEAST_NEAR ** (1.0 / tones) if least_near is None else least_near
-    found = plateaus(plane, least_level=least_level * full_scale, least_near=beside, static=hidden)
-    rims = [rim_of(plane, each, static=hidden) for each in found if each.radius <= _MAX_RADIUS_FRACTION * size]
+    return _with_rims(part, _plateaus(part, full_scale, least_level, least_near), full_scale)
+
+
+def candidates_near(part: Part, *, full_scale: int) -> list[Candidate] | None:
+    """Return the candidates in the window about a predicted place; None where one may have more light beyond it."""
+    found = _plateaus(part, full_scale, MIN_LEVEL, None)
+    if not all(part.has_room(each.x, each.y, each.radius) for each in found):
+        return None
+    seen = _with_rims(part, found, full_scale)
+    return seen if all(part.holds(each.rim.x, each.rim.y, each.rim.radius) for each in seen) else None
+
+
+def window_step(image: Image, bayer: Bayer | None) -> int:
+    """Return px of the plane by which a window may begin, so that its reduced images are parts of the whole one's."""
+    size = min(image.shape[:2]) // (1 if bayer is None or image.ndim == 3 else 2)
+    return math.lcm(step_of(size), _glare_step(size))
+
+
+def _plateaus(part: Part, full_scale: int, least_level: float, least_near: float | None) -> list[Plateau]:
+    beside = _LEAST_NEAR ** (1.0 / _tones(full_scale)) if least_near is None else least_near
+    found = plateaus(
+        part.plane,
+        least_level=least_level * full_scale,
+        least_near=beside,
+        static=part.static,
+        size=part.size,
+        near=part.near,
+    )
+    return [each for each in found if each.radius <= _MAX_RADIUS_FRACTION * part.size]
+
+
+def _with_rims(part: Part, found: list[Plateau], full_scale: int) -> list[Candidate]:
+    size, tones = part.size, _tones(full_scale)
+    rims = [rim_of(part.plane, each, static=part.static) for each in found]
     fitting = [rim for rim in rims if rim is not None and rim.radius <= _MAX_RADIUS_FRACTION * size]
-    shown = _reduced(plane, hidden)
+    if not fitting:
+        return []
+    shown = _reduced(part)
     as_light = _AS_LIGHT ** (1.0 / tones)
-    seen = [
-        Candidate(
-            _in_tones(rim, tones),
-            sigma_px(rim),
-            *_off_glare(shown, rim, size),
-            size,
-            *_surroundings(shown, rim, as_light * rim.level, tones),
+    return [
+        _in_the_image(
+            Candidate(
+                _in_tones(rim, tones),
+                sigma_px(rim),
+                *_off_glare(shown, rim, size),
+                size,
+                *_surroundings(shown, rim, as_light * rim.level, tones),
+            ),
+            part,
         )
         for rim in fitting
     ]
-    return seen if plane.shape == image.shape[:2] else [_of_mosaic(each) for each in seen]
+
+
+def _tones(full_scale: int) -> float:
+    return 1.0 if full_scale == _EIGHT_BITS else _LINEAR_TONES
 
 
 def _in_tones(rim: Rim, tones: float) -> Rim:
     return rim._replace(near=max(rim.near, 0.0) ** tones, far=max(rim.far, 0.0) ** tones)
-
-
-def plane_of(image: Image, bayer: Bayer | None) -> Image:
-    """Return the faintest colour of an image, (rows, columns), or of the cells of a raw mosaic, half of both."""
-    return faintest_colour(image) if bayer is None or image.ndim == 3 else faintest_of_mosaic(image)
 
 
 def sigma_px(rim: Rim) -> float:
@@ -137,26 +161,30 @@ def sigma_px(rim: Rim) -> float:
     )
 
 
-def _reduced(plane: Image, static: BoolArray | None) -> tuple[FloatArray, float]:
-    """Return the plane in about 240 px and the px of the plane to one of its."""
+def _glare_step(size: int) -> int:
+    return max(1, round(size / _GLARE_PX))
+
+
+def _reduced(part: Part) -> tuple[FloatArray, float, float]:
+    """Return a plane in some 240 px of the whole one, the px of the plane to one of its, and the blur there."""
+    plane, static = part.plane, part.static
     shown = plane if static is None else np.where(static, np.zeros_like(plane), plane)
-    step = max(1, round(min(plane.shape) / _GLARE_PX))
+    step = _glare_step(part.size)
     rows, columns = (max(1, size // step) for size in plane.shape)
-    part: Image = shown[: rows * step, : columns * step]
-    small = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.float64), float(step)
+    small = cv2.resize(shown[: rows * step, : columns * step], (columns, rows), interpolation=cv2.INTER_AREA)
+    blur = max(_GLARE_BLUR_PX * max(1, part.size // step) / _GLARE_PX, 0.5)
+    return np.asarray(small, dtype=np.float64), float(step), blur
 
 
-def _off_glare(shown: tuple[FloatArray, float], rim: Rim, size: int) -> tuple[float, float]:
+def _off_glare(shown: tuple[FloatArray, float, float], rim: Rim, size: int) -> tuple[float, float]:
     """Return how far a rim's centre is from the brightest place of the blurred plane and of its surroundings, px.
 
     What is brighter than the plateau (an overlay) counts as much as the plateau.
     """
-    small, step = shown
-    sigma = max(_GLARE_BLUR_PX * min(small.shape) / _GLARE_PX, 0.5)
-    blurred = cv2.GaussianBlur(np.minimum(small, rim.level).astype(np.float32), (0, 0), sigma)
+    small, step, blur = shown
+    blurred = cv2.GaussianBlur(np.minimum(small, rim.level).astype(np.float32), (0, 0), blur)
     x, y = ((value - (step - 1.0) / 2.0) / step for value in (rim.x, rim.y))
-    reach = (rim.radius + _SURROUNDINGS * size) / step
+    reach = (rim.radius + SURROUNDINGS * size) / step
     rows, columns = np.ogrid[: small.shape[0], : small.shape[1]]
     around = np.where(np.hypot(columns - x, rows - y) <= reach, blurred, -1.0)
     distances = []
@@ -166,9 +194,11 @@ def _off_glare(shown: tuple[FloatArray, float], rim: Rim, size: int) -> tuple[fl
     return distances[0], distances[1]
 
 
-def _surroundings(shown: tuple[FloatArray, float], rim: Rim, level: float, tones: float) -> tuple[float, float, float]:
+def _surroundings(
+    shown: tuple[FloatArray, float, float], rim: Rim, level: float, tones: float
+) -> tuple[float, float, float]:
     """Return the `other_area` of a rim at or above a level, and its `sky` and `lighter`."""
-    small, step = shown
+    small, step, _ = shown
     x, y = ((value - (step - 1.0) / 2.0) / step for value in (rim.x, rim.y))
     rows, columns = np.ogrid[: small.shape[0], : small.shape[1]]
     others = small[np.hypot(columns - x, rows - y) > _AWAY * rim.radius / step]
@@ -180,32 +210,25 @@ def _surroundings(shown: tuple[FloatArray, float], rim: Rim, level: float, tones
     return area, sky, float(np.mean(lit > min(rim.near, rim.far)))
 
 
-def _of_mosaic(seen: Candidate) -> Candidate:
-    """Return a candidate of the half-sized plane in px of the mosaic."""
-    rim = seen.rim
+def _in_the_image(seen: Candidate, part: Part) -> Candidate:
+    """Return a candidate of a part's plane in px of the image."""
+    rim, cell = seen.rim, part.cell
+    shift = (cell - 1) / 2.0
     larger = rim._replace(
-        x=2.0 * rim.x + 0.5,
-        y=2.0 * rim.y + 0.5,
-        radius=2.0 * rim.radius,
-        scatter=2.0 * rim.scatter,
-        spread=2.0 * rim.spread,
-        offset=2.0 * rim.offset,
+        x=cell * (rim.x + part.left) + shift,
+        y=cell * (rim.y + part.top) + shift,
+        radius=cell * rim.radius,
+        scatter=cell * rim.scatter,
+        spread=cell * rim.spread,
+        offset=cell * rim.offset,
     )
     return Candidate(
         rim=larger,
-        sigma_px=2.0 * seen.sigma_px,
-        off_glare_px=2.0 * seen.off_glare_px,
-        off_local_glare_px=2.0 * seen.off_local_glare_px,
-        size_px=2.0 * seen.size_px,
+        sigma_px=cell * seen.sigma_px,
+        off_glare_px=cell * seen.off_glare_px,
+        off_local_glare_px=cell * seen.off_local_glare_px,
+        size_px=cell * seen.size_px,
         other_area=seen.other_area,
         sky=seen.sky,
         lighter=seen.lighter,
     )
-
-
-def _enlarged(static: BoolArray | None, plane: Image) -> BoolArray | None:
-    """Return the mask of what stands still in the size of the plane."""
-    if static is None or static.shape == plane.shape:
-        return static
-    size = (plane.shape[1], plane.shape[0])
-    return np.asarray(cv2.resize(static.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), dtype=np.bool_)

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from sunarc.detection.photo.candidates import MIN_NEAR, OFF_GLARE, Candidate
+from sunarc.detection.photo.part import MAX_SIGMA, REACH_PX, REACH_SIGMAS
 from sunarc.detection.photo.rim import Rim
 from sunarc.detection.values import Expectation, Verdict
 from sunarc.findings import Finding
@@ -32,9 +33,9 @@ _EDGED_LEAST = 0.01
 _MIN_FLAT, _MIN_FLAT_PREDICTED = 0.6, 0.2
 """Share of the plateau that is level: nine of ten real suns had 0.82 and more, nine of ten patches of cloud 0.54 and
 less. A small sun in haze, which a prediction names, has 0.25."""
-_MAX_SIGMA, _MAX_SIGMA_RADIUS = 0.01, 0.2
-"""Of the image's smaller side and of the radius: a less certain position is of no use (it is 1.9 degrees where the
-smaller side is 180)."""
+_MAX_SIGMA_RADIUS = 0.2
+"""Of the radius: a less certain position is of no use either (0.01 of the smaller side is 1.9 degrees where that is
+180)."""
 _MAX_SIGMA_PX = 0.6  # a sigma up to this is always of use
 _OFF_GLARE_RADIUS = 0.3  # of the radius: within it a plateau is in the middle of the glare
 _MAX_RADIUS = 0.09
@@ -45,8 +46,6 @@ _MAX_ELLIPTICITY = 0.35
 _OTHER_PLATEAUS, _OTHER_AREA = 2.0, 0.001
 """Plateau areas, and of the square of the smaller side, for what else is as light, without a prediction: real suns had
 1.8 plateaus and less, text has up to 0.001; overcast is as light in many places."""
-_REACH_SIGMAS, _REACH_PX = 5.0, 2.0
-"""A plateau within so many sigmas (and px) of the prediction is the sun's."""
 
 
 class Judged(NamedTuple):
@@ -77,7 +76,7 @@ def _verdict(seen: Candidate, expectation: Expectation | None) -> tuple[Verdict,
             or _clear(seen.rim)
         )
     distance = math.hypot(seen.rim.x - expectation.x_px, seen.rim.y - expectation.y_px)
-    if distance > _REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + _REACH_PX:
+    if distance > REACH_SIGMAS * math.hypot(expectation.uncertainty_px, seen.sigma_px) + REACH_PX:
         return "reflection", Finding("blob_displaced", {"distance_px": distance})
     return (
         _edge(seen, has_aureole=True)
@@ -116,7 +115,7 @@ def _fault(seen: Candidate) -> tuple[Verdict, Finding] | None:
         return "partly_covered", Finding("blob_one_sided", {"share": rim.share})
     if rim.scatter > _MAX_SCATTER * rim.radius:
         return "veiled", Finding("blob_uneven", {"scatter": rim.scatter / rim.radius})
-    if seen.sigma_px > max(min(_MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
+    if seen.sigma_px > max(min(MAX_SIGMA * seen.size_px, _MAX_SIGMA_RADIUS * rim.radius), _MAX_SIGMA_PX):
         return "veiled", Finding("blob_centre_uncertain", {"sigma_px": seen.sigma_px})
     return None
 

@@ -12,6 +12,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, Image
 from sunarc.detection.photo.candidates import Candidate, candidates_in
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
+from sunarc.detection.photo.part import whole_part
 from sunarc.detection.values import Bayer, Detection, Expectation
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -93,9 +94,8 @@ def _nearest(
     image: Image, anchor: Detection, *, full_scale: int, static: BoolArray | None, bayer: Bayer | None
 ) -> Candidate | None:
     """Return an exposure's most certain candidate that agrees with the anchor."""
-    found = candidates_in(
-        image, full_scale=full_scale, least_level=_LEAST_LEVEL, least_near=0.0, static=static, bayer=bayer
-    )
+    part = whole_part(image, static=static, bayer=bayer)
+    found = candidates_in(part, full_scale=full_scale, least_level=_LEAST_LEVEL, least_near=0.0)
     agreeing = [each for each in found if _agrees(each, anchor)]
     return min(agreeing, key=lambda each: each.sigma_px, default=None)
 

@@ -7,6 +7,7 @@ smallest and the roundest.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -33,6 +34,14 @@ _APART_PX = 9  # about a plateau its own glare is no second one
 
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 _COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
+
+
+class Near(NamedTuple):
+    """A predicted place, px, and how far from it a centre may be."""
+
+    x: float
+    y: float
+    reach: float
 
 
 class Plateau(NamedTuple):
@@ -64,8 +73,19 @@ def faintest_of_mosaic(image: Image) -> Image:
     return faintest
 
 
+def step_of(size: int) -> int:
+    """Return px of an image, by its smaller side, in one of those in which plateaus are looked for."""
+    return max(1, round(size / _SEARCHED_PX))
+
+
 def plateaus(
-    plane: Image, *, least_level: float, least_near: float = 0.0, static: BoolArray | None = None
+    plane: Image,
+    *,
+    least_level: float,
+    least_near: float = 0.0,
+    static: BoolArray | None = None,
+    size: int | None = None,
+    near: Near | None = None,
 ) -> list[Plateau]:
     """Return the largest circles within the plateaus of a plane, those of the highest level first.
 
@@ -75,23 +95,22 @@ def plateaus(
     least_level : counts below which nothing is looked for.
     least_near : light beside a circle over its level, below which it is left out (text, boxes, snow on a roof).
     static : (rows, columns), pixels that do not take part.
+    size : smaller side of the image that the plane is a part of; None for all of it.
+    near : only plateaus are returned in whose circle, or out of it by `reach` at most, a predicted place is; their
+        levels are those of places within its reach. None for all plateaus.
     """
-    step = max(1, round(min(plane.shape) / _SEARCHED_PX))
+    step = step_of(min(plane.shape) if size is None else size)
     small = _reduced(plane, step, static)
     found, taken = list[Plateau](), np.zeros(small.shape, np.uint8)
     highest = cv2.erode(small, np.ones((3, 3), np.uint8))
-    top = float(highest.max(initial=0.0))
+    top, searched = float(highest.max(initial=0.0)), highest[_zone(near, step)]
     for _ in range(_LEVELS):
-        level = float(highest.max(initial=0.0))
+        level = float(searched.max(initial=0.0))
         if level < max(least_level, _LOWEST * top, 1.0):
             break
         region = _without(_filled((small >= _LEVEL * level).astype(np.uint8)), taken)
         circles = [Plateau(*each, level) for each in thickest(region, most=_TRIED, least_radius=_LEAST_RADIUS_PX)]
-        shift = (step - 1) / 2.0
-        found += [
-            Plateau(step * c.x + shift, step * c.y + shift, step * c.radius, level)
-            for c in _in_their_light(small, circles, least_near * level)
-        ]
+        found += _in_their_light(small, _within(circles, near, step), least_near * level, step)
         taken |= (small >= _LEVEL * level).astype(np.uint8) | region
         highest[cv2.dilate(taken, np.ones((_APART_PX, _APART_PX), np.uint8)) > 0] = 0.0
     return found
@@ -105,14 +124,37 @@ def _reduced(plane: Image, step: int, static: BoolArray | None) -> Plane:
     return np.asarray(cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def _in_their_light(small: Plane, circles: list[Plateau], least: float) -> list[Plateau]:
-    """Return the circles with light beside them, the largest with light all around first."""
+def _zone(near: Near | None, step: int) -> tuple[slice, slice]:
+    """Return where in the reduced plane the levels are sought: within reach of a predicted place."""
+    if near is None:
+        return slice(None), slice(None)
+    reach = math.ceil(near.reach / step)
+    row, column = round(near.y / step), round(near.x / step)
+    return slice(max(row - reach, 0), max(row + reach + 1, 0)), slice(
+        max(column - reach, 0), max(column + reach + 1, 0)
+    )
+
+
+def _within(circles: list[Plateau], near: Near | None, step: int) -> list[Plateau]:
+    if near is None:
+        return circles
+    shift, reach = (step - 1) / 2.0, near.reach / step
+    x, y = (near.x - shift) / step, (near.y - shift) / step
+    return [circle for circle in circles if math.hypot(circle.x - x, circle.y - y) <= circle.radius + reach]
+
+
+def _in_their_light(small: Plane, circles: list[Plateau], least: float, step: int) -> list[Plateau]:
+    """Return the circles with light beside them in px of the image, the largest with light all around first."""
     lit = []
     for circle in circles:
         light = _light_near(small, circle)
         if float(np.median(light)) >= least:
             lit.append((-circle.radius * float(np.quantile(light, 0.25)), circle))
-    return [circle for _, circle in sorted(lit)[:_IN_A_LEVEL]]
+    shift = (step - 1) / 2.0
+    return [
+        Plateau(step * circle.x + shift, step * circle.y + shift, step * circle.radius, circle.level)
+        for _, circle in sorted(lit)[:_IN_A_LEVEL]
+    ]
 
 
 def _light_near(small: Plane, circle: Plateau) -> Plane:
@@ -126,18 +168,31 @@ def _light_near(small: Plane, circle: Plateau) -> Plane:
 
 def _filled(region: Mask) -> Mask:
     """Return a mask with its small holes filled."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.pad(1 - region, 1, constant_values=1), connectivity=4)
+    box = _box(region)
+    part = region[box]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.pad(1 - part, 1, constant_values=1), connectivity=4)
     if count <= 2:
         return region
-    small = stats[:, cv2.CC_STAT_AREA] < _HOLE * np.count_nonzero(region)
+    small = stats[:, cv2.CC_STAT_AREA] < _HOLE * np.count_nonzero(part)
     small[[0, labels[0, 0]]] = False
-    return np.asarray(region | small[labels][1:-1, 1:-1], dtype=np.uint8)
+    filled = region.copy()
+    filled[box] |= small[labels][1:-1, 1:-1]
+    return filled
 
 
 def _without(region: Mask, taken: Mask) -> Mask:
     """Return a mask without the connected regions that hold some of another: they are the glare of a higher plateau."""
-    count, labels = cv2.connectedComponents(region, connectivity=8)
+    box = _box(region)
+    count, labels = cv2.connectedComponents(region[box], connectivity=8)
     keep = np.ones(count, np.uint8)
     keep[0] = 0
-    keep[np.unique(labels[taken > 0])] = 0
-    return np.asarray(keep[labels], dtype=np.uint8)
+    keep[labels[taken[box] > 0]] = 0
+    kept = np.zeros_like(region)
+    kept[box] = keep[labels]
+    return kept
+
+
+def _box(region: Mask) -> tuple[slice, slice]:
+    """Return the rows and columns in which a mask has something."""
+    left, top, width, height = cv2.boundingRect(region)
+    return slice(top, top + max(height, 1)), slice(left, left + max(width, 1))

@@ -14,19 +14,18 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, Image
+from sunarc.detection.photo.circle_kernels import circles_through, crossings, fitted_rim, most_followed
 from sunarc.detection.photo.plateau import Plateau
-from sunarc.robust_statistics import biweights, mad_sigma
 
 RAYS = 180
 _LEVELS = (0.985, 0.97, 0.955)  # of the plateau: beside it, in the steepest part of the glare
 _SHARP_LEVELS = (0.85, 0.7, 0.5)  # of the fall from a plateau with an edge to the light beside it
 _SHARP, _SHARP_PX, _SHARP_LIGHT = 2.0, 2.5, 0.52  # radii, px beyond, and the light there below which it has an edge
 _START, _REACH, _REACH_PX = 0.5, 3.0, 10.0
+_MARGIN_PX = 4  # of the blur
 _STEPS = 60  # along an inscribed radius; never finer than half a pixel
 _LASTING, _LASTING_STEPS = 0.08, 3  # of the radius, and samples at least, for which a fall must last
 _BLUR, _LEAST_BLUR_PX, _BLUR_PX = 0.1, 0.4, 1.0  # of the radius, within these px
-_MOST_ROUNDS = 20
-_CUT_OUTSIDE, _CUT_INSIDE = 2.5, 4.0  # scales
 _LEAST_SCALE_PX, _LEAST_SCALE = 0.3, 0.01  # px, and of the radius
 _FIRST_SCALE, _WHOLE_SCALE = 0.06, 0.15  # of the radius: of the circle through three points, and through the whole rim
 _DRAWN_OUT, _ROUND = 0.1, 1e-4  # of the radius, 1-sigma: by so much a lens draws out a rim; glare has none
@@ -91,6 +90,11 @@ class _Rays(NamedTuple):
     radii: FloatArray
 
 
+def reach_of(radius: float) -> float:
+    """Return how far from its centre the light about a plateau is used, px."""
+    return _REACH * radius + _REACH_PX + _MARGIN_PX
+
+
 def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -> Rim | None:
     """Return the rim of a plateau; None where no circle follows it.
 
@@ -109,15 +113,15 @@ def rim_of(plane: Image, plateau: Plateau, *, static: BoolArray | None = None) -
             settled = _middle_level(rays, radius, plateau.level)
             plateau, rays = plateau._replace(level=settled * plateau.level), rays._replace(light=rays.light / settled)
         levels = [beside + (1.0 - beside) * share for share in _SHARP_LEVELS] if edged else _LEVELS
-        crossings = [_crossings(rays, level, radius) for level in levels]
-        circles = [c for r in crossings if (c := _circle(r, x, y, edged)) is not None and c.share >= _LEAST_SHARE]
+        crossing = [_crossings(rays, level, radius) for level in levels]
+        circles = [c for r in crossing if (c := _circle(r, x, y, edged)) is not None and c.share >= _LEAST_SHARE]
         if not circles:
             return None
         x, y, fitted = (float(np.median([c[k] for c in circles])) for k in range(3))
         if math.hypot(x - plateau.x, y - plateau.y) > plateau.radius:
             return None
         radius = min(fitted, 2.0 * plateau.radius)
-    return _summary(plateau, rays, crossings[0], circles, (x, y, fitted))._replace(edged=edged)
+    return _summary(plateau, rays, crossing[0], circles, (x, y, fitted))._replace(edged=edged)
 
 
 def _summary(
@@ -148,7 +152,7 @@ def _rays(plane: Image, plateau: Plateau, static: BoolArray | None) -> _Rays:
     """Sample the light along rays from half a radius outwards."""
     x, y, radius, level = plateau
     reach = _REACH * radius + _REACH_PX
-    half = math.ceil(reach) + 4
+    half = math.ceil(reach) + _MARGIN_PX
     x0, y0 = max(0, round(x) - half), max(0, round(y) - half)
     window = slice(y0, round(y) + half + 1), slice(x0, round(x) + half + 1)
     blur = min(max(_BLUR * radius, _LEAST_BLUR_PX), _BLUR_PX)
@@ -205,24 +209,15 @@ def _flatness(rays: _Rays, radius: float, level: float) -> float:
 def _crossings(rays: _Rays, level: float, radius: float) -> FloatArray:
     """Return the radius on each ray, (rays,), from which the light stays below a level; NaN where it does not fall."""
     step = rays.radii[1] - rays.radii[0]
-    lasting = max(_LASTING_STEPS, round(_LASTING * radius / step))
-    below = np.pad(np.cumsum(rays.light < level, axis=1), ((0, 0), (1, 0)))
-    starts = below[:, lasting:] - below[:, :-lasting] == lasting
-    after = np.maximum(np.argmax(starts, axis=1), 1)
-    ray = np.arange(len(after))
-    before, beyond = rays.light[ray, after - 1], rays.light[ray, after]
-    share = (before - level) / np.maximum(before - beyond, 1e-6)
-    # A ray that begins below the level, or passes what is not known, has no crossing.
-    known = starts.any(axis=1) & ~starts[:, 0] & (np.cumsum(np.isnan(rays.light), axis=1)[ray, after] == 0)
-    return np.where(known, rays.radii[after - 1] + np.clip(share, 0.0, 1.0) * step, np.nan)
+    return np.asarray(crossings(rays.light, level, max(_LASTING_STEPS, round(_LASTING * radius / step)), rays.radii))
 
 
-def _circle(crossings: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
+def _circle(crossing: FloatArray, x: float, y: float, edged: bool) -> Circle | None:  # noqa: FBT001 - of the rim
     """Fit a circle to the rim of rays about (x, y); one that is drawn out to a rim with an edge."""
-    known = np.isfinite(crossings)
+    known = np.isfinite(crossing)
     if np.count_nonzero(known) < _LEAST_POINTS:
         return None
-    points = np.column_stack([x + (crossings * _COSINE)[known], y + (crossings * _SINE)[known]])
+    points = np.column_stack([x + (crossing * _COSINE)[known], y + (crossing * _SINE)[known]])
     start, scale = _consensus(points)
     if not edged:
         return _fitted(points, start, scale, _ROUND)
@@ -234,73 +229,30 @@ def _circle(crossings: FloatArray, x: float, y: float, edged: bool) -> Circle | 
 
 
 def _fitted(points: FloatArray, start: FloatArray, scale: float, drawn_out: float) -> Circle | None:
-    """Fit a circle whose radius varies with twice the angle, from a circle, by Gauss-Newton with one-sided weights."""
-    state = np.array([*start, 0.0, 0.0])
-    for _ in range(_MOST_ROUNDS):
-        residual, design = _linearised(points, state)
-        weight = _weights(residual, scale)
-        held = np.array([1e-6, 1e-6, 1e-6, *2 * [(scale / (drawn_out * state[2])) ** 2]])
-        normal = design.T @ (design * weight[:, None]) + np.diag(held)
-        step = np.linalg.solve(normal, design.T @ (weight * residual) - held * np.array([0.0, 0.0, 0.0, *state[3:]]))
-        state += np.clip(step, -0.5 * state[2], 0.5 * state[2])
-        inlier = weight > 0.0
-        if np.count_nonzero(inlier) < _LEAST_POINTS // 2 or state[2] < 1.0:
-            return None
-        scale = max(mad_sigma(residual[inlier]), _LEAST_SCALE_PX, _LEAST_SCALE * state[2])
-        if float(np.abs(step).max()) < 1e-3:
-            break
+    """Fit a circle whose radius varies with twice the angle, from a circle; None where the points follow none."""
+    least = (_LEAST_SCALE_PX, _LEAST_SCALE)
+    state, scale, residual = fitted_rim(points, start, scale, drawn_out, _LEAST_POINTS // 2, least)
+    if scale < 0.0:
+        return None
     followed = np.abs(residual) < max(_FOLLOWED_SCALES * scale, _FOLLOWED * state[2])
     x, y, radius = (float(value) for value in state[:3])
     return Circle(x, y, radius, scale, float(np.count_nonzero(followed)) / RAYS)
 
 
-def _linearised(points: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the distances of points from the rim that a state describes, outwards positive, and their derivatives."""
-    offset = points - state[:2]
-    length = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
-    along = offset / length[:, None]
-    twice = np.column_stack([along[:, 0] ** 2 - along[:, 1] ** 2, 2.0 * along[:, 0] * along[:, 1]])
-    residual = length - state[2] - twice @ state[3:]
-    return residual, np.column_stack([along, np.ones(len(points)), twice])
-
-
 def _consensus(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return the circle through three of the points that most of them follow (x, y, radius), and its scale.
-
-    The triples are fixed ones: neighbours by a sixth to a third of the points, so that every arc is tried.
-    """
-    n = len(points)
-    first = np.arange(n)
-    triples = np.concatenate(
-        [np.column_stack([first, first + n // part, first + 2 * n // part]) % n for part in (3, 4, 6)]
-    )[::2]
-    a, b, c = (points[column] for column in triples.T)
-    ab, ac = b - a, c - a
-    cross = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    cross = np.where(np.abs(cross) < 1e-6, np.nan, cross)
-    ab2, ac2 = np.sum(ab**2, axis=1), np.sum(ac**2, axis=1)
-    x = a[:, 0] + (ac[:, 1] * ab2 - ab[:, 1] * ac2) / cross
-    y = a[:, 1] + (ab[:, 0] * ac2 - ac[:, 0] * ab2) / cross
-    radius = np.hypot(a[:, 0] - x, a[:, 1] - y)
-    residual = np.hypot(points[:, 0] - x[:, None], points[:, 1] - y[:, None]) - radius[:, None]
-    scale = _FIRST_SCALE * float(np.nanmedian(radius)) + _LEAST_SCALE_PX
-    followed = np.nansum(_weights(residual, scale), axis=1)
-    best = int(np.argmax(followed))
-    return np.array([x[best], y[best], radius[best]]), scale
+    """Return the circle through three of the points that most of them follow (x, y, radius), and its scale."""
+    circles = circles_through(points)
+    scale = _FIRST_SCALE * float(np.nanmedian(circles[:, 2])) + _LEAST_SCALE_PX
+    return np.array(circles[most_followed(points, circles, scale)]), scale
 
 
-def _weights(residual: FloatArray, scale: float) -> FloatArray:
-    """Return Tukey's weights of distances from a circle, outwards positive, with the harder cut outside."""
-    return biweights(residual / (np.where(residual > 0.0, _CUT_OUTSIDE, _CUT_INSIDE) * scale))
-
-
-def _ellipticity(crossings: FloatArray, radius: float) -> float:
+def _ellipticity(crossing: FloatArray, radius: float) -> float:
     """Return 1 - minor/major axis of the rim, from the second harmonic of its radius."""
-    known = np.isfinite(crossings) & (np.abs(crossings - radius) < 0.5 * radius)
+    known = np.isfinite(crossing) & (np.abs(crossing - radius) < 0.5 * radius)
     if np.count_nonzero(known) < _LEAST_POINTS:
         return 0.0
     wave = np.exp(2j * _ANGLES[known])
     amplitude = 2.0 * abs(
-        complex(np.mean(crossings[known] / radius * wave) - np.mean(crossings[known] / radius) * np.mean(wave))
+        complex(np.mean(crossing[known] / radius * wave) - np.mean(crossing[known] / radius) * np.mean(wave))
     )
     return min(2.0 * amplitude / (1.0 + amplitude), 1.0)

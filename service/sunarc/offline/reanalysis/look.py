@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -22,6 +24,7 @@ class Item(NamedTuple):
     """An image of a chunk.
 
     expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
+    found: where one was accepted without a prediction, px.
     """
 
     file: str
@@ -29,6 +32,7 @@ class Item(NamedTuple):
     exposure_us: float | None
     expectation: Expectation | None = None
     outside: bool = False
+    found: tuple[float, float] | None = None
 
 
 class Chunk(NamedTuple):
@@ -86,15 +90,26 @@ def _look(image: Image, item: Item, chunk: Chunk, static: BoolArray | None) -> D
         method = selected_method(image, chunk.method, full_scale=full_scale_of(image))
         return Detection(method=method, accepted=False, verdict="hidden", findings=(Finding("sun_outside_image"),))
     try:
-        return detect_in_image(
+        found = detect_in_image(
             image,
             method=chunk.method,
             expectation=item.expectation,
             static=static,
             exposure_us=item.exposure_us,
+            elsewhere=False,  # what is there was found without a prediction
         )
     except Exception as error:  # noqa: BLE001 - whatever an image does to a detector, the others go on
         return Finding("image_failed", {"error": f"{type(error).__name__}: {error}"})
+    return _as_reflection(found, item)
+
+
+def _as_reflection(found: Detection, item: Item) -> Detection:
+    """Return a detection; a reflection where nothing is at the prediction, and a sun was accepted elsewhere."""
+    if item.expectation is None or item.found is None or found.x_px is not None or found.method != "paper":
+        return found
+    distance = math.hypot(item.found[0] - item.expectation.x_px, item.found[1] - item.expectation.y_px)
+    displaced = (Finding("blob_displaced", {"distance_px": distance}),)
+    return replace(found, verdict="reflection", findings=displaced)
 
 
 def key_of(parts: Iterable[object]) -> str:

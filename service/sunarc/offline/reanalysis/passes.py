@@ -222,10 +222,14 @@ def _spread(camera: CameraImages) -> Chunk:
 
 def _not_as_expected(looked: Looked, expected: Sequence[Expectation | None]) -> list[tuple[int, Item]]:
     return [
-        (number, Item(image.file, image.number, image.exposure_us, one, one is None))
+        (number, Item(image.file, image.number, image.exposure_us, one, one is None, _place(found)))
         for number, (image, found, one) in enumerate(zip(looked.images, looked.found, expected, strict=True))
         if isinstance(found, Sun) and not is_consistent(found, one)
     ]
+
+
+def _place(found: Sun) -> tuple[float, float] | None:
+    return None if found.x_px is None or found.y_px is None else (found.x_px, found.y_px)
 
 
 def id_of(image: ArchiveImage) -> ImageId:
