@@ -1,10 +1,13 @@
 """Cross-checks of neighbouring cameras: false alarms in a camera-year, and what is found of what was injected.
 
-    python docs/studies/cross_checks.py [--networks N]
+    python docs/studies/cross_checks.py [--networks N] [--injected N]
 
 Three cameras have daily rotations against one calibration, on 60 % of the days: white noise of 3, 2 and 4 thousandths
 of a degree, a bias by the season, and what each case adds. Every night the last 60 days are compared, as the hub does.
-A step that is reported again within 10 days of its day counts once.
+A change that is reported again within 10 days of its day counts once. A slow turn is no alarm.
+
+What is injected steps in one of the cameras on day 200, beside what each case adds. Within 20 days that camera is named
+with the right cause, or as `moved` alone, and an alarm of another camera, day or cause comes, or does not.
 """
 
 from __future__ import annotations
@@ -17,8 +20,9 @@ from collections.abc import Callable
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.cross_checks import DailyRotations, explain_step, find_steps
-from sunarc.sky import Site
+from sunarc.calibration.change_detection import pole_of
+from sunarc.cross_checks import Cause, DailyRotations, explain_step, find_steps, rotation_of_site
+from sunarc.sky import SECONDS_PER_DEGREE, Site
 
 SITE = Site(latitude=36.6, longitude=-97.5)
 COVARIANCE = np.diag([0.003, 0.002, 0.004]) ** 2
@@ -112,10 +116,51 @@ def alarms(cameras: list[DailyRotations]) -> Counter[str]:
     return counts
 
 
+INJECTED_DAY, WITHIN = 200, 20
+RESTATED = Site(latitude=36.6, longitude=-97.48)
+INJECTED: dict[Cause, tuple[FloatArray, Site]] = {
+    "clock": (-pole_of(SITE) * 4.0 / SECONDS_PER_DEGREE, SITE),
+    "longitude": (rotation_of_site(SITE, RESTATED), RESTATED),
+    "north": (np.array([0.0, 0.0, 0.1]), SITE),
+}
+"""4 s of a clock, 0.02 degrees of a stated longitude, 0.1 degrees of north."""
+
+
+def decided(cameras: list[DailyRotations], cause: Cause, after: Site) -> set[str]:
+    """Return what was said in the nights after the first camera changed: `right`, `moved` of it, `wrong`."""
+    found = set()
+    for night in range(INJECTED_DAY + 3, INJECTED_DAY + WITHIN + 1):
+        for number, step in enumerate(find_steps([window(one, night) for one in cameras])):
+            if step is None:
+                continue
+            near = number == 0 and abs(step.day - INJECTED_DAY) < 5.0
+            named = explain_step(step, before=SITE, after=after if near else SITE).cause
+            if named != "slow_turn":
+                found.add("right" if near and named == cause else "moved" if near and named == "moved" else "wrong")
+    return found
+
+
+def injections(name: str, case: Callable[[Random], FloatArray], n: int) -> None:
+    """Print in which share of the networks what was injected was named rightly, and else."""
+    for cause, (size, after) in INJECTED.items():
+        rng = np.random.default_rng(2)
+        counts: Counter[str] = Counter()
+        for _ in range(n):
+            extra = case(rng)
+            extra[0, INJECTED_DAY:] += size
+            found = decided(network(rng, extra), cause, after)
+            counts["right"] += "right" in found
+            counts["moved alone"] += "moved" in found and "right" not in found
+            counts["wrong beside"] += "wrong" in found
+        shares = {word: round(count / n, 2) for word, count in counts.items()}
+        print(json.dumps({"case": name, "injected": cause, "networks": n, "shares": shares}), flush=True)
+
+
 def main() -> None:
-    """Print false alarms in a camera-year by case, as JSON lines."""
+    """Print false alarms in a camera-year by case, and what was found of what was injected, as JSON lines."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--networks", type=int, default=20, help="of three cameras and a year, each case")
+    parser.add_argument("--injected", type=int, default=100, help="networks of each case and each injected change")
     asked = parser.parse_args()
     for name, case in CASES.items():
         rng = np.random.default_rng(1)
@@ -124,7 +169,9 @@ def main() -> None:
             total += alarms(network(rng, case(rng)))
         years = asked.networks * CAMERAS
         rates = {cause: round(count / years, 3) for cause, count in sorted(total.items())}
-        print(json.dumps({"case": name, "camera_years": years, "a_camera_year": rates}), flush=True)
+        false = round(sum(rate for cause, rate in rates.items() if cause != "slow_turn"), 2)
+        print(json.dumps({"case": name, "camera_years": years, "a_camera_year": rates, "alarms": false}), flush=True)
+        injections(name, case, asked.injected)
 
 
 if __name__ == "__main__":

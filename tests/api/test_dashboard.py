@@ -77,8 +77,14 @@ def test_every_route_that_the_scripts_ask_is_served(made: Made) -> None:
 
 @contextmanager
 def serving(made: Made, *, app: Any = None) -> Iterator[str]:  # noqa: ANN401 - an application, or what counts for it
+    with serving_app(app or made.app) as address:
+        yield address
+
+
+@contextmanager
+def serving_app(app: Any) -> Iterator[str]:  # noqa: ANN401 - an application, or what counts for it
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        server = uvicorn.Server(uvicorn.Config(app or made.app, log_level="warning"))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning"))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:

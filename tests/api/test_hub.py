@@ -18,7 +18,7 @@ from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 from sunarc.api import ApiOptions, create_hub_app, token_digest
 from sunarc.api.routes.feed import _MOST_BYTES
 from sunarc.api.routes.fleet import SILENT
-from sunarc.archive import Archive, Day, NightlyRun, feed_lines, head_revision, open_archive, upgrade
+from sunarc.archive import Archive, CrossCheck, Day, NightlyRun, feed_lines, head_revision, open_archive, upgrade
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
@@ -33,6 +33,7 @@ METRICS = {
         "clock_error_seconds",
         "drift_degrees",
         "state",
+        "cross_check",
     )
 }
 
@@ -262,6 +263,72 @@ def test_nights_and_summaries_are_answered(hub: Hub, imager: Archive) -> None:
     assert (found["date"], found["n_sightings"]) == ("2026-05-13", 3)
     assert hub.client.get("/v1/summaries?until=2026-05-13").json() == {"days": []}
     assert hub.client.get("/v1/summaries?since=tomorrow").status_code == 422
+
+
+CHECKS = (
+    CrossCheck(
+        camera="gate",
+        neighbours=("roof",),
+        n_days=31,
+        found=("slow_turn",),
+        since=date(2026, 5, 2),
+        clock_s=0.3,
+        clock_sigma_s=0.2,
+        longitude_deg=0.00125,
+        longitude_sigma_deg=0.0008,
+        north_deg=0.03,
+        north_sigma_deg=0.002,
+    ),
+    CrossCheck(camera="mast", neighbours=("roof", "gate"), n_days=34, found=()),
+    CrossCheck(
+        camera="roof",
+        neighbours=("gate",),
+        n_days=33,
+        found=("clock", "clock_by_clouds"),
+        since=date(2026, 5, 9),
+        clock_s=2.12,
+        clock_sigma_s=0.113,
+        longitude_deg=0.00883,
+        longitude_sigma_deg=0.00047,
+        north_deg=0.0009,
+        north_sigma_deg=0.002,
+        cloud_clock_s=2.4,
+        cloud_clock_sigma_s=0.4,
+    ),
+)
+
+
+def save_checks(archive: Archive, *checks: CrossCheck, day: int = 14, also: tuple[object, ...] = ()) -> None:
+    rows = [*(one.as_json() for one in checks), *also]
+    run = NightlyRun(night=date(2026, 5, day), started_at=NOW, results={"cross_checks": {"checks": rows}})
+    archive.save_nightly(run)
+
+
+def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_first(hub: Hub) -> None:
+    assert hub.client.get("/v1/cross-checks").json() == {"night": None, "time": None, "checks": []}
+    save_checks(hub.archive, day=13)
+    newer = ({"camera": "x", "neighbours": [], "n_days": 1, "found": ["a word of later"]}, "no check")
+    save_checks(hub.archive, *CHECKS, also=newer)
+    failed = NightlyRun(night=date(2026, 5, 15), started_at=NOW, results={"cross_checks": {"error": "it broke"}})
+    hub.archive.save_nightly(failed)
+    answer = hub.client.get("/v1/cross-checks").json()
+    assert answer["night"] == "2026-05-14"
+    assert [(one["camera"], one["found"]) for one in answer["checks"]] == [
+        ("roof", ["clock", "clock_by_clouds"]),
+        ("gate", ["slow_turn"]),
+        ("mast", []),
+    ]
+    roof = answer["checks"][0]
+    assert (roof["clock_s"], roof["clock_sigma_s"], roof["since"], roof["neighbours"]) == (
+        2.12,
+        0.113,
+        "2026-05-09",
+        ["gate"],
+    )
+    assert [one["camera"] for one in hub.client.get("/v1/cross-checks?camera=mast").json()["checks"]] == ["mast"]
+    assert hub.archive.cross_checks().checks == (CHECKS[2], CHECKS[0], CHECKS[1])
+    assert [one.alarms for one in hub.archive.cross_checks().checks] == [("clock", "clock_by_clouds"), (), ()]
+    assert 'sunarc_fleet_cross_check{camera="roof",found="clock"} 1.0' in hub.client.get("/metrics").text
 
 
 def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ import pytest
 from tests.fixtures.fleet import NOW
 
 from sunarc.api import token_digest
-from sunarc.archive import Refusal, open_archive, upgrade
+from sunarc.archive import CrossCheck, Refusal, open_archive, upgrade
 from sunarc.settings import load_hub_settings
-from sunarc.workers import CrossCheck
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc

@@ -14,8 +14,11 @@ import numpy as np
 import pytest
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
-from sunarc.client import AsyncImager, Imager, ImagerError, LocalImager
+from sunarc.api import ApiOptions, create_hub_app
+from sunarc.archive import open_archive, upgrade
+from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport
+from sunarc.runtime.status import StatusSnapshot
 
 ROOT = Path(__file__).parents[2]
 AT = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -62,6 +65,17 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "GET /v1/uncertainty": lambda imager: imager.uncertainty(cells=8),
 }
 
+ASKED_OF_A_HUB: dict[str, Callable[[Hub], Any]] = {
+    "GET /v1/cross-checks": lambda hub: hub.cross_checks("a b"),
+    "GET /v1/fleet": Hub.fleet,
+    "GET /v1/nightly": lambda hub: hub.nights(limit=3),
+    "GET /v1/quarantine": lambda hub: hub.quarantine("roof", limit=3),
+    "GET /v1/summaries": lambda hub: hub.summaries("roof", since=DAY, until=DAY, limit=3),
+    "POST /v1/pairs/{a}/{b}/height": lambda hub: hub.pair_height(
+        "a", "b/c", at=AT, first_pixel=(1.0, 2.0), second_pixel=(3.0, 4.0)
+    ),
+}
+
 
 class AskedError(Exception):
     """Carries what was asked out of the transport."""
@@ -100,6 +114,31 @@ def test_every_route_is_asked_by_its_path_with_parameters_that_it_has(asked: Ima
         assert len(path.split("/")) == len(route.split("/"))
         assert names <= parameters(document, route), route
         assert ("calibration=best" in query) == ("calibration" in parameters(document, route)), route
+
+
+def test_every_route_of_a_hub_is_asked_by_its_path_with_parameters_that_it_has(asked: Imager, tmp_path: Path) -> None:
+    del asked  # its transport answers for the hub too
+    upgrade(tmp_path / "hub.sqlite")
+    with open_archive(tmp_path / "hub.sqlite") as archive:
+        document = create_hub_app(
+            archive=archive,
+            status=lambda: StatusSnapshot(version="1", started_at=AT),
+            now=lambda: AT,
+            options=ApiOptions(),
+        ).openapi()
+    routes = {f"{method.upper()} {path}" for path, one in document["paths"].items() for method in one}
+    own = {route for route in routes if "/cameras/" not in route and route not in ASKED}
+    assert own == set(ASKED_OF_A_HUB)
+    for route, ask in ASKED_OF_A_HUB.items():
+        with pytest.raises(AskedError) as told:
+            ask(Hub("http://imager"))
+        method, url = told.value.args
+        path, _, query = url.partition("?")
+        assert (method, len(path.split("/"))) == (route.split()[0], len(route.split("/")))
+        assert {part.partition("=")[0] for part in query.split("&") if part} == parameters(document, route), route
+    with pytest.raises(AskedError) as told:
+        Hub("http://imager").imager("a b").days().__next__()
+    assert told.value.args[1].startswith("/v1/cameras/a%20b/days")
 
 
 def test_both_kinds_of_imager_have_the_same_methods() -> None:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.cross_checks.cameras import Wrong, neighbours
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.change_detection import pole_of
 from sunarc.cross_checks import (
     DailyRotations,
     RotationStep,
@@ -42,6 +43,7 @@ def step_of(rotation_deg: list[float]) -> RotationStep:
         rotation_deg=np.array(rotation_deg),
         covariance_deg2=COVARIANCE,
         gain=99.0,
+        last_day=9.0,
         n_before=9,
         n_after=9,
     )
@@ -127,7 +129,8 @@ def test_what_drifts_is_no_step() -> None:
         axis = rng.normal(size=3)
         slow = np.outer(0.05 * DAYS / 60.0, axis / np.linalg.norm(axis))
         walk = np.cumsum(rng.normal(0.0, 0.002, (40, 3)), axis=0)
-        found += sum(find_step(days_of(noise(rng, DAYS) + drift, DAYS)) is not None for drift in (slow, walk))
+        steps = [find_step(days_of(noise(rng, DAYS) + drift, DAYS)) for drift in (slow, walk)]
+        found += sum(explain_step(step, before=SITE, after=SITE).cause != "slow_turn" for step in steps if step)
     assert found <= 2  # of 80
 
 
@@ -173,3 +176,61 @@ def test_the_stated_error_of_a_day_is_that_of_many_draws() -> None:
     found = daily_rotations(np.repeat(np.arange(150.0), 60), observed=observed, expected=expected)
     squares = np.einsum("ni,nij,nj->n", found.rotation_deg, np.linalg.inv(found.covariance_deg2), found.rotation_deg)
     assert 2.4 < squares.mean() < 3.8
+
+
+def settling(size_deg: list[float], *, day: float, settling_days: float) -> FloatArray:
+    """Return (40, 3): a mast that settles by a rotation from a day on."""
+    return np.outer(1.0 - np.exp(-np.maximum(DAYS - day, 0.0) / settling_days), size_deg)
+
+
+def test_a_mast_that_settles_turns_slowly_and_its_neighbours_do_nothing() -> None:
+    rng = np.random.default_rng(11)
+    size = [0.06, -0.05, 0.06]
+    squares = []
+    beside: list[RotationStep] = []
+    for _ in range(20):
+        mast = noise(rng, DAYS) + settling(size, day=12.0, settling_days=10.0)
+        found, *others = find_steps([days_of(one, DAYS) for one in (mast, noise(rng, DAYS), noise(rng, DAYS))])
+        beside += [one for one in others if one is not None]
+        assert found is not None
+        explained = explain_step(found, before=SITE, after=SITE)
+        assert explained.cause == "slow_turn"
+        turn = explained.change
+        assert 6.0 <= turn.settling_days <= 25.0
+        assert abs(turn.day - 12.0) <= 4.0
+        off = turn.rotation_deg - np.array(size) * (1.0 - np.exp(-2.7))
+        squares.append(off @ np.linalg.solve(turn.covariance_deg2, off))
+    assert len(beside) <= 2  # of 40
+    assert {explain_step(one, before=SITE, after=SITE).cause for one in beside} <= {"slow_turn"}
+    assert 1.0 < np.mean(squares) < 12.0  # 3 where time constant and first day are known, which they are not
+
+
+def test_a_clock_that_gains_is_one_and_a_blow_is_no_slow_turn() -> None:
+    rng = np.random.default_rng(12)
+    gaining = -np.outer(np.maximum(DAYS - 10.0, 0.0) / 240.0, pole_of(SITE))  # 1 s a day
+    found = find_step(days_of(noise(rng, DAYS) + gaining, DAYS))
+    assert found is not None
+    explained = explain_step(found, before=SITE, after=SITE)
+    assert (explained.cause, np.isinf(explained.change.settling_days)) == ("clock", True)
+    assert abs(explained.clock_s - 29.0) < 4.0 * explained.clock_sigma_s < 4.0
+    blow = (DAYS >= 25)[:, None] * np.array([0.03, -0.02, 0.03])
+    found = find_step(days_of(noise(rng, DAYS) + blow, DAYS))
+    assert found is not None
+    assert found.slower is not None
+    assert found.gain > found.slower.gain + 2.0
+    explained = explain_step(found, before=SITE, after=SITE)
+    assert (explained.cause, explained.change.day, explained.change.settling_days) == ("moved", 25.0, 0.0)
+
+
+@pytest.mark.parametrize("days_after", [1, 2, 3])
+def test_a_step_of_the_last_days_is_reported_of_no_camera(days_after: int) -> None:
+    rng = np.random.default_rng(13)
+    stepped = noise(rng, DAYS) + (days_after > 39 - DAYS)[:, None] * np.array([0.0, 0.0, 0.1])
+    assert find_steps([days_of(one, DAYS) for one in (stepped, noise(rng, DAYS), noise(rng, DAYS))]) == (None,) * 3
+
+
+def test_the_progress_of_a_change_goes_from_nothing_to_all_of_it() -> None:
+    for settling_days, halfway in ((0.0, 1.0), (np.inf, 0.5), (10.0, (1.0 - np.exp(-0.5)) / (1.0 - np.exp(-1.0)))):
+        change = replace(step_of([1.0, 0.0, 0.0]), day=5.0, last_day=15.0, settling_days=settling_days)
+        done = change.progress(np.array([0.0, 4.9, 5.0, 10.0, 15.0]))
+        assert done == pytest.approx([0.0, 0.0, 1.0 if settling_days == 0.0 else 0.0, halfway, 1.0])

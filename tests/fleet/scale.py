@@ -19,7 +19,7 @@ import psycopg
 from tests.api.conftest import LENS
 from tests.fixtures.calibrations import chosen_calibration
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
-from tests.fleet.simulated_fleet import HubProcess, wait_for
+from tests.fleet.hub_process import HubProcess
 
 from sunarc.archive import CameraRecord, open_archive
 from sunarc.calibration import to_document
@@ -108,7 +108,7 @@ def median_ms(ask: Callable[[], Any], *, times: int = 50) -> float:
 
 def times(server: Server, hub: HubProcess, *, each: int) -> dict[str, float]:
     """Return the median times of questions over HTTP and to the archive, ms."""
-    base = f"http://127.0.0.1:{hub.port}"
+    base = hub.url
 
     def of(path: str) -> Callable[[], Any]:
         return lambda: urllib.request.urlopen(base + path, timeout=60).read()
@@ -139,7 +139,7 @@ def main() -> None:
         size = server.sql(TEMPLATE, f"SELECT pg_size_pretty(pg_database_size('{TEMPLATE}'))").strip()
         hub = HubProcess(folder, server.url(TEMPLATE))
         try:
-            wait_for(hub)
+            hub.wait_until_it_answers()
             found = {"rows": asked.rows, "filled_s": round(filled_s), "size": size, "ms": times(server, hub, each=each)}
         finally:
             hub.kill()

@@ -2,7 +2,7 @@
 
 The short form is a test. The long one:
 
-    tests/long fleet [--imagers N] [--minutes M] [--rate R]
+    tests/long fleet [--imagers N] [--minutes M] [--rows R] [--rate-rows N]
 """
 
 from __future__ import annotations
@@ -12,24 +12,22 @@ import json
 import os
 import random
 import shutil
-import signal
-import socket
-import subprocess
 import sys
 import tempfile
 import threading
-import urllib.request
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 from sqlalchemy import URL
 from tests.fixtures.fleet import new_imager, sighting
-from tests.fixtures.ports import free_port
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
+from tests.fleet.hub_process import HubProcess, processor_s
+from tests.fleet.links import Link, Network, network
 
 from sunarc.api import token_digest
 from sunarc.archive import Archive, CameraArchive, Event, open_archive
@@ -40,122 +38,11 @@ from sunarc.workers import FeedWorker, HubConnection, HubOptions
 from sunarc.workers.feeding import feed
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
-FAULTS = ("cut", "answer_lost", "late", "twice")
-"""What a link does to a request: drop it, lose its answer, deliver it after the sender gave it up, deliver it twice."""
-_LATE_S = 0.3
+CADENCE_S = 30.0
 
 
 def _pause(seconds: float) -> None:
     threading.Event().wait(seconds)
-
-
-@dataclass
-class Link:
-    """A link from an imager to the hub that fails as it is told: a proxy of one request a connection."""
-
-    hub_port: int
-    seed: int
-    share: float = 0.0
-    down: bool = False
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self._random = random.Random(self.seed)
-        self._listening = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listening.getsockname()[1]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def close(self) -> None:
-        self._listening.close()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                connection, _ = self._listening.accept()
-                threading.Thread(target=self._carry, args=(connection,), daemon=True).start()
-
-    def _carry(self, connection: socket.socket) -> None:
-        with suppress(OSError), connection:
-            connection.settimeout(30.0)
-            request = _whole(connection)
-            fault = "cut" if self.down else self._fault()
-            self.counts[fault] = self.counts.get(fault, 0) + 1
-            if fault == "cut":
-                return
-            if fault == "late":
-                connection.close()
-                _pause(_LATE_S)
-            if fault == "twice":
-                self._ask(request)
-            answer = self._ask(request)
-            if fault in {"", "twice"}:
-                connection.sendall(answer)
-
-    def _fault(self) -> str:
-        return self._random.choice(FAULTS) if self._random.random() < self.share else ""
-
-    def _ask(self, request: bytes) -> bytes:
-        with socket.create_connection(("127.0.0.1", self.hub_port), timeout=30.0) as hub:
-            hub.sendall(request)
-            return b"".join(iter(lambda: hub.recv(65_536), b""))
-
-
-def _whole(connection: socket.socket) -> bytes:
-    """Return a request with its body; a sender that closes early leaves what there is."""
-    data = b""
-    while b"\r\n\r\n" not in data:
-        data += _some(connection)
-    head, _, body = data.partition(b"\r\n\r\n")
-    lengths = [line.split(b":")[1] for line in head.split(b"\r\n") if line.lower().startswith(b"content-length")]
-    while len(body) < int(lengths[0]):
-        body += _some(connection)
-    return head + b"\r\n\r\n" + body
-
-
-def _some(connection: socket.socket) -> bytes:
-    part = connection.recv(65_536)
-    if not part:
-        raise ConnectionResetError
-    return part
-
-
-class HubProcess:
-    """`sunarc serve --role hub` as a process of its own."""
-
-    def __init__(self, folder: Path, store: URL) -> None:
-        self.port = free_port()
-        self.log = folder / "hub.log"
-        self._config = folder / "hub.toml"
-        address = store.render_as_string(hide_password=False)
-        self._config.write_text(f'store = "{address}"\n[api]\nport = {self.port}\n')
-        self.start()
-
-    def start(self) -> None:
-        command = [sys.executable, "-m", "sunarc", "serve", "--role", "hub", "--config", str(self._config)]
-        with self.log.open("ab") as log:
-            self._process = subprocess.Popen(command, stdout=log, stderr=log)
-
-    def kill(self) -> None:
-        self._process.send_signal(signal.SIGKILL)
-        self._process.wait(10.0)
-
-    def start_again_if_ended(self) -> None:
-        """Start a hub that ended, as its unit does: one that starts while PostgreSQL is away gives up."""
-        if self._process.poll() is not None:
-            self.start()
-
-    def stop(self) -> int:
-        self._process.terminate()
-        return self._process.wait(20.0)
-
-    def require_running(self) -> None:
-        code = self._process.poll()
-        if code is not None:
-            raise RuntimeError(f"the hub ended with {code}: {self.log.read_text()}")
-
-    def ask(self, path: str) -> object:
-        with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}", timeout=20.0) as answer:
-            return json.loads(answer.read())
 
 
 class Imager:
@@ -183,7 +70,7 @@ class Imager:
     def see(self, rows: int) -> None:
         """Store sightings of the next moments, and an event."""
         made = [
-            sighting(0, camera=self.name, time=START + timedelta(seconds=30 * n), x_px=1.0 + n / 7.0)
+            sighting(0, camera=self.name, time=START + timedelta(seconds=CADENCE_S * n), x_px=1.0 + n / 7.0)
             for n in range(self.count, self.count + rows)
         ]
         self.archive.add_sun_points(made)
@@ -209,6 +96,7 @@ class Fleet:
     store: URL
     hub: HubProcess
     imagers: Sequence[Imager]
+    network: Network | None = None
 
     def wait_until_caught_up(self, within_s: float) -> float:
         """Return how long it took until every imager's outbox was empty."""
@@ -242,8 +130,8 @@ def same(imager: Imager, hub: Archive) -> bool:
 
 
 @contextmanager
-def fleet_of(count: int, *, seed: int = 0) -> Iterator[Fleet]:
-    """Yield so many imagers that do not send yet, and a hub that answers."""
+def fleet_of(count: int, *, seed: int = 0, apart: bool = False) -> Iterator[Fleet]:
+    """Yield so many imagers that do not send yet, and a hub that answers, `apart` in a network of its own."""
     folder = Path(tempfile.mkdtemp(prefix="fleet"))
     with ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -255,27 +143,17 @@ def fleet_of(count: int, *, seed: int = 0) -> Iterator[Fleet]:
                 (folder / f"{name}.token").write_text(f"a token of {name}")
                 now = SystemClock().now()
                 archive.add_feed_token(name, token_digest(f"a token of {name}"), now=now, former_until=now)
-        hub = HubProcess(folder, store)
+        cable = stack.enter_context(network()) if apart else None
+        hub = HubProcess(folder, store, within=cable)
         stack.callback(hub.kill)
-        links = [Link(hub.port, seed=seed * 1000 + n) for n in range(count)]
+        links = [Link(hub.address, seed=seed * 1000 + n) for n in range(count)]
         imagers = [
             Imager(folder, name, link, folder / f"{name}.token") for name, link in zip(names, links, strict=True)
         ]
         for imager in imagers:
             stack.callback(imager.end)
-        wait_for(hub)
-        yield Fleet(server=server, store=store, hub=hub, imagers=imagers)
-
-
-def wait_for(hub: HubProcess) -> None:
-    """Wait until a hub answers."""
-    for _ in range(1200):
-        with suppress(OSError):
-            hub.ask("/healthz")
-            return
-        hub.require_running()
-        _pause(0.1)
-    raise TimeoutError("the hub does not answer")
+        hub.wait_until_it_answers()
+        yield Fleet(server=server, store=store, hub=hub, imagers=imagers, network=cable)
 
 
 @contextmanager
@@ -288,64 +166,111 @@ def quick_retries(longest_s: float = 0.5) -> Iterator[None]:
         feed._LONGEST_WAIT_S = former
 
 
-def run_with_faults(fleet: Fleet, *, steps: int, rows: int, pause_s: float, seed: int = 0) -> dict[str, int]:
-    """Let the fleet live while everything fails in turn; return how often links did what."""
+def run_with_faults(
+    fleet: Fleet, *, steps: int, rows: int, pause_s: float, seed: int = 0, longest_cut: int = 3
+) -> Counter[str]:
+    """Let the fleet live while everything fails in turn; return how often links did what.
+
+    Parameters
+    ----------
+    fleet : that does not send yet.
+    steps, rows, pause_s : so often every imager stores so many sightings, and so long it lasts.
+    seed : of the faults.
+    longest_cut : steps for which the network's cable is pulled, at most, if there is one.
+    """
     chance = random.Random(seed)
     for imager in fleet.imagers:
         imager.link.share = 0.3
         imager.begin()
+    mended = 0
     for step in range(steps):
+        begun_s = perf_counter()
         for imager in fleet.imagers:
             imager.see(rows)
             imager.link.down = chance.random() < 0.15
-        if step == steps // 3:
+        if fleet.network is not None and step >= mended:
+            fleet.network.mend()
+            if chance.random() < 0.1:
+                fleet.network.cut()
+                mended = step + chance.randint(1, longest_cut)
+        if step in {steps // 6, steps // 3, steps // 2}:
             fleet.hub.kill()
             fleet.hub.start()
-        if step == 2 * steps // 3:
+        if step in {2 * steps // 3, 5 * steps // 6}:
             fleet.server.stop()  # immediate: as a crash
             _pause(pause_s)
             fleet.server.start()
-        _pause(pause_s)
-    counts: dict[str, int] = {}
+        fleet.hub.start_again_if_ended()
+        _pause(max(pause_s - (perf_counter() - begun_s), 0.0))
     for imager in fleet.imagers:
-        imager.link.down = False
-        imager.link.share = 0.0
-        for fault, count in imager.link.counts.items():
-            counts[fault] = counts.get(fault, 0) + count
+        imager.link.down, imager.link.share = False, 0.0
+    counts = sum((Counter(imager.link.counts) for imager in fleet.imagers), Counter())
+    if fleet.network is not None:
+        fleet.network.mend()
+        counts["cable"] = fleet.network.cuts
     return counts
 
 
-def measure_ingest(fleet: Fleet, *, rows: int) -> float:
-    """Return sightings a second from full outboxes, all imagers at the same time."""
+def measure_ingest(fleet: Fleet, *, rows: int) -> dict[str, float]:
+    """Return sightings a second from full outboxes, all imagers at the same time, and who took the processors."""
     for imager in fleet.imagers:
         for _ in range(0, rows, 1000):
             imager.see(1000)
+    processes = {
+        "hub": fleet.hub.processor_s,
+        "postgresql": lambda: processor_s(fleet.server.pid),
+        "senders": process_time,
+    }
+    before = {name: spent() for name, spent in processes.items()}
     begun_s = perf_counter()
     for imager in fleet.imagers:
         imager.begin()
     fleet.wait_until_caught_up(600.0)
-    return sum(imager.count for imager in fleet.imagers) / (perf_counter() - begun_s)
+    took_s = perf_counter() - begun_s
+    number = sum(imager.count for imager in fleet.imagers)
+    each = {
+        f"{name}_ms_a_thousand": round(1e6 * (spent() - before[name]) / number, 1) for name, spent in processes.items()
+    }
+    return {"sightings": number, "sightings_per_s": round(number / took_s), **each}
 
 
 def main() -> None:
     """Run the long form and print what was measured, as JSON."""
     parser = argparse.ArgumentParser(prog="tests/long fleet", description=__doc__)
     parser.add_argument("--imagers", type=int, default=50)
-    parser.add_argument("--minutes", type=float, default=60.0, help="of simulated failures")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of failures")
+    parser.add_argument("--rows", type=int, default=2, help="sightings that an imager makes a second")
     parser.add_argument("--rate-rows", type=int, default=10_000, help="sightings an imager, for the rate of ingest")
     asked = parser.parse_args()
     print(json.dumps({"load": os.getloadavg()[0], "imagers": asked.imagers}), flush=True)
     if asked.rate_rows:
         with fleet_of(asked.imagers) as fleet:
-            rate = measure_ingest(fleet, rows=asked.rate_rows)
-            print(json.dumps({"sightings_per_s": round(rate), "differences": fleet.differences()}), flush=True)
+            measured = measure_ingest(fleet, rows=asked.rate_rows)
+            print(json.dumps({**measured, "differences": fleet.differences()}), flush=True)
     if asked.minutes:
-        with quick_retries(5.0), fleet_of(asked.imagers) as fleet:
-            counts = run_with_faults(fleet, steps=round(60 * asked.minutes), rows=2, pause_s=1.0)
-            took_s = fleet.wait_until_caught_up(600.0)
-            found = {"requests": counts, "caught_up_s": round(took_s, 1), "differences": fleet.differences()}
-            print(json.dumps(found), flush=True)
-            sys.exit(1 if found["differences"] else 0)
+        print(json.dumps(_faults(asked.imagers, steps=round(60 * asked.minutes), rows=asked.rows)), flush=True)
+
+
+def _faults(imagers: int, *, steps: int, rows: int) -> dict[str, object]:
+    """Return what came of a fleet in which everything fails, of steps of 1 s; exit where a row is missing."""
+    begun_s = perf_counter()
+    with quick_retries(5.0), fleet_of(imagers, apart=os.geteuid() == 0) as fleet:
+        counts = run_with_faults(fleet, steps=steps, rows=rows, pause_s=1.0, longest_cut=30)
+        lasted_s = perf_counter() - begun_s
+        took_s = fleet.wait_until_caught_up(600.0)
+        found = {
+            "minutes": round(lasted_s / 60.0, 1),
+            "sightings": sum(imager.count for imager in fleet.imagers),
+            "hours_of_cadence": round(fleet.imagers[0].count * CADENCE_S / 3600.0, 1),
+            "requests": counts,
+            "caught_up_s": round(took_s, 1),
+            "hub_memory_mib": fleet.hub.memory_mib(),
+            "load": os.getloadavg()[0],
+            "differences": fleet.differences(),
+        }
+    if found["differences"]:
+        sys.exit(json.dumps(found))
+    return found
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from tests.cross_checks.cameras import FIRST_NOON, Neighbour, Wrong, neighbours
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, CrossCheck, SunPoint, open_archive, upgrade
 from sunarc.calibration import to_document
 from sunarc.sky import Site, solar_date
-from sunarc.workers import CrossCheck, cross_check_fleet
+from sunarc.workers import cross_check_fleet
 
 BEGIN = datetime.fromtimestamp(FIRST_NOON, UTC) - timedelta(days=1)
 NAMES = ("gate", "mast", "roof")

@@ -1,16 +1,17 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts` · `values feed_values` its
-values · `tables types` the schema · `engine server store` connections and transactions · `schema migrating` revisions ·
-`outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership space_reserve` the file on
-disk · `images` composites · `csv_files` sightings as CSV.
+epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts` · `values feed_values
+cross_check` its values · `tables types` the schema · `engine server store` connections and transactions · `schema
+migrating` revisions · `outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership
+space_reserve` the file on disk · `images` composites · `csv_files` sightings as CSV.
 """
 
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.camera_archive import CameraArchive
 from sunarc.archive.columns import SUN
+from sunarc.archive.cross_check import CrossCheck, CrossChecks, Found
 from sunarc.archive.csv_files import (
     SightingTable,
     read_pairs,
@@ -90,6 +91,8 @@ __all__ = [
     "CameraRecord",
     "CameraState",
     "Check",
+    "CrossCheck",
+    "CrossChecks",
     "Day",
     "DayAir",
     "DaySummary",
@@ -102,6 +105,7 @@ __all__ = [
     "FeedRow",
     "FileSighting",
     "FleetCamera",
+    "Found",
     "ImageKey",
     "ImageStore",
     "NightlyRun",

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from sqlalchemy import BigInteger, Connection, Row, and_, bindparam, case, delete, func, or_, select, text
 
+from sunarc.archive.cross_check import CrossChecks, checks_from_json
 from sunarc.archive.feeds import sky_rms_of
 from sunarc.archive.rows import upsert
 from sunarc.archive.store import Store, given
@@ -20,6 +21,8 @@ from sunarc.utc import to_microseconds, utc_time
 
 LEAST_KEPT = timedelta(days=90)
 """Sightings younger than this are never removed; PostgreSQL's function has the same bound (revision 0014)."""
+_NIGHTS = 31
+"""Nights among which the newest cross-checks are looked for."""
 _AT_ONCE = 200
 """Days that are summarised in one transaction: feeds of the same camera wait for it."""
 
@@ -133,6 +136,14 @@ class Nightly(Store):
         c = nightly_run.c
         statement = select(nightly_run).where(*given((c.night.__le__, until)))
         return self._values(statement.order_by(c.night.desc()).limit(limit), NightlyRun)
+
+    def cross_checks(self) -> CrossChecks:
+        """Return the cross-checks of the newest night that made some."""
+        for run in self.nightly_runs(limit=_NIGHTS):
+            checks = checks_from_json(run.results.get("cross_checks"))
+            if checks is not None:
+                return CrossChecks(night=run.night, time=run.started_at, checks=checks)
+        return CrossChecks(night=None, time=None, checks=())
 
 
 def _summary(connection: Connection, judged: Row[Any, Any, Any, Any, Any, Any]) -> dict[str, Any]:

@@ -1,15 +1,16 @@
 """Python client of the HTTP service on numpy alone; imports nothing else of this package.
 
 It is also a distribution of its own, `sunarc-client`, whose package is `sunarc_client`: hence the relative imports.
-`imager` the requests · `asynchronous` the same to be awaited · `local`, `camera` a calibration evaluated without the
-service · `answers` values · `events` what happens · `transport` retries · `xarray_accessor` images as
-xarray, where that is installed.
+`imager` the requests · `asynchronous` the same to be awaited · `hub` those to a hub · `local`, `camera` a calibration
+evaluated without the service · `answers` values · `events` what happens · `transport` retries · `xarray_accessor`
+images as xarray, where that is installed.
 """
 
 from .answers import BackProjection, Condition, Finding, Located, Projection
 from .asynchronous import AsyncImager
 from .camera import CameraModel
 from .events import ImagerEvent
+from .hub import Hub
 from .imager import Imager
 from .local import LocalImager
 from .transport import ImagerError
@@ -20,6 +21,7 @@ __all__ = [
     "CameraModel",
     "Condition",
     "Finding",
+    "Hub",
     "Imager",
     "ImagerError",
     "ImagerEvent",

@@ -17,12 +17,19 @@ from sunarc.calibration.change_detection import pole_of
 from sunarc.cross_checks.rotation_steps import RotationStep
 from sunarc.sky import SECONDS_PER_DEGREE, Site, wrapped_deg
 
-Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved"]
+Cause = Literal["clock", "longitude", "site", "north", "clock_or_north", "moved", "slow_turn"]
 """`clock`: about the celestial pole, and the stated site is as before. `longitude`, `site`: what is stated of the site
 changed, by the rotation that was seen. `north`: about the vertical. `clock_or_north`: both fit, as they do near the
-poles. `moved`: none of them."""
+poles. `moved`: none of them. `slow_turn`: no step, but a turn of days and weeks
+about another axis than the celestial pole, as that of a mast that settles; no alarm, since the imager's own calibration
+follows it."""
 _FITS_2, _FITS_3 = 11.83, 14.16
 """Quantiles of chi-squared with 2 and 3 degrees of freedom at 0.9973, as 3 sigma of one number."""
+_LEAD, _LEAD_OF_NAMED = 2.0, -8.0
+"""By how many powers of e a step must explain the days better than a slow turn: one about any axis, and one about the
+axis of a clock, of north or of a new statement, which a mast has by chance only; by docs/studies/cross_checks.py."""
+_SLOW_CLOCK = 300.0
+"""Chi-squared that a slow turn must have to be a clock's: of any axes 1 in 50 would fit the pole at this size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,11 +38,13 @@ class StepSize:
 
     Attributes
     ----------
+    change : what was explained: the step, or the slow turn in its place.
     clock_s, longitude_deg : by how much the clock went ahead, or the stated longitude to the east: the same rotation.
     north_deg : by how much the camera turned about the vertical, counter-clockwise as seen from above.
     """
 
     cause: Cause
+    change: RotationStep
     clock_s: float
     clock_sigma_s: float
     longitude_deg: float
@@ -54,19 +63,24 @@ def rotation_of_site(before: Site, after: Site) -> FloatArray:
 
 
 def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
-    """Return what a step may be.
+    """Return what a change may be.
 
     Parameters
     ----------
-    step : of a camera's rotation against one calibration.
+    step : of a camera's rotation against one calibration, or a slow turn.
     before, after : the site as it was stated for the days before and after it.
     """
-    information = np.asarray(np.linalg.inv(step.covariance_deg2), dtype=np.float64)
-    size = step.rotation_deg
+    cause = _slow_cause(step, before) if step.settling_days else _cause(step, before, after)
+    lead = np.inf if step.slower is None else step.gain - step.slower.gain
+    if step.slower is not None and lead < (_LEAD if cause == "moved" else _LEAD_OF_NAMED):
+        step = step.slower
+        cause = _slow_cause(step, before)
+    size, information = step.rotation_deg, _information(step)
     pole, pole_sigma = _about(size, information, pole_of(before))
     north, north_sigma = _about(size, information, np.array([0.0, 0.0, 1.0]))
     return StepSize(
-        cause=_cause(size, information, before, after),
+        cause=cause,
+        change=step,
         clock_s=-SECONDS_PER_DEGREE * pole,
         clock_sigma_s=SECONDS_PER_DEGREE * pole_sigma,
         longitude_deg=-pole,
@@ -74,6 +88,10 @@ def explain_step(step: RotationStep, *, before: Site, after: Site) -> StepSize:
         north_deg=north,
         north_sigma_deg=north_sigma,
     )
+
+
+def _information(step: RotationStep) -> FloatArray:
+    return np.asarray(np.linalg.inv(step.covariance_deg2), dtype=np.float64)
 
 
 def _about(size: FloatArray, information: FloatArray, axis: FloatArray) -> tuple[float, float]:
@@ -88,7 +106,15 @@ def _misfit(size: FloatArray, information: FloatArray, axis: FloatArray) -> floa
     return float(size @ information @ size) - (amount / sigma) ** 2
 
 
-def _cause(size: FloatArray, information: FloatArray, before: Site, after: Site) -> Cause:
+def _slow_cause(turn: RotationStep, site: Site) -> Cause:
+    """Return what a slow turn may be: a clock that gains or loses, or a mount; a statement changes at once."""
+    size, information = turn.rotation_deg, _information(turn)
+    clear = float(size @ information @ size) > _SLOW_CLOCK
+    return "clock" if clear and _misfit(size, information, pole_of(site)) < _FITS_2 else "slow_turn"
+
+
+def _cause(step: RotationStep, before: Site, after: Site) -> Cause:
+    size, information = step.rotation_deg, _information(step)
     restated = rotation_of_site(before, after)
     if np.any(restated):
         left = size - restated

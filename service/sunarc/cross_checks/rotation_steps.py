@@ -1,8 +1,9 @@
-"""Steps in a camera's daily rotations, against white noise and a drift whose sizes the days themselves tell.
+"""Steps in a camera's daily rotations, against slow turns, white noise and a drift whose sizes the days determine.
 
-A component's model is a constant, one step, a random walk and white noise in the ratio of the stated variances. The
-walk takes what drifts: a mast that settles, a lens whose error changes with the sun's declination. A step has to beat
-that model with a walk of its own best size, so that the faster a camera drifts the larger a step must be.
+A component's model is a constant, one change, a random walk and white noise in the ratio of the stated variances. The
+walk takes what drifts, as a lens whose error changes with the sun's declination. A change has to beat that model with a
+walk of its own best size, so that the faster a camera drifts the larger a change must be. A change is a step, or a
+turn that goes on for days, as that of a mast that settles; a step has to explain the days better than such a turn.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray, picked
+from sunarc.array_types import BoolArray, FloatArray, IntArray, picked
 from sunarc.cross_checks.daily_rotations import DailyRotations
 from sunarc.robust_statistics import MAD_TO_SIGMA
 
@@ -22,8 +23,11 @@ _WALK = (0.0, 0.003, 0.03, 0.3, 3.0)
 _FEWEST_BEFORE, _FEWEST_AFTER = 8, 4
 """Days: a scatter needs some before, and three days of cloud's making are not a step."""
 MIN_GAIN = 13.0
-"""By how many powers of e a step must explain the days better; by docs/studies/cross_checks.py, so that there is less
+"""By how many powers of e a change must explain the days better; by docs/studies/cross_checks.py, so that there is less
 than one false step in a camera-year."""
+_SETTLING_DAYS = (3.0, 6.0, 12.0, 25.0, np.inf)
+"""Time constants of slow turns, tried each: from what a step of few days could be to the length of what is compared;
+so near one another that what is left of a turn is not taken for its neighbours'. Infinite: at one rate."""
 _NEAR, _OUTLYING = 5, 4.0
 """A day that is further than so many scatters from the median of so many days about it is moved to that limit."""
 _FEWEST_OTHERS = 2
@@ -32,31 +36,55 @@ _FEWEST_OTHERS = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RotationStep:
-    """A step of a camera's rotation.
+    """A change of a camera's rotation: a step, or a slow turn.
 
     Attributes
     ----------
-    day : the first one after it.
-    rotation_deg : (3,) after minus before, about east, north and up.
+    day : the first one after a step, or on which a turn begins.
+    last_day : the last one that was compared.
+    settling_days : the time in which a turn does 0.63 of its way, days; infinite at one rate, 0 for a step.
+    rotation_deg : (3,) after minus before, about east, north and up; of a turn, up to the last day.
     covariance_deg2 : (3, 3) of it, by the scatter and the drift of the days.
-    gain : by how many powers of e the step explains the days better than none.
+    gain : by how many powers of e the change explains the days better than none.
     n_before, n_after : days.
+    slower : of a step, the slow turn that explains the days best in its place.
     """
 
     day: float
+    last_day: float
+    settling_days: float = 0.0
     rotation_deg: FloatArray
     covariance_deg2: FloatArray
     gain: float
     n_before: int
     n_after: int
+    slower: RotationStep | None = None
+
+    @property
+    def likeliest(self) -> RotationStep:
+        """The change of the larger gain: the step, or the slow turn in its place."""
+        return self if self.slower is None or self.gain >= self.slower.gain else self.slower
+
+    def progress(self, day: FloatArray) -> FloatArray:
+        """Return which part of the change was done on days (n,): 0 before it, 1 on the last day."""
+        return _progress(day, self.day, self.last_day, self.settling_days)
+
+
+def _progress(day: FloatArray, first: float, last: float, settling_days: float) -> FloatArray:
+    since = np.maximum(day - first, 0.0)
+    if settling_days == 0.0:
+        return np.asarray(day >= first, dtype=np.float64)
+    if np.isinf(settling_days):
+        return np.asarray(since / (last - first))
+    return np.asarray(np.expm1(-since / settling_days) / np.expm1(-(last - first) / settling_days))
 
 
 def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = MIN_GAIN) -> tuple[RotationStep | None, ...]:
-    """Return the step of each camera of a group of neighbours; None of one that shows none clearly.
+    """Return the change of each camera of a group of neighbours; None of one that shows none clearly.
 
     What all of them have in common on a day is not a camera's: refraction, a time server, a new version of the
-    software. Each is compared with the mean of the others. The clearest step is taken first, and removed, because the
-    others would show it with the opposite sign. With fewer than three cameras nothing is common.
+    software. Each is compared with the mean of the others. The largest change is taken first, and removed, because
+    the others would show it with the opposite sign. With fewer than three cameras nothing is common.
 
     Parameters
     ----------
@@ -67,22 +95,28 @@ def find_steps(cameras: Sequence[DailyRotations], *, min_gain: float = MIN_GAIN)
     remaining = list(cameras)
     for _ in cameras:
         steps = {
-            number: find_step(_beside_others(remaining, number), min_gain=min_gain)
+            number: _find_change(_beside_others(remaining, number), min_gain)
             for number in range(len(cameras))
             if found[number] is None
         }
         clear = {number: step for number, step in steps.items() if step is not None}
         if not clear:
             break
-        first = max(clear, key=lambda number: clear[number].gain)
+        # by size, which the others show divided by their number; gains are near one another where days are precise
+        first = max(clear, key=lambda number: float(np.linalg.norm(clear[number].likeliest.rotation_deg)))
         found[first] = clear[first]
         remaining[first] = _without(remaining[first], clear[first])
-    return tuple(found)
+    return tuple(None if step is None or _is_recent(step) else step for step in found)
+
+
+def _is_recent(step: RotationStep) -> bool:
+    """Whether a step has too few days yet: it may be one of cloud, and would pass for a turn that began before it."""
+    return step.settling_days == 0.0 and step.n_after < _FEWEST_AFTER
 
 
 def _without(one: DailyRotations, step: RotationStep) -> DailyRotations:
-    after = (one.day >= step.day)[:, None]
-    return replace(one, rotation_deg=one.rotation_deg - after * step.rotation_deg)
+    done = step.likeliest.progress(one.day)[:, None]
+    return replace(one, rotation_deg=one.rotation_deg - done * step.likeliest.rotation_deg)
 
 
 def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotations:
@@ -108,54 +142,88 @@ def _beside_others(cameras: Sequence[DailyRotations], number: int) -> DailyRotat
 def find_step(days: DailyRotations, *, min_gain: float = MIN_GAIN) -> RotationStep | None:
     """Return the step that explains a camera's daily rotations best; None where none does so clearly.
 
+    Where no step does, but a slow turn, that is returned.
+
     Parameters
     ----------
     days : of at most some 60 days, without what is common to the neighbours.
     min_gain : the least gain, natural logarithm.
     """
+    found = _find_change(days, min_gain)
+    return None if found is None or _is_recent(found) else found
+
+
+def _find_change(days: DailyRotations, min_gain: float) -> RotationStep | None:
+    """Return what `find_step` does, or a step of the last days, which is not reported yet."""
     n = len(days.day)
-    starts = np.arange(_FEWEST_BEFORE, n - _FEWEST_AFTER + 1, dtype=np.int64)
-    if not len(starts):
+    if n < _FEWEST_BEFORE + _FEWEST_AFTER:
         return None
+    tried = _changes(days.day)
     # about the principal axes of what is stated the three components err independently
     axes = np.linalg.eigh(days.covariance_deg2.mean(axis=0))[1]
     rotations = _limited(days.rotation_deg @ axes)
     variances = np.einsum("ij,nik,kj->nj", axes, days.covariance_deg2, axes)
-    fits = [_component(days.day, rotations[:, j], variances[:, j], starts) for j in range(3)]
+    fits = [_component(days.day, rotations[:, j], variances[:, j], tried.progress) for j in range(3)]
     gain = np.sum([fit.gain for fit in fits], axis=0)
-    best = int(np.argmax(gain))
-    if gain[best] < min_gain:
-        return None
-    size = np.array([fit.size[best] for fit in fits])
-    variance = np.array([fit.variance[best] for fit in fits])
-    first = int(starts[best])
-    return RotationStep(
-        day=float(days.day[first]),
-        rotation_deg=axes @ size,
-        covariance_deg2=axes @ np.diag(variance) @ axes.T,
-        gain=float(gain[best]),
-        n_before=first,
-        n_after=n - first,
-    )
+
+    def change(of_kind: BoolArray) -> RotationStep:
+        best = int(np.argmax(np.where(of_kind, gain, -np.inf)))
+        first = int(tried.first[best])
+        return RotationStep(
+            day=float(days.day[first]),
+            last_day=float(days.day[-1]),
+            settling_days=float(tried.settling_days[best]),
+            rotation_deg=axes @ np.array([fit.size[best] for fit in fits]),
+            covariance_deg2=axes @ np.diag([fit.variance[best] for fit in fits]) @ axes.T,
+            gain=float(gain[best]),
+            n_before=first,
+            n_after=n - first,
+        )
+
+    is_step = tried.settling_days == 0.0
+    recent = is_step & (tried.first > n - _FEWEST_AFTER)
+    step, turn, newest = change(is_step & ~recent), change(~is_step), change(recent)
+    if newest.gain > max(min_gain, step.gain, turn.gain):
+        return newest
+    if step.gain >= min_gain:
+        return replace(step, slower=turn)
+    return turn if turn.gain >= min_gain else None
 
 
-class _Steps(NamedTuple):
-    """Of each start: the gain, and the step's size and variance."""
+class _Changes(NamedTuple):
+    """Of each change that is tried: the index of its first day, its time constant, and (n, c) its progress."""
+
+    first: IntArray
+    settling_days: FloatArray
+    progress: FloatArray
+
+
+def _changes(day: FloatArray) -> _Changes:
+    """Return steps, and turns that begin on every second day from the first on."""
+    n = len(day)
+    steps = [(first, 0.0) for first in range(_FEWEST_BEFORE, n)]
+    turns = [(first, tau) for tau in _SETTLING_DAYS for first in range(0, n - _FEWEST_AFTER + 1, 2)]
+    first, settling = (np.array(column) for column in zip(*steps, *turns, strict=True))
+    progress = [_progress(day, float(day[k]), float(day[-1]), tau) for k, tau in (*steps, *turns)]
+    return _Changes(first, settling, np.array(progress).T)
+
+
+class _Fits(NamedTuple):
+    """Of each change: the gain, and its size and variance."""
 
     gain: FloatArray
     size: FloatArray
     variance: FloatArray
 
 
-def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, starts: IntArray) -> _Steps:
-    """Return what a step from each of the starts on is worth, by generalised least squares for each size of walk."""
+def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, progress: FloatArray) -> _Fits:
+    """Return what each change is worth, by generalised least squares for each size of walk."""
     n = len(day)
     walk = np.minimum.outer(day - day[0], day - day[0])
-    after = (np.arange(n)[:, None] >= starts).astype(np.float64)
-    none, steps, sizes, spreads = [], [], [], []
+    none, changed, sizes, spreads = [], [], [], []
     for ratio in _WALK:
         factor = np.linalg.cholesky(np.diag(variance) + ratio * variance.mean() * walk)
-        white = np.linalg.solve(factor, np.column_stack([np.ones(n), rotation, after]))
+        white = np.linalg.solve(factor, np.column_stack([np.ones(n), rotation, progress]))
         constant = white[:, 0] / np.linalg.norm(white[:, 0])
         white = white[:, 1:] - constant[:, None] * (constant @ white[:, 1:])
         values, shape = white[:, 0], white[:, 1:]
@@ -165,14 +233,14 @@ def _component(day: FloatArray, rotation: FloatArray, variance: FloatArray, star
         remaining = np.maximum(left - size**2 * information, 1e-12 * left)
         constant_part = -np.log(np.diag(factor)).sum()
         none.append(constant_part - 0.5 * n * np.log(left))
-        steps.append(constant_part - 0.5 * n * np.log(remaining))
+        changed.append(constant_part - 0.5 * n * np.log(remaining))
         sizes.append(size)
         spreads.append(remaining / (n - 2.0) / information)
-    likelihood = np.array(steps)
+    likelihood = np.array(changed)
     best = np.argmax(likelihood, axis=0)
-    column = np.arange(len(starts))
+    column = np.arange(progress.shape[1])
     gain = likelihood[best, column] - max(none)
-    return _Steps(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
+    return _Fits(gain, np.array(sizes)[best, column], np.array(spreads)[best, column])
 
 
 def _limited(rotations: FloatArray) -> FloatArray:

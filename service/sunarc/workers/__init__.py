@@ -17,7 +17,7 @@ from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
-from sunarc.workers.neighbours import CrossCheck, cross_check_fleet
+from sunarc.workers.neighbours import cross_check_fleet
 from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
 from sunarc.workers.pushing.mqtt import MqttBroker
 from sunarc.workers.pushing.options import PushOptions
@@ -39,7 +39,6 @@ __all__ = [
     "ClockOptions",
     "ClockWatch",
     "ComposeWorker",
-    "CrossCheck",
     "DatabaseWorker",
     "DayJudge",
     "DetectWorker",

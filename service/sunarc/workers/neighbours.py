@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from datetime import date, datetime, timedelta
+from dataclasses import fields
+from datetime import datetime, timedelta
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 
-from sunarc.archive import Archive, CalibrationRecord, CameraRecord
+from sunarc.archive import Archive, CalibrationRecord, CameraRecord, CrossCheck, Found
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.cross_checks import (
-    Cause,
     ClockOffsets,
     DailyRotations,
     Lag,
     RotationStep,
+    StepSize,
     SunSeries,
     clock_offsets,
     cloud_lag,
@@ -27,7 +27,6 @@ from sunarc.cross_checks import (
     explain_step,
     find_steps,
 )
-from sunarc.json_fields import Returned, described
 from sunarc.optics import unproject
 from sunarc.sky import Site, date_of_day, day_bounds_unix_s, solar_days, sun_directions, wrapped_deg
 
@@ -41,42 +40,9 @@ _CYCLE_S = 5.0
 """Exposures of one cycle are no further apart, s."""
 _CLOCK_SIGMAS = 5.0
 """By how many sigmas a clock must be off to be named: one in a million of normal errors, and winds are none."""
+_SIZES = tuple(field.name for field in fields(StepSize) if field.name != "change")
 _M_PER_DEG = 111_195.0
 """Of latitude, on a sphere of 6371 km."""
-
-
-Found = Cause | Literal["clock_by_clouds"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CrossCheck(Returned):
-    """What a camera's neighbours show of it."""
-
-    camera: Annotated[str, described("Its name.", "roof")]
-    neighbours: Annotated[tuple[str, ...], described("Cameras it was compared with.", ["mast", "gate"])]
-    n_days: Annotated[int, described("Days that showed how it stood turned, a count.", 34)]
-    found: Annotated[
-        tuple[Found, ...],
-        described("What is wrong or changed; empty: nothing. `clock_by_clouds`: edges of clouds come early or late."),
-    ]
-    since: Annotated[date | None, described("First solar date after a step of its rotation.", "2026-06-26")] = None
-    clock_s: Annotated[float | None, described("The step, as a clock that is ahead, s; the same as:", 2.1)] = None
-    clock_sigma_s: Annotated[float | None, described("Its 1-sigma, s.", 0.2)] = None
-    longitude_deg: Annotated[float | None, described("as a longitude stated too far east.", 0.0088)] = None
-    longitude_sigma_deg: Annotated[float | None, described("Its 1-sigma, degrees.", 0.0008)] = None
-    north_deg: Annotated[float | None, described("The step about the vertical, counter-clockwise.", 0.1)] = None
-    north_sigma_deg: Annotated[float | None, described("Its 1-sigma, degrees.", 0.001)] = None
-    rotation_deg: Annotated[tuple[float, ...] | None, described("About east, north and up.", [0.0, 0.0, 0.1])] = None
-    rotation_sigma_deg: Annotated[tuple[float, ...] | None, described("1-sigma of each.", [0.001] * 3)] = None
-    cloud_clock_s: Annotated[
-        float | None,
-        described("By how much its clock is ahead if its neighbours' are right, by edges of clouds, s.", 1.5),
-    ] = None
-    cloud_clock_sigma_s: Annotated[float | None, described("Its 1-sigma, mostly of the wind, s.", 12.0)] = None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the fields by name, as JSON has them."""
-        return asdict(self) | {"since": None if self.since is None else self.since.isoformat()}
 
 
 def cross_check_fleet(archive: Archive, *, now: datetime) -> tuple[CrossCheck, ...]:
@@ -217,15 +183,18 @@ def _clocks(reading: _Reading, group: Sequence[CameraRecord]) -> ClockOffsets:
 
 
 def _step_fields(reading: _Reading, camera: CameraRecord, step: RotationStep) -> dict[str, Any]:
-    """Return the fields of a step by name, with its cause."""
+    """Return the fields of a step or a slow turn by name, with its cause."""
     days = reading.rotations(camera).day
-    last = days[np.searchsorted(days, step.day) - 1]
+    last = days[max(int(np.searchsorted(days, step.day)) - 1, 0)]
     noons_s = [
         sum(day_bounds_unix_s(date_of_day(int(day)), longitude=camera.longitude)) / 2 for day in (last, step.day)
     ]
     before, after = reading.stated_sites(camera, np.array(noons_s))
+    explained = explain_step(step, before=before, after=after)
+    step = explained.change
     sigma = np.sqrt(np.diag(step.covariance_deg2))
-    return asdict(explain_step(step, before=before, after=after)) | {
+    sizes = {name: getattr(explained, name) for name in _SIZES}
+    return sizes | {
         "since": date_of_day(int(step.day)),
         "rotation_deg": tuple(step.rotation_deg.tolist()),
         "rotation_sigma_deg": tuple(sigma.tolist()),

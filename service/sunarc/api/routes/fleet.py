@@ -171,6 +171,13 @@ class FleetCollector(Collector):
         for camera in cameras:
             states.add_metric([camera.camera, state_of(camera, now)], 1.0)
         yield states
+        crossed = GaugeMetricFamily(
+            "sunarc_fleet_cross_check", "1 for what neighbours show of it.", labels=["camera", "found"]
+        )
+        for check in self._archive.cross_checks().checks:
+            for found in check.found:
+                crossed.add_metric([check.camera, found], 1.0)
+        yield crossed
         yield from push_metrics(self._archive)
 
 

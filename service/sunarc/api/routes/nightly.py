@@ -1,7 +1,8 @@
-"""Routes of a hub's nightly work: how the last nights went, and summaries of solar days."""
+"""Routes of a hub's nightly work: how the last nights went, summaries of solar days, and cross-checks."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import date
 from typing import Annotated
 
@@ -9,7 +10,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from sunarc.api.schemas.parameters import row_limit
-from sunarc.archive import Archive, DaySummary, NightlyRun
+from sunarc.archive import Archive, CrossChecks, DaySummary, NightlyRun
 from sunarc.json_fields import described
 
 
@@ -43,5 +44,16 @@ def nightly_routes(archive: Archive) -> APIRouter:
     ) -> Summaries:
         """Tell every camera's solar days: sightings, verdict, clock, warnings, calibration and rotation against it."""
         return Summaries(days=list(archive.day_summaries(camera, since=since, until=until, limit=limit)))
+
+    @routes.get("/v1/cross-checks")
+    def cross_checks(
+        camera: Annotated[str | None, Query(description="Of this camera alone.")] = None,
+    ) -> CrossChecks:
+        """Tell what neighbours showed last night of each camera's clock, stated longitude and north.
+
+        Cameras without others within 50 km are not compared. Sizes have their 1-sigma beside them.
+        """
+        found = archive.cross_checks()
+        return replace(found, checks=tuple(one for one in found.checks if camera in {None, one.camera}))
 
     return routes

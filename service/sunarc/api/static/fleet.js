@@ -6,25 +6,49 @@ const AGAIN_MS = 10000;
 const SIGNS = { silent: "✕", not_ready: "✕", degraded: "!", quarantine: "!", uncalibrated: "…", ready: "✓" };
 const [WIDTH, HEIGHT, MARGIN] = [400, 300, 30];
 
+// States that are worse than what neighbours show.
+const FIRST = ["silent", "not_ready", "degraded"];
+// What neighbours show and nobody has to correct; the other words are alarms.
+const NO_ALARM = "slow_turn";
+const alarmed = (check) => check.found.some((word) => word !== NO_ALARM);
+
 function row(...cells) {
   const line = node("tr");
   line.append(...cells.map((cell) => (cell instanceof Node ? cell : node("td", cell))));
   return line;
 }
 
-function ofCamera(c, now) {
+// A value that is zero within its error is shown all the same: an absence is an answer.
+const measured = (value, sigma, unit) => (value === null ? "–" : `${telling(value)} ± ${Number(sigma.toPrecision(2))}${unit}`);
+const words = (check) => check.found.join(", ").replaceAll("_", " ");
+
+function mark(check) {
+  if (!check) return node("td", "–");
+  return node("td", check.found.length ? `${alarmed(check) ? "!" : "·"} ${words(check)}` : "✓ nothing", alarmed(check) ? "alarmed" : "");
+}
+
+function ofCheck(c) {
+  const name = node("th", c.camera);
+  name.scope = "row";
+  return row(
+    name, mark(c), c.since ?? "–", measured(c.clock_s, c.clock_sigma_s, " s"), measured(c.longitude_deg, c.longitude_sigma_deg, "°"),
+    measured(c.north_deg, c.north_sigma_deg, "°"), measured(c.cloud_clock_s, c.cloud_clock_sigma_s, " s"), c.neighbours.join(", "),
+  );
+}
+
+function ofCamera(c, now, check) {
   const status = c.status ?? {};
   const name = node("th", c.camera);
   name.scope = "row";
   return row(
     name, `${SIGNS[c.state]} ${c.state.replace("_", " ")}`, c.received_at ? ago(c.received_at, now) : "never", moment(c.last_sighting_at),
     telling(c.sky_rms_deg, "°"), telling(status.drift_deg, "°"), status.disk_free_bytes == null ? "–" : fixed(status.disk_free_bytes / 1e9, 1, " GB"),
-    telling(status.clock_error_s, " s"), String(c.n_quarantined),
+    telling(status.clock_error_s, " s"), mark(check), String(c.n_quarantined),
   );
 }
 
 // Cameras by longitude and latitude, one scale for both at their mean latitude.
-function drawMap(cameras) {
+function drawMap(cameras, wrong) {
   const placed = cameras.filter((c) => c.latitude !== null && c.longitude !== null);
   const east = (c) => c.longitude * Math.cos((placed[0].latitude * Math.PI) / 180);
   const xs = placed.map(east), ys = placed.map((c) => c.latitude);
@@ -32,23 +56,31 @@ function drawMap(cameras) {
   const scale = (WIDTH - 2 * MARGIN) / span;
   $("map").replaceChildren(...placed.flatMap((c, i) => {
     const x = MARGIN + (xs[i] - Math.min(...xs)) * scale, y = HEIGHT - MARGIN - (ys[i] - Math.min(...ys)) * scale;
-    return [element("circle", { class: c.state, cx: x, cy: y, r: 5 }), element("text", { x: x + 7, y: y + 4 }, `${SIGNS[c.state]} ${c.camera}`)];
+    const [kind, sign] = wrong(c) && !FIRST.includes(c.state) ? ["degraded", "!"] : [c.state, SIGNS[c.state]];
+    return [element("circle", { class: kind, cx: x, cy: y, r: 5 }), element("text", { x: x + 7, y: y + 4 }, `${sign} ${c.camera}`)];
   }));
 }
 
-function showAll(fleet, quarantine) {
-  const bad = fleet.cameras.filter((c) => !["ready", "uncalibrated"].includes(c.state)).length;
+function showAll(fleet, quarantine, crossed) {
+  const checks = new Map(crossed.checks.map((check) => [check.camera, check]));
+  const wrong = (c) => checks.has(c.camera) && alarmed(checks.get(c.camera));
+  const rank = (c) => (FIRST.includes(c.state) ? 0 : wrong(c) ? 1 : 2);
+  const cameras = [...fleet.cameras].sort((a, b) => rank(a) - rank(b));
+  const bad = cameras.filter((c) => !["ready", "uncalibrated"].includes(c.state) || wrong(c)).length;
   $("health").dataset.health = bad ? "degraded" : "ready";
   $("verdict").textContent = bad ? `! ${bad} of ${fleet.cameras.length} need a look` : `✓ ${fleet.cameras.length} cameras`;
   $("headline").textContent = `at ${moment(fleet.time)} UTC`;
-  $("cameras").replaceChildren(...fleet.cameras.map((c) => ofCamera(c, fleet.time)));
+  $("cameras").replaceChildren(...cameras.map((c) => ofCamera(c, fleet.time, checks.get(c.camera))));
+  $("checks").replaceChildren(...crossed.checks.filter((check) => check.found.length).map(ofCheck));
+  $("checks-about").textContent = crossed.night
+    ? `night of ${crossed.night}: ${crossed.checks.length} cameras beside neighbours, ${crossed.checks.filter(alarmed).length} with something wrong` : "none yet";
   $("quarantine").replaceChildren(...quarantine.rows.map((q) => row(q.camera, q.reason, q.text, String(q.n), moment(q.last_at))));
-  drawMap(fleet.cameras);
+  drawMap(cameras, wrong);
 }
 
 async function refresh() {
   try {
-    showAll(await ask("/v1/fleet"), await ask("/v1/quarantine?limit=50"));
+    showAll(await ask("/v1/fleet"), await ask("/v1/quarantine?limit=50"), await ask("/v1/cross-checks"));
     $("token-form").hidden = true;
   } catch (error) {
     $("token-form").hidden = !(error instanceof NeedsToken);

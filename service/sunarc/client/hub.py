@@ -1,0 +1,74 @@
+"""What can be asked of a hub: its fleet, and each of its cameras as an imager."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date, datetime
+from typing import Any
+
+from .imager import Imager
+from .requests import Requests, _day, _quoted, _time
+
+
+class Hub(Requests):
+    """A hub's service.
+
+    Parameters
+    ----------
+    address : as "https://fleet.example".
+    token : where reading needs one.
+    timeout_s : of one request.
+    retries : how often a request is asked again after 429, 503 or no connection, waiting longer each time.
+    """
+
+    def __init__(self, address: str, *, token: str | None = None, timeout_s: float = 30.0, retries: int = 4) -> None:
+        super().__init__(address, token=token, timeout_s=timeout_s, retries=retries)
+        self._connection = {"address": address, "token": token, "timeout_s": timeout_s, "retries": retries}
+
+    def imager(self, camera: str) -> Imager:
+        """Return one of its cameras; what changes something is refused by a hub."""
+        return Imager(**self._connection, camera=camera)  # type: ignore[arg-type]
+
+    def fleet(self) -> dict[str, Any]:
+        """Return every camera, the worst first."""
+        return self._json("/fleet")
+
+    def cross_checks(self, camera: str | None = None) -> dict[str, Any]:
+        """Return what neighbours showed last night of each camera's clock, longitude and north, alarms first."""
+        return self._json("/cross-checks", camera=camera)
+
+    def quarantine(self, camera: str | None = None, *, limit: int | None = None) -> dict[str, Any]:
+        """Return what was refused or set apart, the newest first."""
+        return self._json("/quarantine", camera=camera, limit=_count(limit))
+
+    def nights(self, *, limit: int | None = None) -> dict[str, Any]:
+        """Return how the work of the last nights went, the newest first."""
+        return self._json("/nightly", limit=_count(limit))
+
+    def summaries(
+        self,
+        camera: str | None = None,
+        *,
+        since: date | None = None,
+        until: date | None = None,
+        limit: int | None = None,
+    ) -> dict[str, Any]:
+        """Return solar days with `since` <= date < `until`, the newest first."""
+        return self._json("/summaries", camera=camera, since=_day(since), until=_day(until), limit=_count(limit))
+
+    def pair_height(
+        self,
+        first: str,
+        second: str,
+        *,
+        at: datetime,
+        first_pixel: Sequence[float],
+        second_pixel: Sequence[float],
+    ) -> dict[str, Any]:
+        """Return the height of a point that two cameras see at a time, each in its pixel (x, y)."""
+        path = f"/pairs/{_quoted(first)}/{_quoted(second)}/height"
+        return self._change(path, time=_time(at), pixel_a=list(first_pixel), pixel_b=list(second_pixel))
+
+
+def _count(number: int | None) -> str | None:
+    return None if number is None else str(number)
