@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Checks an OCI image: its layout, every blob against its digest, and that it does not run as root.
 
 deploy/container/check.py IMAGE.oci.tar

@@ -19,7 +19,18 @@ from fastapi import FastAPI
 from tests.fixtures.calibrations import SITE, chosen_calibration, refused
 
 from sunarc.api import ApiOptions, create_app
-from sunarc.archive import Archive, CameraRecord, Day, Event, ImageStore, Refit, SunPoint, open_archive, upgrade
+from sunarc.archive import (
+    Archive,
+    CameraRecord,
+    Day,
+    Event,
+    Housekeeping,
+    ImageStore,
+    Refit,
+    SunPoint,
+    open_archive,
+    upgrade,
+)
 from sunarc.calibration import (
     Calibration,
     to_document,
@@ -259,6 +270,17 @@ def fill(archive: Archive, camera: Camera = LENS) -> None:
     archive.add_calibration(refused, parent="first")
     archive.add_calibration(document("second", camera=camera), parent="first")
     archive.activate("second")
+    for n, degrees in enumerate((40.0, 43.0, None)):
+        hour = Housekeeping(
+            time=NOON - timedelta(hours=2, minutes=30) + timedelta(hours=n),
+            disk_free_bytes=10**10 - n * 10**9,
+            images_bytes=10**9,
+            temperature_c=degrees,
+            temperature_min_c=degrees,
+            temperature_max_c=degrees,
+            n_temperatures=int(degrees is not None),
+        )
+        archive.add_housekeeping("roof", [hour])
     for day, verdict in ((11, "cloudy"), (12, "clear")):
         archive.save_day(
             Day(

@@ -235,9 +235,13 @@ def has_a_history(page: Page) -> None:
     """Check that the accepted calibrations are drawn, and only those within the span that is chosen."""
     assert len(page.query_selector_all("#history-sigma .x-mark")) == 2  # of three, one was refused
     assert len(page.query_selector_all("#history-counts .bar")) == 2  # clear and hidden, of one day
+    assert len(page.query_selector_all("#history-disk .x-mark")) == 1  # one day
     page.select_option("#history-span", "7")
     assert len(page.query_selector_all("#history-sigma .x-mark")) == 1  # made eight days after the other
     assert page.inner_text("#history-sum").startswith("1 accepted")
+    page.wait_for_selector("#history-disk .x-mark >> nth=2", timeout=10_000)  # now by hour
+    assert len(page.query_selector_all("#history-temperature .range")) == 2  # of three hours one has no temperature
+    assert "by hour" in page.inner_text("#temperature-sum")
 
 
 def can_be_asked(page: Page, sun: list[float]) -> None:

@@ -21,6 +21,7 @@ from tests.fixtures.settings import new_settings
 
 from sunarc.app import Service, serving, simulating
 from sunarc.app.cameras import camera_opener, camera_record
+from sunarc.app.recording import imager_recording
 from sunarc.app.serving import Server, _monitored, _schedule, serve, with_credentials
 from sunarc.archive import ELSEWHERE, open_archive, upgrade
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
@@ -30,8 +31,10 @@ from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.runtime.heartbeats import Heartbeat
 from sunarc.runtime.preflight import listen
+from sunarc.runtime.status import DiskStatus, Reason
 from sunarc.settings import Settings
 from sunarc.simulation import ImagerOptions
+from sunarc.workers import ConditionTimesWorker, HousekeepingWorker
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 FRAME = Frame(
@@ -268,3 +271,24 @@ def test_the_simulated_imager_gets_what_the_command_was_given(monkeypatch: pytes
     assert (options.address, options.start, options.speed, options.lens_seed) == ("127.0.0.3", NOON, 60.0, 4)
     assert (options.scene.nd_transmission, options.scene.ghost_strength, options.scene.sun_cover) == (0.02, 0.1, 0.3)
     assert (options.sensor.blooming, options.scene.moon_at, options.clouds) == (0.4, (40.0, 120.0), "veil")
+
+
+def test_what_is_recorded_goes_on_over_a_restart(tmp_path: Path, camera: OpenCamera, clock: VirtualClock) -> None:
+    low = Reason(code="disk_low", severity="degraded", text="full", remedy="free some space")
+    since: list[datetime | None] = []
+    for _ in range(2):
+        running = made(new_settings(tmp_path, camera=CAMERA), camera, clock)
+        recording = {worker.name: worker.make_worker() for worker in imager_recording(running)}
+        housekeeping, conditions = recording["housekeeping"], recording["conditions"]
+        assert isinstance(housekeeping, HousekeepingWorker)
+        assert isinstance(conditions, ConditionTimesWorker)
+        running.board.set_condition("disk_low", low)
+        running.board.note(disk=DiskStatus(free_bytes=5, images_bytes=7))
+        clock.advance(100.0)
+        conditions.step()
+        housekeeping.step()
+        housekeeping.store()
+        since += [reason.since for reason in running.board.snapshot().reasons if reason.code == "disk_low"]
+        assert running.archive.housekeeping(running.settings.name, step="hour")[0].disk_free_bytes == 5
+        running.archive.close()
+    assert since[0] == since[1] == clock.now() - timedelta(seconds=200.0)

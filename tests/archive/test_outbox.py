@@ -15,7 +15,18 @@ import pytest
 from tests.archive.test_calibrations import document
 from tests.fixtures.fleet import NOON, new_imager, sighting
 
-from sunarc.archive import Archive, Day, DayAir, Event, FeedRow, Refit, feed_lines, open_archive, read_feed_lines
+from sunarc.archive import (
+    Archive,
+    Day,
+    DayAir,
+    Event,
+    FeedRow,
+    Housekeeping,
+    Refit,
+    feed_lines,
+    open_archive,
+    read_feed_lines,
+)
 from sunarc.archive.feed_rows import FED, STATUS, columns_of, problem_of
 from sunarc.archive.outbox import _triggers
 from sunarc.archive.tables import metadata
@@ -60,10 +71,13 @@ def test_every_kind_of_row_is_queued_with_all_its_columns_in_the_order_of_the_ch
     imager.add_calibration(document("a"))
     imager.request_refit(Refit(id="r", camera="roof", requested_at=NOON, reason="asked"))
     imager.add_event(Event(time=NOON, kind="start", severity="info", text="begun", details={"a": 1.5}))
+    imager.add_housekeeping(
+        "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=0.1, n_temperatures=1)]
+    )
     rows = waiting(imager)
     expected = ["camera", "pose_epoch", "sun_point", "sun_point", "day", "day_air", "calibration", "refit", "event"]
-    assert [row.kind for row in rows] == expected
-    assert [row.seq for row in rows] == list(range(1, 10))
+    assert [row.kind for row in rows] == [*expected, "housekeeping", "housekeeping"]  # an hour and a day
+    assert [row.seq for row in rows] == list(range(1, 12))
     for row in rows:
         assert row.data is not None
         assert set(row.data) == set(columns_of(row.kind))
@@ -75,7 +89,10 @@ def test_every_table_is_sent_or_left_out_for_a_reason() -> None:
     of_its_own_receivers = {"notice", "notice_position", "notice_sink"}
     made_on_the_hub = {"day_summary", "nightly_run"}
     names_rows_by_the_imagers_own_ids = {"used_sightings"}
-    left_out = of_the_feed | of_its_own_receivers | made_on_the_hub | names_rows_by_the_imagers_own_ids
+    of_the_service_alone = {"condition"}
+    left_out = (
+        of_the_service_alone | of_the_feed | of_its_own_receivers | made_on_the_hub | names_rows_by_the_imagers_own_ids
+    )
     assert set(FED) == set(metadata.tables) - left_out
     assert len(dict(_triggers())) == 3 * len(FED)
 
@@ -175,6 +192,26 @@ def test_a_trigger_that_is_missing_has_all_rows_queued_again(imager: Archive, tm
     assert kinds(imager) == ["camera", "pose_epoch", "sun_point", "sun_point"]
     assert waiting(imager)[0].seq > 3
     assert imager.outbox_position().installation != former
+
+
+def test_of_a_kind_that_a_former_version_did_not_send_the_rows_alone_are_queued(
+    imager: Archive, tmp_path: Path
+) -> None:
+    imager.add_sun_points([sighting(0)])
+    forget(imager)
+    former = imager.outbox_position()
+    with closing(sqlite3.connect(tmp_path / "roof.sqlite")) as hand, hand:
+        for change in ("insert", "update", "delete"):
+            hand.execute(f"DROP TRIGGER outbox_housekeeping_{change}")
+    imager.add_housekeeping("roof", [Housekeeping(time=NOON, disk_free_bytes=1)])
+    assert kinds(imager) == []
+    assert not imager.enable_outbox()
+    assert kinds(imager) == ["housekeeping", "housekeeping"]
+    assert imager.outbox_position() == former
+    imager.add_housekeeping("roof", [Housekeeping(time=NOON, disk_free_bytes=0)])
+    assert kinds(imager) == ["housekeeping"] * 4
+    assert not imager.enable_outbox()
+    assert kinds(imager) == ["housekeeping"] * 4
 
 
 def test_without_a_hub_nothing_is_queued(imager: Archive) -> None:

@@ -17,6 +17,7 @@ from sunarc.archive import (
     Event,
     FeedBatch,
     FeedRow,
+    Housekeeping,
     NightlyRun,
     Refit,
     Refusal,
@@ -56,6 +57,10 @@ def filled(archive: Archive, path: Path) -> Path:
     archive.add_event(Event(time=NOON, kind="note", severity="info", text="here", camera="roof"))
     _feed(archive)
     _notify(archive)
+    archive.add_housekeeping(
+        "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=40.5, n_temperatures=1)]
+    )
+    archive.save_condition_times("roof", {"disk_low": NOON})
     archive.summarise_days()
     archive.save_nightly(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()
@@ -93,8 +98,12 @@ def everything(path: Path) -> dict[str, Rows]:
 def shared(left: dict[str, Rows], right: dict[str, Rows]) -> tuple[dict[str, Rows], dict[str, Rows]]:
     """Return what both revisions can hold, as either holds it."""
     columns = {name: left[name][0].keys() & right[name][0].keys() for name in left.keys() & right.keys()}
+    unknown = (left.keys() | right.keys()) - columns.keys()  # rows of these cannot be sent by the older one
     cut = [
-        {name: [{key: row[key] for key in keys} for row in held[name]] for name, keys in columns.items()}
+        {
+            name: [{key: row[key] for key in keys} for row in held[name] if row.get("kind") not in unknown]
+            for name, keys in columns.items()
+        }
         for held in (left, right)
     ]
     return cut[0], cut[1]

@@ -46,6 +46,7 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "POST /v1/epochs/{epoch_id}/close": lambda imager: imager.close_epoch("roof-1", reason="r"),
     "GET /v1/events": lambda imager: list(imager.past_events(severity="alarm")),
     "GET /v1/events/stream": lambda imager: next(imager.events()),
+    "GET /v1/housekeeping": lambda imager: imager.housekeeping(step="day", since=AT),
     "GET /v1/image/latest": lambda imager: imager.latest_image(width=64),
     "GET /v1/images": lambda imager: list(imager.images(since=AT)),
     "GET /v1/images/{time}": lambda imager: imager.image(AT, form="jpeg", width=64),

@@ -40,6 +40,7 @@ from sunarc.api.routes.directions import direction_routes
 from sunarc.api.routes.event_stream import event_stream_routes
 from sunarc.api.routes.geolocation import geolocation_routes
 from sunarc.api.routes.health import health_routes
+from sunarc.api.routes.housekeeping import housekeeping_routes
 from sunarc.api.routes.images import image_routes
 from sunarc.api.routes.maps import map_routes
 from sunarc.api.routes.masks import mask_routes
@@ -219,6 +220,7 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         sun_routes(context),
         overlay_routes(context),
         record_routes(context),
+        housekeeping_routes(context),
         event_stream_routes(context),
         image_routes(context),
         remap_routes(context, files),

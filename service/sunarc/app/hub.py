@@ -9,6 +9,7 @@ import socket
 import sunarc
 from sunarc.api import create_hub_app
 from sunarc.app.pushing import fleet_states, push_workers
+from sunarc.app.recording import hub_recording
 from sunarc.app.serving import LOOP_STALE_S, new_server, stop_on_signals, with_credentials
 from sunarc.app.supervision import running, supervised
 from sunarc.archive import Archive, open_archive
@@ -69,7 +70,7 @@ def _serve_at(listening: socket.socket, archive: Archive, settings: HubSettings)
     stop_on_signals(server)
     with (
         supervised(
-            workers,
+            (*workers, *hub_recording(archive, board, clock)),
             clock=clock,
             board=board,
             feed=notifier.watchdog,

@@ -22,6 +22,7 @@ from fastapi import FastAPI
 from sunarc.api import ApiOptions, BoundedConnection, create_app
 from sunarc.app.cameras import camera_opener, require_stored_site
 from sunarc.app.pushing import imager_states, push_workers
+from sunarc.app.recording import imager_recording
 from sunarc.app.service import Service
 from sunarc.app.status_line import FirstFrame, StatusLine
 from sunarc.app.supervision import running, supervised
@@ -76,6 +77,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         open_camera=camera_opener(settings, clock),
         recovered=recovered,
     )
+    recording = imager_recording(service)
     notifier = notifier_from(os.environ)
     status = StatusLine(
         notifier, snapshot=service.board.snapshot, address=_address(settings), monotonic=clock.monotonic
@@ -89,7 +91,7 @@ def _serve_at(listening: socket.socket, settings: Settings) -> int:
         stack.callback(service.archive.close)
         supervisor = stack.enter_context(
             supervised(
-                (*service.workers(), *_push_workers(service)),
+                (*service.workers(), *recording, *_push_workers(service)),
                 clock=clock,
                 board=service.board,
                 feed=notifier.watchdog,

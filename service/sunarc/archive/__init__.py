@@ -1,10 +1,11 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts` · `values feed_values
-cross_check` its values · `tables types` the schema · `engine server store` connections and transactions · `schema
-migrating` revisions · `outbox feeds feed_rows` what is sent to a hub · `backup recovery file lock ownership
-space_reserve` the file on disk · `images` composites · `csv_files` sightings as CSV.
+epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts housekeeping
+condition_times` · `values feed_values cross_check housekeeping_values` its values · `tables types` the schema ·
+`engine server store` connections and transactions · `schema migrating` revisions · `outbox feeds feed_rows` what is
+sent to a hub · `backup recovery file lock ownership space_reserve` the file on disk · `images` composites ·
+`csv_files` sightings as CSV.
 """
 
 from sunarc.archive.archive import Archive, open_archive
@@ -31,6 +32,7 @@ from sunarc.archive.feed_values import (
     read_feed_lines,
 )
 from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
+from sunarc.archive.housekeeping_values import Housekeeping, HousekeepingStep, merged
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.nightly import LEAST_KEPT, DaySummary, NightlyRun
@@ -106,6 +108,8 @@ __all__ = [
     "FileSighting",
     "FleetCamera",
     "Found",
+    "Housekeeping",
+    "HousekeepingStep",
     "ImageKey",
     "ImageStore",
     "NightlyRun",
@@ -135,6 +139,7 @@ __all__ = [
     "image_key",
     "lock_holder",
     "lock_state",
+    "merged",
     "newest_sound_copy",
     "open_archive",
     "prepare_database",

@@ -10,6 +10,7 @@ from typing import cast
 from sqlalchemy import URL, Engine, QueuePool
 
 from sunarc.archive.calibration_inputs import UsedSightings
+from sunarc.archive.condition_times import ConditionTimes
 from sunarc.archive.counts import Counts
 from sunarc.archive.day_air import MeasuredAir
 from sunarc.archive.days_and_events import Journal
@@ -19,6 +20,7 @@ from sunarc.archive.feeds import Feeds
 from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.fleet import FleetRegistry
+from sunarc.archive.housekeeping import HousekeepingRecord
 from sunarc.archive.nightly import Nightly
 from sunarc.archive.notices import Notices
 from sunarc.archive.outbox import Outbox
@@ -44,6 +46,8 @@ class Archive(
     Notices,
     Nightly,
     Counts,
+    HousekeepingRecord,
+    ConditionTimes,
 ):
     """The database: values in, values out; safe to use from any thread."""
 

@@ -28,6 +28,7 @@ class CameraArchive:
         self.archive = archive
         self.name = name
         self.site = site
+        self.add_housekeeping = partial(archive.add_housekeeping, name)
         self.current_calibration = partial(archive.current_calibration, name)
         self.current_epoch = partial(archive.current_epoch, name)
         self.current_model = partial(archive.current_model, name)
@@ -37,6 +38,7 @@ class CameraArchive:
         self.epochs = partial(archive.epochs, name)
         self.events = partial(archive.events, name)
         self.exclude = partial(archive.exclude, name)
+        self.expire_housekeeping = partial(archive.expire_housekeeping, name)
         self.last_served = partial(archive.last_served, name)
         self.newest_sighting_time = partial(archive.newest_sighting_time, name)
         self.observation_times = partial(archive.observation_times, name)

@@ -29,6 +29,7 @@ FED: Mapping[str, tuple[Table, tuple[str, ...]]] = {
     "calibration": (tables.calibration, ("id",)),
     "refit": (tables.refit, ("id",)),
     "event": (tables.event, ("camera", "time", "kind", "text")),
+    "housekeeping": (tables.housekeeping, ("camera", "step", "time")),
 }
 """The tables that are sent, each after those that it refers to, with what makes a row of it another one."""
 

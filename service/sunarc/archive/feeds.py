@@ -31,6 +31,7 @@ _DATED = {
     "calibration": "created_at",
     "refit": "requested_at",
     "event": "time",
+    "housekeeping": "time",
 }
 _OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
 """Tables whose key is an id: a row of another camera must not be written over."""

@@ -37,7 +37,9 @@ class DaySummary(Returned):
     n_sightings: Annotated[int, described("Sightings stored, a count.", 2880)]
     n_accepted: Annotated[int, described("Accepted ones of them.", 1440)]
     clock_error_s: Annotated[float | None, described("Largest bound of the clock's error, s.", 0.01)] = None
-    temperature_c: Annotated[float | None, described("Mean of the camera's, degrees Celsius.", 31.5)] = None
+    temperature_c: Annotated[
+        float | None, described("Mean of the air's that was measured with sightings, degrees Celsius.", 31.5)
+    ] = None
     n_warnings: Annotated[int, described("Events that are warnings or alarms, a count.", 0)] = 0
     calibration: Annotated[str | None, described("The one that answers for the day's end.", "20130514T…")] = None
     sky_rms_deg: Annotated[float | None, described("Its 1-sigma over the sky (RMS), degrees.", 0.01)] = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -17,6 +17,7 @@ from sunarc.archive.store import Store
 from sunarc.archive.tables import outbox, outbox_position
 from sunarc.errors import ConfigurationError
 
+_CHANGES = ("insert", "update", "delete")
 _TRIGGERS = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger' AND name LIKE 'outbox!_%' ESCAPE '!'"
 
 
@@ -43,7 +44,8 @@ class Outbox(Store):
         """Begin to write changes to the outbox; with all rows that there are, unless it went on without a break.
 
         A migration that makes a table anew takes its triggers away: they are compared with what they should be, and
-        where one differs all rows are queued again. Sent twice, a row is stored once.
+        where one differs all rows are queued again. Sent twice, a row is stored once. Of a kind that a former version
+        did not send the rows are queued, and no others.
 
         Returns
         -------
@@ -54,7 +56,13 @@ class Outbox(Store):
         wanted = dict(_triggers())
         with self._writing() as connection:
             present = {str(name): str(sql) for name, sql in connection.execute(text(_TRIGGERS))}
-            if present == wanted and connection.scalar(select(func.count()).select_from(outbox_position)) == 1:
+            begun = connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+            new = [kind for kind in FED if not present.keys() & _names(kind)]
+            others = {name: sql for name, sql in wanted.items() if not any(name in _names(kind) for kind in new)}
+            if begun and present and present == others:
+                for name in wanted.keys() - others.keys():
+                    connection.exec_driver_sql(wanted[name])
+                _queue(connection, new)
                 return False
             _drop(connection, present)
             for sql in wanted.values():
@@ -147,7 +155,11 @@ def _drop(connection: Connection, names: Mapping[str, str] | list[str]) -> None:
 def _queue_all(connection: Connection) -> None:
     """Queue every row as it is now, in the order of the tables' references and in which rows were made."""
     connection.execute(delete(outbox))
-    for kind in FED:
+    _queue(connection, FED)
+
+
+def _queue(connection: Connection, kinds: Iterable[str]) -> None:
+    for kind in kinds:
         values = _object(kind, kind)
         # constants of this module, and names of tables
         rows = f'SELECT \'{kind}\', {values} FROM "{kind}" ORDER BY "{kind}".rowid'  # noqa: S608
@@ -161,12 +173,17 @@ def _triggers() -> Iterator[tuple[str, str]]:
         stored = f"INSERT INTO outbox (kind, data) VALUES ('{kind}', {_object(kind, 'NEW')});"  # noqa: S608 - constants
         removed = f"INSERT INTO outbox (kind, data) SELECT '{kind}{REMOVED}', {_object(kind, 'OLD', only=key)}"
         for event, condition, actions in (
-            ("INSERT", "", stored),
-            ("UPDATE", f"WHEN {changed} ", f"{removed} WHERE {moved}; {stored}"),
-            ("DELETE", "", f"{removed};"),
+            ("insert", "", stored),
+            ("update", f"WHEN {changed} ", f"{removed} WHERE {moved}; {stored}"),
+            ("delete", "", f"{removed};"),
         ):
-            name = f"outbox_{kind}_{event.lower()}"
-            yield name, f'CREATE TRIGGER "{name}" AFTER {event} ON "{kind}" {condition}BEGIN {actions} END'
+            name = f"outbox_{kind}_{event}"
+            yield name, f'CREATE TRIGGER "{name}" AFTER {event.upper()} ON "{kind}" {condition}BEGIN {actions} END'
+
+
+def _names(kind: str) -> set[str]:
+    """Return the names of a table's triggers."""
+    return {f"outbox_{kind}_{event}" for event in _CHANGES}
 
 
 def _object(kind: str, row: str, *, only: tuple[str, ...] | None = None) -> str:

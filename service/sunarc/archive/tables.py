@@ -22,6 +22,7 @@ from sqlalchemy import (
     text,
 )
 
+from sunarc.archive.housekeeping_values import HousekeepingStep
 from sunarc.archive.types import CalendarDate, FindingTuple, JsonObject, Number, NumberTuple, UtcTime, Word
 from sunarc.archive.values import CalibrationState, DayVerdict, EventSeverity, RefitState
 
@@ -318,4 +319,23 @@ nightly_run = Table(
     Column("started_at", UtcTime, nullable=False),
     Column("finished_at", UtcTime),
     Column("results", JsonObject, nullable=False),
+)
+
+housekeeping = Table(
+    "housekeeping",
+    metadata,
+    Column("camera", Text, primary_key=True),  # no reference: disks fill before a camera has answered
+    Column("step", Word(get_args(HousekeepingStep)), primary_key=True),
+    Column("time", UtcTime, primary_key=True),
+    *(Column(name, BigInteger) for name in ("disk_free_bytes", "images_bytes")),
+    *(Column(name, Number) for name in ("temperature_c", "temperature_min_c", "temperature_max_c")),
+    Column("n_temperatures", Integer, nullable=False),
+)
+
+condition = Table(
+    "condition",
+    metadata,
+    Column("camera", Text, primary_key=True),
+    Column("code", Text, primary_key=True),
+    Column("since", UtcTime, nullable=False),
 )

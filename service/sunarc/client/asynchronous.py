@@ -75,6 +75,7 @@ class AsyncImager:
     uncertainty = _in_thread(Imager.uncertainty)
     difference = _in_thread(Imager.difference)
     sightings_by_day = _in_thread(Imager.sightings_by_day)
+    housekeeping = _in_thread(Imager.housekeeping)
     day_air = _in_thread(Imager.day_air)
     set_day_air = _in_thread(Imager.set_day_air)
     cameras = _in_thread(Imager.cameras)

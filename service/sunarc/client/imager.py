@@ -254,13 +254,17 @@ class Imager(Requests):
 
     def sightings_by_day(self, *, since: date | None = None, until: date | None = None) -> list[dict[str, Any]]:
         """Return how many looks at the sun had which verdict on each solar day, the newest first; 366 days at most."""
-        found = self._json("/sun-points/days", since=_day(since), until=_day(until))
-        with _expected_content():
-            return list(found["days"])
+        return self._listed("/sun-points/days", "days", since=_day(since), until=_day(until))
 
     def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:
         """Yield the verdicts of the solar days with since <= date < until, the newest first."""
         return self._pages("/days", "days", since=_day(since), until=_day(until))
+
+    def housekeeping(
+        self, *, step: str = "hour", since: datetime | None = None, until: datetime | None = None
+    ) -> list[dict[str, Any]]:
+        """Return free disk space and the camera's temperature by "hour" or "day", the newest first."""
+        return self._listed("/housekeeping", "rows", step=step, since=_time(since), until=_time(until))
 
     def day_air(self, day: date) -> dict[str, Any]:
         """Return the air that was measured on a solar day."""

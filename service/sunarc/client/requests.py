@@ -50,6 +50,12 @@ class Requests:
         with _expected_content():
             return dict(json.loads(content))
 
+    def _listed(self, path: str, name: str, **query: str | None) -> list[dict[str, Any]]:
+        """Return the rows of an answer that has no pages."""
+        found = self._json(path, **query)
+        with _expected_content():
+            return list(found[name])
+
     def _arrays(self, path: str, **query: str | None) -> dict[str, NDArray[Any]]:
         content = self._content(path, format="npz", **query)
         with _expected_content(), np.load(io.BytesIO(content), allow_pickle=False) as found:

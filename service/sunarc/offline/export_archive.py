@@ -8,12 +8,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from datetime import date, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sunarc.archive import Archive, CameraRecord, Day, DayAir, Event, PoseEpoch, Refit, SunPoint, open_archive
+from sunarc.archive import (
+    Archive,
+    CameraRecord,
+    Day,
+    DayAir,
+    Event,
+    Housekeeping,
+    HousekeepingStep,
+    PoseEpoch,
+    Refit,
+    SunPoint,
+    open_archive,
+)
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError, OutsideError
 from sunarc.exports import Table, Variable, netcdf_bytes
@@ -76,8 +88,18 @@ def _write(archive: Archive, folder: Path) -> dict[str, int]:
         ),
         "refits.csv": _write_csv(folder / "refits.csv", Refit, [fit for name in names for fit in archive.refits(name)]),
         "events.csv": _write_csv(folder / "events.csv", Event, archive.events()),
+        **{
+            f"housekeeping_{step}.csv": _write_housekeeping(archive, folder, names, step)
+            for step in get_args(HousekeepingStep)
+        },
         "calibrations/": len(calibrations),
     }
+
+
+def _write_housekeeping(archive: Archive, folder: Path, cameras: Sequence[str], step: HousekeepingStep) -> int:
+    """Write disk space and temperature of all cameras; the folder has one imager's archive, so mostly of one."""
+    rows = [row for camera in cameras for row in archive.housekeeping(camera, step=step)]
+    return _write_csv(folder / f"housekeeping_{step}.csv", Housekeeping, rows)
 
 
 def _columns(kind: type[Any]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Annotated, Any, Literal, TypedDict, Unpack
@@ -46,7 +46,7 @@ class Reason(Returned):
     text: Annotated[str, described("The reason, in a sentence.", "the camera does not answer")]
     remedy: Annotated[str, described("What to do about it.", "check power, cable and address")]
     since: Annotated[
-        Time | None, described("Since when, of this run of the service, by the host's clock.", EXAMPLE_TIME)
+        Time | None, described("Since when, by the host's clock; a restart does not begin it anew.", EXAMPLE_TIME)
     ] = None
     data: Annotated[Data, PydanticField(exclude=True)] = field(default_factory=dict)
 
@@ -204,6 +204,8 @@ class StatusRegistry:
         self._noted = StatusSnapshot(version=version, started_at=started_at)
         self._workers: dict[str, tuple[WorkerStatus, float]] = {}
         self._reasons: dict[str, Reason] = {}
+        self._earlier: dict[str, datetime] = {}
+        self._earlier_until_s = 0.0
 
     def set_worker(self, status: WorkerStatus) -> None:
         """Write how a worker is, in place of what was written before."""
@@ -222,7 +224,7 @@ class StatusRegistry:
         with self._lock:
             before = self._reasons.pop(code, None)
             if reason is not None:
-                since = self._now() if before is None else before.since
+                since = self._since(code) if before is None else before.since
                 self._reasons[code] = replace(reason, since=since)
         # Logged outside the lock: the log's handler may block on the journal's socket.
         if not log or (before is None) == (reason is None):
@@ -237,6 +239,34 @@ class StatusRegistry:
         """Set one condition of several that exclude each other, or none of them (None)."""
         for code in codes:
             self.set_condition(code, reason if reason is not None and reason.code == code else None, log=log)
+
+    def resume(self, earlier: Mapping[str, datetime], *, within_s: float) -> None:
+        """Take over since when conditions held before a restart; one that ends and is set again begins anew.
+
+        Parameters
+        ----------
+        earlier : the times by code.
+        within_s : a condition that is first set later than this from now on is a new one.
+        """
+        with self._lock:
+            now = self._now()
+            self._earlier_until_s = self._monotonic() + within_s
+            for code, since in earlier.items():
+                present = self._reasons.get(code)
+                if present is None:
+                    self._earlier[code] = since
+                elif since < (present.since or now):
+                    self._reasons[code] = replace(present, since=since)
+
+    def awaited(self) -> Mapping[str, datetime]:
+        """Return since when the conditions held that were taken over and may still be set again."""
+        with self._lock:
+            return dict(self._earlier) if self._monotonic() < self._earlier_until_s else {}
+
+    def _since(self, code: str) -> datetime:
+        """Return since when a condition holds that is set now."""
+        now, earlier = self._now(), self._earlier.pop(code, None)
+        return now if earlier is None or self._monotonic() >= self._earlier_until_s else min(earlier, now)
 
     def _now(self) -> datetime:
         """Return the time by the clock that dated the start; a later step of that clock is not followed."""

@@ -10,11 +10,13 @@ from sunarc.workers.capture.capture import CaptureOptions, CaptureWorker
 from sunarc.workers.capture.overdue_sightings import OverdueSightings
 from sunarc.workers.capture.replay import ReplayWorker
 from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.condition_times import ConditionTimesWorker
 from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.feeding.feed import FeedWorker
 from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
 from sunarc.workers.fit_input import points_of
+from sunarc.workers.housekeeping import HousekeepingWorker
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.neighbours import cross_check_fleet
@@ -39,6 +41,7 @@ __all__ = [
     "ClockOptions",
     "ClockWatch",
     "ComposeWorker",
+    "ConditionTimesWorker",
     "DatabaseWorker",
     "DayJudge",
     "DetectWorker",
@@ -48,6 +51,7 @@ __all__ = [
     "FirstPose",
     "FrameTime",
     "FrozenFrames",
+    "HousekeepingWorker",
     "HubConnection",
     "HubOptions",
     "LensPriorOptions",

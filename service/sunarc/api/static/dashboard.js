@@ -25,9 +25,10 @@ const MORE_EVENTS = 50;
 const MOST_EVENTS = 1000;
 const CALENDAR_DAYS = 182;
 const COUNTED_DAYS = 366; // as many as are counted at once
+const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
-  status: null, points: [], calibrations: [], days: [], counts: [], overlay: null, sun: null, asked: null, calibration: undefined,
-  residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+  status: null, points: [], calibrations: [], days: [], counts: [], housekeeping: { step: "hour", rows: [] },
+  overlay: null, sun: null, asked: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
 function showHealth(health, headline) {
@@ -157,12 +158,16 @@ async function refreshResiduals() {
 async function refreshRecord() {
   const days = spanDays();
   const until = (known.status?.frame_time ?? "").slice(0, 10);
-  const since = until ? new Date(Date.parse(until) - (Math.min(days, COUNTED_DAYS) - 1) * 86400000).toISOString().slice(0, 10) : null;
-  const [record, calibrations, counts] = await Promise.all([
+  const before = (count) => new Date(Date.parse(until) - (count - 1) * 86400000).toISOString().slice(0, 10);
+  const since = until ? before(Math.min(days, COUNTED_DAYS)) : null;
+  const step = days > MOST_HOURLY_DAYS ? "day" : "hour";
+  const [record, calibrations, counts, housekeeping] = await Promise.all([
     ask(`/v1/days?limit=${Math.max(CALENDAR_DAYS, days)}`), ask("/v1/calibrations?limit=1000"),
-    ask(`/v1/sun-points/days?${since ? `since=${since}` : ""}`), refreshEvents(),
+    ask(`/v1/sun-points/days?${since ? `since=${since}` : ""}`),
+    ask(`/v1/housekeeping?step=${step}${until ? `&since=${before(days)}T00:00:00Z` : ""}`), refreshEvents(),
   ]);
   [known.days, known.calibrations, known.counts] = [record.days, calibrations.calibrations, counts.days];
+  known.housekeeping = housekeeping;
   drawCalendar(known.days.slice(0, CALENDAR_DAYS), known.status?.frame_time);
   redrawHistory();
   offerComparison(known.calibrations);
@@ -171,7 +176,7 @@ async function refreshRecord() {
   ]), "None yet: the first one follows the first clear day.");
 }
 
-const redrawHistory = () => drawHistory(known.calibrations, known.days, known.counts);
+const redrawHistory = () => drawHistory(known.calibrations, known.days, known.counts, known.housekeeping);
 
 async function refreshEvents() {
   const filters = { kind: $("event-kind").value.trim(), severity: $("event-severity").value };

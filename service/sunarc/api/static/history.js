@@ -8,7 +8,7 @@ const VERDICTS = 6; // shades that tell them apart
 
 export const spanDays = () => Number($("history-span").value);
 
-export function drawHistory(calibrations, days, counts) {
+export function drawHistory(calibrations, days, counts, housekeeping) {
   drawCalibrations(calibrations);
   const within = (rows) => { // of the span that ends with the newest row
     const dated = rows.map((row) => ({ ...row, at: Date.parse(row.date) }));
@@ -17,6 +17,7 @@ export function drawHistory(calibrations, days, counts) {
   };
   drawOffsets(within(days).filter((day) => day.pose_offset_deg));
   drawCounts(within(counts));
+  drawHousekeeping(within(housekeeping.rows.map((row) => ({ ...row, date: row.time }))), housekeeping.step);
 }
 
 function drawCalibrations(calibrations) {
@@ -62,6 +63,26 @@ function drawCounts(days) {
   }
   $("history-counts").replaceChildren(...frame.parts);
   draw("history-clock", [["x-mark", days.filter((day) => day.clock_error_s !== null).map((day) => [day.at, day.clock_error_s])]]);
+}
+
+// Free space, and the temperature as its mean with a line from the lowest to the highest, by hour or by day.
+function drawHousekeeping(rows, step) {
+  const space = rows.filter((row) => row.disk_free_bytes !== null);
+  $("disk-plot").hidden = !space.length;
+  $("disk-sum").textContent = `Least free disk space by ${step}, GB`;
+  if (space.length) draw("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]]);
+  const warm = rows.filter((row) => row.temperature_c !== null);
+  $("temperature-plot").hidden = !warm.length;
+  $("temperature-sum").textContent = `Temperature of the camera by ${step}: mean, lowest and highest, °C`;
+  if (!warm.length) return;
+  const [low, high] = [Math.min(...warm.map((row) => row.temperature_min_c)), Math.max(...warm.map((row) => row.temperature_max_c))];
+  const margin = Math.max(0.1 * (high - low), 0.5);
+  const frame = axes("history-temperature", warm.map((row) => row.at), low - margin, high + margin);
+  for (const row of warm) {
+    const x = frame.x(row.at);
+    frame.parts.push(element("path", { class: "range", d: `M${x} ${frame.y(row.temperature_min_c)}V${frame.y(row.temperature_max_c)}` }), symbol("y-mark", x, frame.y(row.temperature_c), 2));
+  }
+  $("history-temperature").replaceChildren(...frame.parts);
 }
 
 function keyed(mark, text, viewBox = "0 0 10 10") {
