@@ -25,16 +25,17 @@ class HubProcess:
     folder : for its settings and its log.
     store : its database.
     within : the network that it listens in; loopback unless given.
+    settings : more of them, as TOML.
     """
 
-    def __init__(self, folder: Path, store: URL, *, within: Network | None = None) -> None:
+    def __init__(self, folder: Path, store: URL, *, within: Network | None = None, settings: str = "") -> None:
         self.address = ("127.0.0.1" if within is None else within.host, free_port())
         self.log = folder / "hub.log"
         self._enter = [] if within is None else within.enter()
         self._config = folder / "hub.toml"
         address = store.render_as_string(hide_password=False)
         host, port = self.address
-        self._config.write_text(f'store = "{address}"\n[api]\nhost = "{host}"\nport = {port}\n')
+        self._config.write_text(f'store = "{address}"\n[api]\nhost = "{host}"\nport = {port}\n{settings}')
         self.start()
 
     @property

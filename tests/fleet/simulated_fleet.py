@@ -51,16 +51,10 @@ class Imager:
     def __init__(self, folder: Path, name: str, link: Link, token: Path) -> None:
         self.name, self.link = name, link
         self.archive = new_imager(folder, name)
+        self.file = folder / f"{name}.sqlite"
+        self.options = HubOptions(url=f"http://127.0.0.1:{link.port}", token_file=token)
         self._stop = threading.Event()
-        clock = SystemClock()
-        options = HubOptions(url=f"http://127.0.0.1:{link.port}", token_file=token)
-        worker = FeedWorker(
-            camera=CameraArchive(self.archive, name=name, site=Site(latitude=36.6, longitude=-97.5)),
-            send=HubConnection(options, camera=name).send,
-            clock=clock,
-            board=StatusRegistry(version="1", started_at=clock.now(), monotonic=clock.monotonic),
-            every_s=0.05,
-        )
+        worker = feed_worker(self.archive, name, self.options)
         self._thread = threading.Thread(target=worker.run, args=(self._stop, lambda: None), daemon=True)
         self.count = 0
 
@@ -88,6 +82,18 @@ class Imager:
             self._thread.join(30.0)
         self.link.close()
         self.archive.close()
+
+
+def feed_worker(archive: Archive, name: str, options: HubOptions) -> FeedWorker:
+    """Return the worker that sends an imager's archive, without waiting between."""
+    clock = SystemClock()
+    return FeedWorker(
+        camera=CameraArchive(archive, name=name, site=Site(latitude=36.6, longitude=-97.5)),
+        send=HubConnection(options, camera=name).send,
+        clock=clock,
+        board=StatusRegistry(version="1", started_at=clock.now(), monotonic=clock.monotonic),
+        every_s=0.05,
+    )
 
 
 @dataclass

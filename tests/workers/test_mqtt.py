@@ -8,7 +8,9 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from tests.workers.test_webhook import certificate
 
 from sunarc.archive import CameraState
 from sunarc.errors import ConfigurationError
+from sunarc.runtime.clock import VirtualClock
 from sunarc.workers import MqttBroker, PushOptions
 from sunarc.workers.pushing import mqtt, push
 
@@ -238,3 +241,84 @@ def test_a_worker_runs_and_stops(bench: Pushing, broker: Mosquitto) -> None:
     thread.join(5.0)
     assert listener.of(THERE) == ["online", "offline"]
     listener.close()
+
+
+class Distance:
+    """A way to a broker on which every part takes its time."""
+
+    def __init__(self, port: int, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        self._broker = socket.create_connection(("127.0.0.1", port))
+        self._thread = threading.Thread(target=self._accept, daemon=True)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        client, _ = self._listening.accept()
+        with client, self._broker:
+            ways = [
+                threading.Thread(target=self._carry, args=ends, daemon=True)
+                for ends in ((client, self._broker), (self._broker, client))
+            ]
+            for way in ways:
+                way.start()
+            for way in ways:
+                way.join()
+
+    def _carry(self, source: socket.socket, target: socket.socket) -> None:
+        with suppress(OSError):
+            while part := source.recv(65_536):
+                threading.Event().wait(self._delay_s)
+                target.sendall(part)
+        with suppress(OSError):
+            target.shutdown(socket.SHUT_WR)
+
+    def close(self) -> None:
+        self._thread.join(10.0)
+        self._listening.close()
+
+
+def test_the_states_of_a_fleet_do_not_wait_for_one_another(bench: Pushing, broker: Mosquitto) -> None:
+    states = {f"c{n}": CameraState(health="ready") for n in range(40)}
+    distance = Distance(broker.port, 0.02)
+    far = MqttBroker(
+        PushOptions(mqtt=f"mqtt://127.0.0.1:{distance.port}"), states=lambda: states, clock=bench.clock, client="hub"
+    )
+    begun_s = bench.clock.monotonic()
+    far.refresh()
+    assert bench.clock.monotonic() - begun_s < 4.0  # 240 messages one by one take 9.6 s on the way alone
+    far.close(orderly=False)
+    distance.close()
+    kept = retained(broker.port)
+    assert [kept[f"sunarc/c{n}/state"]["health"] for n in range(40)] == ["ready"] * 40
+
+
+def test_states_that_take_long_go_on_at_the_next_call_and_equal_ones_are_not_looked_at_again(
+    broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = VirtualClock(datetime(2026, 6, 1, tzinfo=UTC))
+    states = {f"c{n}": CameraState(health="ready") for n in range(5)}
+    made: list[str] = []
+
+    def slowly(camera: str, state: CameraState, *, availability: str) -> Iterator[tuple[str, str]]:
+        made.append(camera)
+        clock.advance(2.0)
+        yield f"{camera}/{availability}", state.health
+
+    monkeypatch.setattr(mqtt, "retained", slowly)
+    near = MqttBroker(
+        PushOptions(mqtt=f"mqtt://127.0.0.1:{broker.port}"), states=lambda: states, clock=clock, client="hub"
+    )
+    near.refresh()
+    assert made == ["c0", "c1", "c2"]  # 5 s were over
+    near.refresh()
+    near.refresh()
+    assert made == ["c0", "c1", "c2", "c3", "c4"]
+    states["c1"] = CameraState(health="degraded")
+    near.refresh()
+    assert made[5:] == ["c1"]
+    near.close(orderly=True)
+    near.refresh()  # another connection begins with all
+    assert made[6:] == ["c0", "c1", "c2"]
+    near.close(orderly=True)

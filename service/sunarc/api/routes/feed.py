@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import re
 import zlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from datetime import datetime
 from http import HTTPStatus
 from typing import Annotated
@@ -25,6 +27,10 @@ from sunarc.json_fields import described
 
 _MOST_BYTES = 64_000_000
 """Of a body when it is decompressed; an imager sends a million at once, and one calibration has a few."""
+_LARGE_BYTES = 10_000
+"""Of a compressed body, about 200 rows: what an imager sends that was away."""
+_LARGE_AT_ONCE = 2
+"""Large bodies that are stored at the same time; the others wait for one another, and small ones for none of them."""
 _STATUS: dict[Reason, HTTPStatus] = {
     "unknown_camera": HTTPStatus.NOT_FOUND,
     "forged_token": HTTPStatus.UNAUTHORIZED,
@@ -118,6 +124,7 @@ def token_digest(token: str) -> str:
 def feed_routes(receiver: FeedReceiver) -> APIRouter:
     """Return the route that takes what imagers send."""
     routes = APIRouter(tags=["fleet"])
+    large = asyncio.Semaphore(_LARGE_AT_ONCE)
 
     @routes.put("/v1/cameras/{camera}/feed", responses=answers(401, 404, 408, 409, 413, 422))
     async def feed(
@@ -129,15 +136,17 @@ def feed_routes(receiver: FeedReceiver) -> APIRouter:
         """
         scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
         body = await request.body()
-        committed = await run_in_threadpool(
-            receiver.take,
-            camera=camera,
-            token=token if scheme.lower() == "bearer" else "",
-            installation=installation,
-            revision=revision,
-            after=after,
-            body=body,
-        )
+        # After a failure of the hub all imagers catch up: without a limit they would have every thread of the pool.
+        async with large if len(body) > _LARGE_BYTES else nullcontext():
+            committed = await run_in_threadpool(
+                receiver.take,
+                camera=camera,
+                token=token if scheme.lower() == "bearer" else "",
+                installation=installation,
+                revision=revision,
+                after=after,
+                body=body,
+            )
         return Committed(committed=committed)
 
     return routes

@@ -6,6 +6,7 @@ import json
 import re
 import ssl
 import urllib.parse
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,10 @@ _DISCOVERY = "homeassistant"
 _WITHIN_S = 10.0
 """For a connection, and for the receipt of one message."""
 _TURN_S = 0.1
+_REFRESH_S = 5.0
+"""For the states of a fleet at once: notices and signs of life come between."""
+_UNDER_WAY = 20
+"""States that are sent before the first of them is confirmed: 1000 cameras one by one would take 6000 round trips."""
 _KEEP_ALIVE_S = 30
 """The broker takes a client for gone, and publishes its last will, after 1.5 times as long without a sign of life."""
 _ONLINE, _OFFLINE = "online", "offline"
@@ -65,16 +70,28 @@ class MqttBroker:
         self._connection: Client | None = None
         self._accepted: list[str | None] = []
         self._kept: dict[str, str] = {}
+        self._shown: dict[str, CameraState] = {}
 
     def refresh(self) -> None:
-        """Keep the connection, and publish what changed of the cameras' states."""
+        """Keep the connection, and publish what changed of the cameras' states; what takes long goes on next time."""
         client = self._connected()
         self._turn(client, 0.0)
+        until_s = self._clock.monotonic() + _REFRESH_S
+        under_way: deque[MQTTMessageInfo] = deque()
         for camera, state in self._states().items():
+            if self._shown.get(camera) == state:
+                continue
+            if self._clock.monotonic() > until_s:
+                break
             for topic, payload in retained(camera, state, availability=self._availability):
                 if self._kept.get(topic) != payload:
-                    self._publish(client, topic, payload, retain=True)
+                    under_way.append(self._send(client, topic, payload, retain=True))
                     self._kept[topic] = payload
+            self._shown[camera] = state  # where a receipt does not come, the connection and all this is dropped
+            while len(under_way) > _UNDER_WAY:
+                self._wait_for(client, under_way.popleft())
+        for info in under_way:
+            self._wait_for(client, info)
 
     def deliver(self, notice: Notice) -> None:
         """Publish a notice, and wait for the broker's receipt."""
@@ -84,6 +101,7 @@ class MqttBroker:
         """End the connection: orderly, after the message that the service is offline; else the broker publishes it."""
         client, self._connection = self._connection, None
         self._kept.clear()
+        self._shown.clear()
         if client is None:
             return
         if orderly:
@@ -128,7 +146,15 @@ class MqttBroker:
         return client
 
     def _publish(self, client: Client, topic: str, payload: str, *, retain: bool = False) -> None:
+        self._wait_for(client, self._send(client, topic, payload, retain=retain))
+
+    def _send(self, client: Client, topic: str, payload: str, *, retain: bool) -> MQTTMessageInfo:
         info: MQTTMessageInfo = client.publish(topic, payload, qos=1, retain=retain)
+        if info.rc != self._mqtt.MQTT_ERR_SUCCESS:
+            raise OutsideError(f"broker {self._host}: {self._mqtt.error_string(info.rc)}")
+        return info
+
+    def _wait_for(self, client: Client, info: MQTTMessageInfo) -> None:
         self._until(client, info.is_published, "confirmed no receipt")
 
     def _until(self, client: Client, done: Callable[[], bool], problem: str) -> None:
