@@ -22,7 +22,7 @@ from typing import NamedTuple
 from sunarc.offline.reanalysis.cameras_file import read_cameras
 from sunarc.offline.reanalysis.cluster import Workers, open_cluster
 from sunarc.offline.reanalysis.index import index_archive
-from sunarc.offline.reanalysis.ledger import ImageId, Ledger
+from sunarc.offline.reanalysis.ledger import ImageId, Known, Ledger
 from sunarc.offline.reanalysis.look import Chunk, Item, look_at
 from sunarc.offline.reanalysis.passes import CHUNK, chunks_of
 from sunarc.offline.reanalysis.plan import CameraPlan, Selector
@@ -32,6 +32,8 @@ from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_arch
 
 _AHEAD = 3
 """Chunks that wait at each worker, as in `reanalysis/cluster`."""
+_DRIVER = -1
+"""User of the processors that is no worker."""
 _MEASURED = (1, 2, 4, 8)
 _LARGE = (1, 16, 64, 256, 512)
 _EACH = 12
@@ -39,21 +41,29 @@ _EACH = 12
 
 
 class Costs(NamedTuple):
-    """What a chunk costs: processor seconds of a worker, the scheduler and the driver; MB that are read."""
+    """What a chunk costs: processor seconds of a worker, the scheduler and the driver; MB that are read.
+
+    start_s: processor seconds of a worker before its first chunk: its interpreter, imports, compiled kernels.
+    """
 
     worker_s: float
     scheduler_s: float
     driver_s: float
     read_mb: float
+    start_s: float = 0.0
 
 
 class Machine(NamedTuple):
-    """What there is: processors for the workers, MB/s of the storage and to one worker, seconds of a message."""
+    """What there is: processors for the workers, MB/s of the storage and to one worker, seconds of a message.
+
+    together: whether scheduler and driver, which are one process of this machine, share the processors of the workers.
+    """
 
     cores: float
     storage_mb_s: float
     link_mb_s: float = 100.0
     message_s: float = 0.0005
+    together: bool = False
 
 
 class Shared:
@@ -102,7 +112,9 @@ class Simulation:
         self.storage = Shared(machine.storage_mb_s, machine.link_mb_s)
         self.cores = Shared(machine.cores, 1.0)
         self.events: list[tuple[float, int, str, int]] = []
-        self.waiting, self.idle = [0] * workers, set(range(workers))
+        self.waiting, self.idle = [0] * workers, set[int]()
+        self.serving, self.looking = deque[tuple[float, str, int]](), set[int]()
+        self.cores.left = dict.fromkeys(range(workers), costs.start_s)
         for _ in range(_AHEAD):
             for worker in range(workers):
                 self._send(worker)
@@ -124,11 +136,18 @@ class Simulation:
         read, looked = self.storage.pass_time(seconds), self.cores.pass_time(seconds)
         self.now += seconds
         for worker in read:
+            self.looking.add(worker)
             self.cores.left[worker] = self.costs.worker_s
         for worker in looked:
+            if worker == _DRIVER:
+                _, then, served = self.serving.popleft()
+                self._push(self.now, then, served)
+                self._next()
+                continue
             self.idle.add(worker)
-            self._serve("driver", self.costs.driver_s, "stored", worker)
-            self._send(worker)
+            if worker in self.looking:
+                self._serve("driver", self.costs.driver_s, "stored", worker)
+                self._send(worker)
             self._start(worker)
         while self.events and self.events[0][0] <= self.now + 1e-12:
             _, _, what, worker = heapq.heappop(self.events)
@@ -140,10 +159,22 @@ class Simulation:
 
     def _serve(self, who: str, seconds: float, then: str, worker: int) -> None:
         """Let the scheduler or the driver do something, in the order of asking, and send what follows."""
-        self.free[who] = max(self.free[who], self.now) + seconds
         self.busy[who] += seconds
+        if self.machine.together:
+            self.serving.append((seconds, then, worker))
+            self._next()
+            return
+        self.free[who] = max(self.free[who], self.now) + seconds
+        self._push(self.free[who], then, worker)
+
+    def _next(self) -> None:
+        """Let the one process of scheduler and driver do the next thing that waits for it."""
+        if self.serving and _DRIVER not in self.cores.left:
+            self.cores.left[_DRIVER] = self.serving[0][0]
+
+    def _push(self, at: float, then: str, worker: int) -> None:
         self.sent += 1
-        heapq.heappush(self.events, (self.free[who] + self.machine.message_s, self.sent, then, worker))
+        heapq.heappush(self.events, (at + self.machine.message_s, self.sent, then, worker))
 
     def _send(self, worker: int) -> None:
         if self.unsent:
@@ -193,34 +224,64 @@ def compare(chunks: Sequence[Chunk], folder: Path) -> None:
     with Ledger(f"sqlite:///{folder / 'ledger.sqlite'}") as ledger:
         began = process_time()
         for found in answers:
-            rows = [(ImageId(chunks[0].address, one.file, one.number), "key", one.found) for one in found]
+            rows = [
+                (ImageId(chunks[0].address, one.file, one.number), Known("key", one.found, "stamp", one.content))
+                for one in found
+                if one.found is not None
+            ]
             ledger.store("hut", 1, rows, version="study")
         driver_s = (process_time() - began) / 4
     print(f"a chunk: worker {worker_s:.2f} s, driver {1e3 * driver_s:.1f} ms, {read_mb:.2f} MB")
-    print("| workers | measured, s | processors that others left | scheduler, ms a chunk | model, s |")
-    print("|---|---|---|---|---|")
+    print("| workers | processors left | a chunk, s | a start, s | scheduler, ms a chunk | measured, s | model, s |")
+    print("|---|---|---|---|---|---|---|")
     for workers in _MEASURED:
-        seconds, cores, scheduler_s = measured(chunks, workers)
-        costs = Costs(worker_s, scheduler_s, 0.0, read_mb)
-        model = Simulation(costs, Machine(cores, 1000.0), workers=workers, chunks=len(chunks)).run()
+        run = measured(chunks, workers)
+        costs = Costs(worker_s, run.scheduler_s, driver_s, read_mb, run.start_s)
+        machine = Machine(run.cores, 1000.0, together=True)
+        model = Simulation(costs, machine, workers=workers, chunks=len(chunks)).run()
         print(
-            f"| {workers} | {seconds:.1f} | {cores:.2f} | {1e3 * scheduler_s:.1f} | {model.seconds:.1f} |", flush=True
+            f"| {workers} | {run.cores:.2f} | {run.worker_s:.2f} | {run.start_s:.1f} | {1e3 * run.scheduler_s:.0f} | "
+            f"{run.seconds:.1f} | {model.seconds:.1f} |",
+            flush=True,
         )
 
 
-def measured(chunks: Sequence[Chunk], workers: int) -> tuple[float, float, float]:
-    """Return the seconds of a run, the processors that other processes left, and the scheduler's time for a chunk."""
+class Run(NamedTuple):
+    """A run of a cluster of this machine.
+
+    Attributes
+    ----------
+    seconds : from the start of its workers to the last answer.
+    cores : processors that other processes left meanwhile.
+    worker_s, scheduler_s : processor seconds of a chunk, of a worker and of scheduler and driver.
+    start_s : processor seconds of a worker before its first chunk is looked at.
+    """
+
+    seconds: float
+    cores: float
+    worker_s: float
+    scheduler_s: float
+    start_s: float
+
+
+def measured(chunks: Sequence[Chunk], workers: int) -> Run:
+    """Return what a run costs; its workers are started first with a chunk without images, then with one each."""
+    before, own, began = _processors(), process_time(), perf_counter()
+    nothing = chunks[0]._replace(items=())
     with open_cluster(Workers(None, workers), clock=SystemClock()) as cluster:
-        cluster.look([chunks[n % len(chunks)] for n in range(2 * workers)], lambda *_: None)  # imports
-        before, own = _processors(), process_time()
-        children = sum(map(_spent, pids := _children()))
-        began = perf_counter()
+        cluster.look([nothing] * workers, lambda *_: None)
+        started, started_own = sum(map(_spent, _children())), process_time()
         cluster.look(chunks, lambda *_: None)
         seconds = perf_counter() - began
-        scheduler_s = process_time() - own
-        spent = scheduler_s + sum(map(_spent, pids)) - children
-        others = max(_processors() - before - spent, 0.0)
-    return seconds, max((os.cpu_count() or 1) - others / seconds, 0.05), scheduler_s / len(chunks)
+        children, scheduler = sum(map(_spent, _children())), process_time()
+        others = max(_processors() - before - (scheduler - own) - children, 0.0)
+    return Run(
+        seconds,
+        max((os.cpu_count() or 1) - others / seconds, 0.05),
+        (children - started) / len(chunks),
+        (scheduler - started_own) / len(chunks),
+        (started + started_own - own) / workers,
+    )
 
 
 def _processors() -> float:

@@ -30,13 +30,21 @@ def indexed_in(folder: Path, made: MadeArchive = MADE) -> Indexed:
 
 
 def analysed(
-    indexed: Indexed, target: Path, patch: pytest.MonkeyPatch, *, exports: bool = False, most: int | None = None
+    indexed: Indexed,
+    target: Path,
+    patch: pytest.MonkeyPatch,
+    *,
+    exports: bool = False,
+    most: int | None = None,
+    store: str | None = None,
 ) -> tuple[Summary | None, InProcess]:
     """Return what a run comes to, and what it had looked at; None where it was ended after some chunks."""
     cluster = InProcess(most=most)
     use(cluster, patch)
     try:
-        summary = reanalyse(indexed, ReanalysisOptions(target=target, exports=exports), clock=SystemClock())
+        summary = reanalyse(
+            indexed, ReanalysisOptions(target=target, store=store, exports=exports), clock=SystemClock()
+        )
     except KeyboardInterrupt:
         return None, cluster
     return summary, cluster

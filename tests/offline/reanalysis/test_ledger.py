@@ -36,7 +36,7 @@ def ledger_in(folder: Path) -> Ledger:
 
 def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
-        ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k2", REFUSED)], version="1")
+        ledger.store("roof", 1, [(ONE, Known("k1", SUN)), (OTHER, Known("k2", REFUSED))], version="1")
     with ledger_in(tmp_path) as ledger:
         assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k1", SUN), OTHER: Known("k2", REFUSED)}
         assert dict(ledger.answers("roof", stage=2)) == dict(ledger.answers("mast", stage=1)) == {}
@@ -49,8 +49,8 @@ def test_a_ledger_in_postgresql_gives_the_same_answers_and_mask(postgresql: Serv
     address = url.render_as_string(hide_password=False)
     try:
         with Ledger(address) as ledger:
-            ledger.store("roof", 1, [(ONE, "k1", REFUSED), (OTHER, "k2", REFUSED)], version="1")
-            ledger.store("roof", 1, [(ONE, "k3", SUN)], version="1")
+            ledger.store("roof", 1, [(ONE, Known("k1", REFUSED)), (OTHER, Known("k2", REFUSED))], version="1")
+            ledger.store("roof", 1, [(ONE, Known("k3", SUN))], version="1")
             ledger.keep_mask("roof", mask, version="1")
         with Ledger(address) as ledger:
             assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k3", SUN), OTHER: Known("k2", REFUSED)}
@@ -60,11 +60,18 @@ def test_a_ledger_in_postgresql_gives_the_same_answers_and_mask(postgresql: Serv
         postgresql.drop(url)
 
 
+def test_what_an_answer_rests_on_is_stored_with_it(tmp_path: Path) -> None:
+    known = Known("k1", SUN, "a" * 24, "b" * 32)
+    with ledger_in(tmp_path) as ledger:
+        ledger.store("roof", 1, [(ONE, known)], version="1")
+        assert dict(ledger.answers("roof", stage=1)) == {ONE: known}
+
+
 def test_an_answer_that_is_stored_again_replaces_the_former_one_of_its_pass(tmp_path: Path) -> None:
     with ledger_in(tmp_path) as ledger:
-        ledger.store("roof", 1, [(ONE, "k1", SUN), (OTHER, "k1", SUN)], version="1")
-        ledger.store("roof", 2, [(ONE, "k1", SUN)], version="1")
-        ledger.store("roof", 1, [(ONE, "k2", REFUSED)], version="1")
+        ledger.store("roof", 1, [(ONE, Known("k1", SUN)), (OTHER, Known("k1", SUN))], version="1")
+        ledger.store("roof", 2, [(ONE, Known("k1", SUN))], version="1")
+        ledger.store("roof", 1, [(ONE, Known("k2", REFUSED))], version="1")
         assert dict(ledger.answers("roof", stage=1)) == {ONE: Known("k2", REFUSED), OTHER: Known("k1", SUN)}
         assert dict(ledger.answers("roof", stage=2)) == {ONE: Known("k1", SUN)}
 
@@ -79,7 +86,7 @@ def test_numbers_of_numpy_are_stored_as_numbers(tmp_path: Path) -> None:
         saturated_px=np.int64(3),  # type: ignore[arg-type]
     )
     with ledger_in(tmp_path) as ledger:
-        ledger.store("roof", 1, [(ONE, "k", found)], version="1")
+        ledger.store("roof", 1, [(ONE, Known("k", found))], version="1")
         stored = dict(ledger.answers("roof", stage=1))[ONE].found
     assert isinstance(stored, Detection)
     assert (stored.x_px, stored.saturated_px) == (1.5, 3)
@@ -98,7 +105,7 @@ def test_a_mask_is_kept_for_a_version(tmp_path: Path) -> None:
 
 def test_a_chunk_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     def broken() -> object:
-        yield ONE, "k", SUN
+        yield ONE, Known("k", SUN)
         raise RuntimeError
 
     with ledger_in(tmp_path) as ledger:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -94,3 +95,19 @@ def test_a_key_is_the_same_for_the_same_parts_alone() -> None:
     assert key_of(("1", item)) == key_of(("1", Item("a", 0, None, Expectation(x_px=1.0, y_px=2.0))))
     assert key_of(("1", item)) != key_of(("2", item))
     assert len(key_of(())) == 24
+
+
+def test_an_image_of_the_stated_content_is_not_looked_at_again(tmp_path: Path) -> None:
+    first = {one.file: one for one in answers(tmp_path)}
+    assert first["clear.png"].content == hashlib.blake2b(WITH_SUN, digest_size=16).hexdigest()
+    assert len({one.content for one in first.values()}) == len(FILES)
+    items = [Item(name, 0, None, content=one.content) for name, one in sorted(first.items())]
+    again = answers(tmp_path, *items[:-1], items[-1]._replace(content="0" * 32))
+    assert [(one.file, one.found, one.content) for one in again[:-1]] == [(i.file, None, i.content) for i in items[:-1]]
+    assert again[-1] == first[items[-1].file]
+
+
+def test_a_file_that_is_gone_has_an_answer_that_says_so(tmp_path: Path) -> None:
+    (gone,) = answers(tmp_path, Item("gone.png", 0, None, content="0" * 32))
+    assert isinstance(gone.found, Finding)
+    assert (gone.found.code, gone.content) == ("file_not_image", None)

@@ -11,13 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.fixtures.postgresql import Server, postgresql
 from tests.offline.reanalysis.made import MADE, analysed, indexed_in, tables_in
 
 from sunarc.archive import lock_state, read_sightings
 from sunarc.calibration import from_document
 from sunarc.errors import InputError, OutsideError
+from sunarc.offline.reanalysis import look
 from sunarc.offline.reanalysis.results import Summary, exports_of
 from sunarc.simulation.made_archive import true_times
+
+__all__ = ["postgresql"]
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +164,45 @@ def test_an_image_that_was_replaced_under_its_name_is_looked_at_again(
         file.write_bytes(former)
     searched = [i.file for chunk in cluster.chunks for i in chunk.items if i.expectation is None and not i.outside]
     assert searched == [file.name]
+
+
+def test_files_that_were_only_touched_are_read_and_not_looked_at_again(
+    summary: Summary, folder: Path, target: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del summary
+    out = tmp_path / "out"
+    shutil.copytree(target, out)
+    touched = [Path(one.address) / one.file for one in indexed_in(folder).cameras[0].images]
+    for file in touched:
+        os.utime(file, (1.0, 1.0))
+    with monkeypatch.context() as patch:
+        patch.setattr(look, "detect_in_image", None)  # whoever calls it finds no sun
+        _, cluster = analysed(indexed_in(folder), out, patch)
+    asked = {item.file for chunk in cluster.chunks for item in chunk.items}
+    assert asked == {file.name for file in touched}
+    assert tables_in(out) == tables_in(target)
+    _, cluster = analysed(indexed_in(folder), out, monkeypatch)
+    assert cluster.chunks == []  # the new times stand in the ledger
+
+
+def test_a_ledger_in_postgresql_gives_the_tables_of_one_in_sqlite(
+    summary: Summary, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, postgresql: Server
+) -> None:
+    del summary
+    target, url = folder / "out", postgresql.new_database(template="template0")
+    store = url.render_as_string(hide_password=False)
+    try:
+        for most in (7, None):  # ended within the first pass, and on to the end
+            found, cluster = analysed(indexed_in(folder), tmp_path / "out", monkeypatch, most=most, store=store)
+            assert (found is None) == (most is not None)
+        assert len(cluster.chunks) > 0
+        assert tables_in(tmp_path / "out") == tables_in(target)
+        _, again = analysed(indexed_in(folder), tmp_path / "again", monkeypatch, store=store)
+        assert again.chunks == []
+        assert tables_in(tmp_path / "again") == tables_in(target)
+        assert not list(tmp_path.rglob("ledger.sqlite"))
+    finally:
+        postgresql.drop(url)
 
 
 def test_a_second_run_into_one_folder_is_refused_while_the_first_one_lasts(

@@ -35,7 +35,7 @@ from sunarc.offline.ingest.packed_mask import PackedMask
 
 _METADATA = MetaData()
 _ANSWER = Table(
-    "answer",
+    "image_answer",
     _METADATA,
     Column("camera", String(200), primary_key=True),
     Column("address", String(500), primary_key=True),
@@ -43,6 +43,8 @@ _ANSWER = Table(
     Column("number", Integer, primary_key=True),
     Column("stage", Integer, primary_key=True),
     Column("key", String(24), nullable=False),
+    Column("stamp", String(24), nullable=False),
+    Column("content", String(32)),
     Column("found", Text, nullable=False),
 )
 _CHUNK = Table(
@@ -77,10 +79,20 @@ class ImageId(NamedTuple):
 
 
 class Known(NamedTuple):
-    """An answer of a former run: what decided it, and what it was."""
+    """An answer of a former run.
+
+    Attributes
+    ----------
+    key : of what decided it beside the file: version, method, mask, prediction.
+    found : what it was.
+    stamp : of the file's size and time when it was last read, or of its checksum in an archive.
+    content : hash of the file's bytes; None where the file was not read as a whole.
+    """
 
     key: str
     found: Detection | Finding
+    stamp: str = ""
+    content: str | None = None
 
 
 class KeptMask(NamedTuple):
@@ -120,18 +132,24 @@ class Ledger:
     def answers(self, camera: str, *, stage: int) -> Iterator[tuple[ImageId, Known]]:
         """Yield the answers for a camera's images in a pass."""
         c = _ANSWER.c
-        rows = select(c.address, c.file, c.number, c.key, c.found).where(c.camera == camera, c.stage == stage)
+        columns = (c.address, c.file, c.number, c.key, c.stamp, c.content, c.found)
+        rows = select(*columns).where(c.camera == camera, c.stage == stage)
         with self._engine.connect() as connection:
             for row in connection.execution_options(yield_per=_AT_ONCE).execute(rows):
-                yield ImageId(row.address, row.file, row.number), Known(row.key, _read(json.loads(row.found)))
+                known = Known(row.key, _read(json.loads(row.found)), row.stamp, row.content)
+                yield ImageId(row.address, row.file, row.number), known
 
-    def store(
-        self, camera: str, stage: int, answers: Iterable[tuple[ImageId, str, Detection | Finding]], *, version: str
-    ) -> None:
+    def store(self, camera: str, stage: int, answers: Iterable[tuple[ImageId, Known]], *, version: str) -> None:
         """Store the answers of a finished chunk, in one transaction, in place of former ones."""
         rows = [
-            {**image._asdict(), "camera": camera, "stage": stage, "key": key, "found": json.dumps(_written(found))}
-            for image, key, found in answers
+            {
+                **image._asdict(),
+                **known._asdict(),
+                "camera": camera,
+                "stage": stage,
+                "found": json.dumps(_written(known.found)),
+            }
+            for image, known in answers
         ]
         c = _ANSWER.c
         with self._engine.begin() as connection:

@@ -17,6 +17,7 @@ from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method
 from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
 from sunarc.offline.sources.frames import images_in
+from sunarc.offline.sources.hashed import HashedSource
 from sunarc.offline.sources.opening import open_source
 
 
@@ -24,7 +25,8 @@ class Item(NamedTuple):
     """An image of a chunk.
 
     expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
-    found: where one was accepted without a prediction, px.
+    found: where one was accepted without a prediction, px. content: of its file when it was looked at before, where
+    the rest of what decides the answer is the same.
     """
 
     file: str
@@ -33,6 +35,7 @@ class Item(NamedTuple):
     expectation: Expectation | None = None
     outside: bool = False
     found: tuple[float, float] | None = None
+    content: str | None = None
 
 
 class Chunk(NamedTuple):
@@ -47,22 +50,48 @@ class Chunk(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What came of an image: a detection, with or without a sun, or the finding why it is left out."""
+    """What came of an image: a detection, with or without a sun, or the finding why it is left out.
+
+    None where its file has the content that the item states: it is not looked at again. content: hash of the file's
+    bytes; None where it was not read as a whole.
+    """
 
     file: str
     number: int
-    found: Detection | Finding
+    found: Detection | Finding | None
+    content: str | None = None
 
 
 def look_at(chunk: Chunk) -> list[Answer]:
     """Return an answer for each image of a chunk."""
     cv2.setNumThreads(1)
     static = None if chunk.static is None else chunk.static.unpacked()
-    by_key = {(item.file, item.number): item for item in chunk.items}
-    return [
-        Answer(file, number, image if isinstance(image, Finding) else _look(image, by_key[file, number], chunk, static))
-        for file, number, image in _images(chunk)
-    ]
+    source, answers = HashedSource(open_source(chunk.address)), list[Answer]()
+    for file, members in itertools.groupby(chunk.items, key=lambda item: item.file):
+        items = {item.number: item for item in members}
+        changed = [number for number, item in items.items() if not _is_unchanged(source, item)]
+        answers += [Answer(file, number, None, source.content(file)) for number in items if number not in changed]
+        if changed:
+            answers += [
+                Answer(
+                    file,
+                    number,
+                    image if isinstance(image, Finding) else _look(image, items[number], chunk, static),
+                    source.content(file),
+                )
+                for number, image in images_in(source, file, changed, size=chunk.size)
+            ]
+    return answers
+
+
+def _is_unchanged(source: HashedSource, item: Item) -> bool:
+    if item.content is None:
+        return False
+    try:
+        source.read(item.file)
+    except OSError:  # it is read again, for the reason
+        return False
+    return source.content(item.file) == item.content
 
 
 def still_parts(chunk: Chunk) -> PackedMask | None:

@@ -19,7 +19,7 @@ from sunarc.offline.ingest.index import ImageFile
 from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.reanalysis.cluster import Cluster
 from sunarc.offline.reanalysis.epochs import Epoch
-from sunarc.offline.reanalysis.ledger import ImageId, Ledger
+from sunarc.offline.reanalysis.ledger import ImageId, Known, Ledger
 from sunarc.offline.reanalysis.look import Answer, Chunk, Item, key_of
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages
 from sunarc.offline.reanalysis.states import State
@@ -160,7 +160,8 @@ class _Asked:
     Attributes
     ----------
     found : of each of its images; None where there is none yet, or it is not asked for.
-    waiting : number and item of the images that the ledger has no answer for that holds.
+    waiting : number and item of the images that the ledger has no answer for that holds. Where all but the stamp of the
+        file does, the item has the hash of the content that was read: a file that was only touched keeps its answer.
     """
 
     def __init__(self, work: Work, ledger: Ledger, stage: int) -> None:
@@ -168,28 +169,40 @@ class _Asked:
         self._camera = work.camera
         self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
         self._row = {id_of(work.camera.images[n]): n for n, _ in work.items}
+        self._touched: dict[int, Known] = {}
         items = dict(work.items)
         for image, known in ledger.answers(work.camera.plan.name, stage=stage):
             row = self._row.get(image)
-            if row is not None and known.key == self._key(row, items[row]):
+            if row is None or known.key != self._key(items[row]):
+                continue
+            if known.stamp == self._stamp(row):
                 self.found[row] = kept(known.found)
-        self.waiting = [(n, item) for n, item in work.items if self.found[n] is None]
+            elif known.content is not None:
+                self._touched[row] = known
+        self.waiting = [(n, self._with_content(n, item)) for n, item in work.items if self.found[n] is None]
 
-    def answered(self, chunk: Chunk, answers: Sequence[Answer]) -> list[tuple[ImageId, str, Detection | Finding]]:
+    def _with_content(self, row: int, item: Item) -> Item:
+        return item._replace(content=self._touched[row].content) if row in self._touched else item
+
+    def answered(self, chunk: Chunk, answers: Sequence[Answer]) -> list[tuple[ImageId, Known]]:
         """Take the answers for a chunk; return them as the ledger stores them."""
         items = {(item.file, item.number): item for item in chunk.items}
         rows = []
         for one in answers:
             image = ImageId(chunk.address, one.file, one.number)
             row = self._row[image]
-            self.found[row] = kept(one.found)
-            rows.append((image, self._key(row, items[one.file, one.number]), one.found))
+            found = self._touched[row].found if one.found is None else one.found
+            self.found[row] = kept(found)
+            rows.append((image, Known(self._key(items[one.file, one.number]), found, self._stamp(row), one.content)))
         return rows
 
-    def _key(self, row: int, item: Item) -> str:
-        """Return the hash of all that an answer rests on."""
-        camera, stamp = self._camera, self._camera.images[row].stamp
-        return key_of((sunarc.__version__, stamp, camera.plan.method, camera.size, item, self._of_mask))
+    def _stamp(self, row: int) -> str:
+        return key_of((self._camera.images[row].stamp,))
+
+    def _key(self, item: Item) -> str:
+        """Return the hash of all that an answer rests on beside the file."""
+        plan, size = self._camera.plan, self._camera.size
+        return key_of((sunarc.__version__, plan.method, size, item._replace(content=None), self._of_mask))
 
 
 def kept(found: Detection | Finding) -> Found:
