@@ -76,8 +76,8 @@ def random_camera(rng: np.random.Generator, lenses: Lenses | None = None, *, bas
         focal_length_px=(focal, focal * (1.0 + rng.normal(0.0, drawn.aspect))),
         skew_px=rng.normal(0.0, drawn.skew_px),
         principal_point_px=(
-            (SIZE - 1) / 2.0 + rng.normal(0.0, drawn.center_px),
-            (SIZE - 1) / 2.0 + rng.normal(0.0, drawn.center_px),
+            (base.width - 1) / 2.0 + rng.normal(0.0, drawn.center_px),
+            (base.height - 1) / 2.0 + rng.normal(0.0, drawn.center_px),
         ),
         rotation_cam_enu=rotation_from_pose_angles(pose),
         radial=tuple(radial_coefficients(rng, base, scale_px=drawn.radial_px, length=drawn.radial_length)),

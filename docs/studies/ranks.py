@@ -29,7 +29,8 @@ from sunarc.optics import project
 FloatArray = NDArray[np.float64]
 
 _NO_FIELD, _USUAL_PX, _FACTOR, _LARGEST_PX = 0.6, 0.3, 3.0, 1.5
-_LENGTHS = (0.16, 0.36)
+FIELD_LENGTHS = (0.16, 0.36)
+"""Of the fields, as shares of the image."""
 _SKY = hemisphere(400)
 _DRAWS = 2000
 
@@ -64,7 +65,7 @@ def amplitude_px(rng: np.random.Generator) -> float:
 def ranks(seed: int, case: Case) -> FloatArray:
     """Return u over the sky of one lens."""
     rng = np.random.default_rng([seed, 2026])
-    amplitude, length = amplitude_px(rng), pop.SIZE * math.exp(rng.uniform(*np.log(_LENGTHS)))
+    amplitude, length = amplitude_px(rng), pop.SIZE * math.exp(rng.uniform(*np.log(FIELD_LENGTHS)))
     truth = pop.random_camera(rng)
     times = pop.sun_track(np.array(case.days, dtype=float))
     field = pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude else None

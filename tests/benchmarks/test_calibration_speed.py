@@ -68,7 +68,7 @@ class _Task:
         bins, at = time_bins(self.usable), self.start
         for _ in range(2):
             system = linear_system(self.problem, self.seen, bins, at, information=self.seen.information, basis=basis)
-            at, _ = irls_converged(self.problem, system, NO_FIELD)
+            at = irls_converged(self.problem, system, NO_FIELD).unknowns
         return at
 
     def misfit(self, at: FloatArray) -> FloatArray:

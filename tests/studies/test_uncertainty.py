@@ -24,9 +24,10 @@ def study() -> Uncertainty:
 
 def test_a_study_is_the_same_again_by_its_seed_in_another_process_too(study: Uncertainty) -> None:
     elsewhere = run_trials([Trial(method="robust", sigma_px=10.0, seed=(7, 1, 1))], jobs=2)
-    assert np.array_equal(elsewhere[0], study.trials["robust"][1, 1])
+    # to rounding: what is compiled here and read from the cache there need not round alike
+    np.testing.assert_allclose(elsewhere[0], study.trials["robust"][1, 1], rtol=1e-9)
     other = run_trials([Trial(method="robust", sigma_px=10.0, seed=(8, 1, 1))])
-    assert not np.array_equal(other[0], study.trials["robust"][1, 1])
+    assert not np.allclose(other[0], study.trials["robust"][1, 1], rtol=1e-6)
 
 
 def test_every_fit_is_counted() -> None:

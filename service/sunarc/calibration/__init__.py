@@ -1,13 +1,14 @@
 """Fit of a camera to sightings of the sun: the camera, its uncertainty and a verdict.
 
-`calibrate` the entry · `model` values · `selection` of sightings · `initial_guess`, `least_squares`, `fit` the robust
-fit · `paper` the reference method · `quality` verdicts · `pose` a known lens in a new pose · `change_detection`
-comparison of every sighting with the calibration · `ensemble` joint draws of the errors · `pose_change_points`,
-`pose_step_search`, `pose_step_evidence` pose changes within a record · `projection_choice` the projection of an unknown
-lens · `lens_library` types of lens, joint fits, first poses · `star_prediction` pixels of the stars · `reproduce` a
-stored fit again. The maths: docs/maths.md.
+`calibrate` the entry · `batch` many fits of one geometry · `model` values · `selection` of sightings ·
+`initial_guess`, `least_squares`, `fit` the robust fit · `paper` the reference method · `quality` verdicts · `pose` a
+known lens in a new pose · `change_detection` comparison of every sighting with the calibration · `ensemble` joint
+draws of the errors · `pose_change_points`, `pose_step_search`, `pose_step_evidence` pose changes within a record ·
+`projection_choice` the projection of an unknown lens · `lens_library` types of lens, joint fits, first poses ·
+`star_prediction` pixels of the stars · `reproduce` a stored fit again. The maths: docs/maths.md.
 """
 
+from sunarc.calibration.batch import Batch
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.ensemble import MOST_DRAWS, Ensemble, draw_ensemble
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
@@ -76,6 +77,7 @@ __all__ = [
     "SCHEMA",
     "BackProjectionMap",
     "BackwardModel",
+    "Batch",
     "Calibration",
     "CalibrationOptions",
     "DayMeasure",

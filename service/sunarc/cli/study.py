@@ -73,7 +73,7 @@ def uncertainty(
     Example: sunarc study uncertainty --trials 5 --levels 11 --out study
     """
     methods = _methods(method)
-    extra_module("matplotlib", extra="studies")  # before the fits, which take hours
+    extra_module("matplotlib", extra="studies")  # before the fits, which take minutes
     make_folder(out)
     with _progress("fits", len(methods) * levels * trials) as advance:
         study = study_uncertainty(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sunarc.array_types import FloatArray
+from sunarc.optics.kernels import write_rotation
 from sunarc.sky import angles_from_direction
 
 
@@ -28,7 +29,13 @@ class PoseAngles(NamedTuple):
 
 def rotation_matrix(rotation_cam_enu: ArrayLike) -> FloatArray:
     """Return the (3, 3) matrix that takes east-north-up to the camera frame, from its rotation vector in radians."""
-    return np.asarray(Rotation.from_rotvec(np.asarray(rotation_cam_enu, dtype=np.float64)).as_matrix())
+    vector = np.array(rotation_cam_enu, dtype=np.float64)
+    if vector.ndim > 1:
+        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    # a fit needs one at a time, thousands of times: without scipy's checks it costs a tenth
+    matrix, jacobian = np.empty((3, 3)), np.empty((3, 3))
+    write_rotation(vector, matrix, jacobian)
+    return matrix
 
 
 def rotation_vector(matrix_cam_enu: ArrayLike) -> tuple[float, float, float]:

@@ -39,7 +39,7 @@ def _fit(
     information = np.full(n, stated_px**-2)
     at = problem.unknowns([camera])
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
-    unknowns, _ = irls_converged(problem, system, SCALES)
+    unknowns = irls_converged(problem, system, SCALES).unknowns
     system = linear_system(problem, seen, bins, unknowns, information=information, basis=grid.basis)
     fit = marginal_fit(system.normal(), grid.basis, SCALES)
     robust = RobustFit(

@@ -35,6 +35,21 @@ def test_terms_are_those_of_dense_matrices(first: int) -> None:
             assert found[n, k] == pytest.approx(expected, rel=1e-9)
 
 
+def test_choices_that_share_their_first_precisions_and_one_that_is_not_positive() -> None:
+    rng = np.random.default_rng(8)
+    matrix, vector, at = random_covariance(7, seed=6), rng.standard_normal(7), rng.standard_normal(7)
+    fixed = np.full(7, 0.5)
+    varied = np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 5.0], [1.0, 2.0, -99.0], [1.0, 2.0, 7.0], [4.0, 2.0, 7.0]])
+    found = np.empty((1, 5))
+    evidence_terms(matrix[None], vector[None], at, fixed, varied, 2, 0.0, found)
+    assert math.isnan(found[0, 2])
+    for k in (0, 1, 3, 4):
+        precision = np.r_[fixed[:2], varied[k], fixed[5:]]
+        whole, pull = matrix + np.diag(precision), vector - precision * at
+        expected = pull @ np.linalg.solve(whole, pull) - np.linalg.slogdet(whole)[1]
+        assert found[0, k] == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_ridge_is_a_share_of_the_diagonal() -> None:
     matrix, vector = random_covariance(5, seed=3), np.ones(5)
     found, expected = np.empty((1, 1)), np.empty((1, 1))

@@ -47,6 +47,30 @@ def test_what_the_sightings_tell_nothing_of_is_left_out(basis: WaveBasis) -> Non
     assert nothing.power.size == 0
 
 
+def test_axes_of_a_longer_field_are_the_same_from_those_of_a_shorter_one(basis: WaveBasis) -> None:
+    waves = _waves(basis, 40)
+    products = BasisProducts(matrix=1e6 * waves.T @ waves)
+    products.axes(basis, 250.0)
+    derived, direct = products.axes(basis, 390.0), BasisProducts(matrix=products.matrix).axes(basis, 390.0)
+    np.testing.assert_allclose(derived.power, direct.power[: derived.power.size], atol=1e-9 * direct.power[0])
+    seen = [waves @ axes.transform * np.sqrt(axes.shrinkage(np.array([0.3]))[0]) for axes in (derived, direct)]
+    first, second = (one @ one.T for one in seen)
+    np.testing.assert_allclose(first, second, atol=1e-7 * np.max(second))
+
+
+def test_what_exact_sightings_leave_over_is_positive(basis: WaveBasis) -> None:
+    waves = 1e4 * _waves(basis, 200)
+    for length in (250.0, 390.0):
+        products = BasisProducts(matrix=waves.T @ waves)
+        products.axes(basis, 250.0)
+        axes = products.axes(basis, length)
+        seen = waves @ axes.transform
+        # noise of 1e-4 px beside a field of 8 px: no more may be taken from the information than there is
+        left = waves.T @ waves - waves.T @ (seen * axes.shrinkage(np.array([8.0]))[0]) @ seen.T @ waves
+        values = np.linalg.eigvalsh(left)
+        assert values[0] > -1e-11 * np.max(np.diag(waves.T @ waves))
+
+
 def test_the_axes_of_a_length_are_made_once(basis: WaveBasis) -> None:
     waves = _waves(basis, 20)
     products = BasisProducts(matrix=waves.T @ waves)

@@ -97,10 +97,12 @@ def test_the_sums_of_all_bins_are_those_of_parts_together(system: LinearSystem) 
 
 
 def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem, problem: Problem) -> None:
-    found, waves = irls_converged(problem, system, SCALES)
+    rest = irls_converged(problem, system, SCALES)
+    found, waves = rest.unknowns, rest.fit.coefficients
     rested = system.moved(problem, found)
     now = penalty(rested.normal(), system.basis, SCALES)
-    assert now < penalty(system.normal(), system.basis, SCALES)
+    assert penalty(system.normal(), system.basis, SCALES) - now == pytest.approx(rest.gain)
+    assert rest.gain > 0.0
     assert marginal_fit(rested.normal(), system.basis, SCALES).gain < 1e-3
     np.testing.assert_allclose(waves, marginal_fit(rested.normal(), system.basis, SCALES).coefficients, atol=1e-9)
 
@@ -114,17 +116,18 @@ def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem
 
 
 def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: Problem) -> None:
-    found, _ = irls_converged(problem, system, SCALES)
-    again, _ = irls_converged(problem, system.moved(problem, found), SCALES)
-    np.testing.assert_allclose(again, found, atol=1e-9)
+    found = irls_converged(problem, system, SCALES).unknowns
+    again = irls_converged(problem, system.moved(problem, found), SCALES)
+    np.testing.assert_array_equal(again.unknowns, found)
+    assert again.gain == 0.0
 
 
 @pytest.mark.parametrize("off", [0.02, 0.3])
 def test_a_start_far_off_is_brought_back(system: LinearSystem, problem: Problem, at: FloatArray, off: float) -> None:
     begin = at.copy()
     begin[17:20] += [off, 0.0, -off]
-    found, _ = irls_converged(problem, system.moved(problem, begin), SCALES)
-    near, _ = irls_converged(problem, system, SCALES)
+    found = irls_converged(problem, system.moved(problem, begin), SCALES).unknowns
+    near = irls_converged(problem, system, SCALES).unknowns
     costs = [penalty(system.moved(problem, one).normal(), system.basis, SCALES) for one in (found, near, begin)]
     assert costs[0] < 0.01 * costs[2]
     if off < 0.1:
@@ -162,7 +165,7 @@ def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: Problem, basi
         begin = here.unknowns([camera])
         seen = observed(drawn, directions, sigma_px=0.2, seed=int(rng.integers(1 << 30)))
         system = linear_system(here, seen, BINS, begin, information=np.full(60, 25.0), basis=basis)
-        found, _ = irls_converged(here, system, scales._replace(radial_px=1.0, decentering_px=1e-3))
+        found = irls_converged(here, system, scales._replace(radial_px=1.0, decentering_px=1e-3)).unknowns
         fit = marginal_fit(
             system.moved(here, found).normal(), basis, scales._replace(radial_px=1.0, decentering_px=1e-3)
         )

@@ -114,10 +114,8 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     conditioned = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
     start[HIGHER] = 0.0
-    found, coefficients = irls_converged(conditioned, system.moved(conditioned, start), scales)
-    about = system.moved(conditioned, found)
-    normal = about.normal()
-    there = marginal_fit(normal, about.basis, scales)
+    rest = irls_converged(conditioned, system.moved(conditioned, start), scales)
+    found, there = rest.unknowns, rest.fit
     covariance, cross = there.covariance.copy(), there.cross.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     cross[:, HIGHER] = 0.0
@@ -125,8 +123,8 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     shift[HIGHER] = fixed - unknowns[HIGHER]
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
-        cross=cross + shift[:, None] * (coefficients - field_mean)[:, None, :],
-        log_evidence=_log_evidence(normal, about.basis, scales) - 0.5 * float(fixed @ fixed) + _CELL,
+        cross=cross + shift[:, None] * (there.coefficients - field_mean)[:, None, :],
+        log_evidence=_log_evidence(rest.normal, system.basis, scales) - 0.5 * float(fixed @ fixed) + _CELL,
     )
 
 

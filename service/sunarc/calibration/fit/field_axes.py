@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -47,13 +48,46 @@ class BasisProducts:
     def axes(self, basis: WaveBasis, length_px: float) -> FieldAxes:
         """Return the axes of a field of some length in px."""
         if length_px not in self._axes:
-            self._axes[length_px] = _field_axes(self.matrix, basis, length_px)
+            shorter = [length for length in self._axes if length < length_px]
+            self._axes[length_px] = (
+                _longer(self._axes[max(shorter)], basis, max(shorter), length_px)
+                if shorter
+                else _field_axes(self.matrix, basis, length_px)
+            )
         return self._axes[length_px]
 
 
 def _field_axes(products: FloatArray, basis: WaveBasis, length_px: float) -> FieldAxes:
     spread = np.sqrt(basis.variances(length_px=length_px))
-    power, vectors = np.linalg.eigh(products * spread[:, None] * spread)
-    rounding = power.size * np.finfo(np.float64).eps * float(np.max(power, initial=0.0))
+    return _axes_of(spread, _factor(products * spread[:, None] * spread))
+
+
+def _longer(axes: FieldAxes, basis: WaveBasis, length_px: float, longer_px: float) -> FieldAxes:
+    """Return the axes of a longer field from those of one of `length_px`, which has more of every short wave.
+
+    With S and T the spreads of the two, S P S = V diag(p) V' gives T P T = B B', B = T S⁻¹ V diag(√p), and what P has
+    beside that the longer field has still less of.
+    """
+    spread, longer = (np.sqrt(basis.variances(length_px=length)) for length in (length_px, longer_px))
+    return _axes_of(longer, (longer / spread**2)[:, None] * axes.transform * np.sqrt(axes.power))
+
+
+def _axes_of(spread: FloatArray, factor: FloatArray) -> FieldAxes:
+    """Return the axes where the products in units of the spread (m,) are B B' of a factor (m, few)."""
+    # not by B' B: the axes that sightings tell little of would not be orthogonal, and exact sightings then no evidence
+    vectors, roots, _ = np.linalg.svd(factor, full_matrices=False)
+    power = roots**2
+    rounding = spread.size * np.finfo(np.float64).eps * float(np.max(power, initial=0.0))
     informative = power > max(rounding, _NEGLIGIBLE / _LARGEST_AMPLITUDE_PX**2)
     return FieldAxes(spread[:, None] * vectors[:, informative], power[informative])
+
+
+def _factor(products: FloatArray) -> FloatArray:
+    """Return B (m, few) with B B' a matrix of products of low rank: Cholesky's, the largest left over first."""
+    largest = float(np.max(np.diag(products), initial=0.0))
+    if largest <= 0.0:
+        return np.zeros((products.shape[0], 0))
+    lower, order, rank, _ = dpstrf(products, lower=1, tol=np.finfo(np.float64).eps * largest)
+    factor = np.empty((products.shape[0], rank))
+    factor[order - 1] = np.tril(lower)[:, :rank]
+    return factor

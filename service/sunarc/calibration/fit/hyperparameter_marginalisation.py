@@ -129,7 +129,7 @@ def _plausible(
     retained = np.sort(order[: 1 + int(np.searchsorted(np.cumsum(either[order]), _WEIGHT_RETAINED * either.sum()))])
     i, j, k = np.unravel_index(retained, weight.shape)
     pairs, field = np.unique(np.stack([i, j], axis=-1), axis=0, return_inverse=True)
-    precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in grid.lens_scales])
+    precision = normal.prior_precisions(grid.lens_scales)
     fields, covariance, fitted, coefficients = [], [], [], []
     for number, (amplitude, length) in enumerate(pairs):
         turned = Turned.of(normal, grid.basis, float(grid.lengths[length]))
@@ -139,7 +139,7 @@ def _plausible(
         pull = normal.jr - turned.explained(shrink) - here * normal.at
         step = np.einsum("kpq,kq->kp", covariance[-1], pull)
         fitted.append(normal.at + step)
-        coefficients.append(np.stack([turned.coefficients(shrink, one) for one in step]))
+        coefficients.append(turned.coefficients(shrink, step))
         fields.append(_Field(turned, shrink, float(grid.amplitudes[amplitude])))
     share = weight.ravel()[retained]
     return _Choices(
@@ -175,8 +175,9 @@ def _at_probes(
         moments = effective @ choices.covariance[:, None] @ np.swapaxes(effective, -1, -2)
     else:
         by_unknowns = (rows.reshape(-1, size) @ choices.covariance).reshape(-1, n, 2, size)
-        mixed = -by_unknowns @ np.swapaxes(pulls, -1, -2)
-        moments = by_unknowns @ np.swapaxes(rows, -1, -2) + mixed + np.swapaxes(mixed, -1, -2)
+        # J C J' - J C X' - X C J', made as half of J C (J - 2 X)' and its transpose
+        half = 0.5 * by_unknowns @ np.swapaxes(rows - 2.0 * pulls, -1, -2)
+        moments = half + np.swapaxes(half, -1, -2)
     moments = moments + moved[..., :, None] * moved[..., None, :]
     return np.asarray(moments + unknown[..., None, None] * np.eye(2))
 
@@ -211,8 +212,16 @@ def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
     """
-    half = 0.5 * np.einsum("nab,knba->kn", np.linalg.inv(covariance), moments, optimize=True)
-    determinant = np.linalg.det(moments) / np.linalg.det(covariance)
+    stated = _determinant(covariance)
+    # half the trace of stated⁻¹ · moments, the inverse of a 2 × 2 matrix written out
+    (a, b), (_, d) = np.moveaxis(covariance, 0, -1)
+    half = 0.5 * (d * moments[..., 0, 0] - 2.0 * b * moments[..., 0, 1] + a * moments[..., 1, 1]) / stated
+    determinant = _determinant(moments) / stated
     half_gap = np.sqrt(np.maximum(half**2 - determinant, 0.0))
     square = half[..., None] + half_gap[..., None] * _COS_DOUBLED
     return np.asarray(1.0 - np.exp(-0.5 * _ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2)))
+
+
+def _determinant(matrices: FloatArray) -> FloatArray:
+    """Return the determinants (...) of symmetric matrices (..., 2, 2)."""
+    return np.asarray(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] ** 2)

@@ -93,7 +93,14 @@ def finest_weight(observed: Observations) -> float:
 
 
 def at_least_least_squares(
-    problem: Problem, observed: Observations, bins: Bins, unknowns: FloatArray, *, sigma: float, field_px: float = 0.0
+    problem: Problem,
+    observed: Observations,
+    bins: Bins,
+    unknowns: FloatArray,
+    *,
+    sigma: float,
+    field_px: float = 0.0,
+    in_its_valley: bool = False,
 ) -> FloatArray:
     """Return the unknowns, or the nearest ones on the way to the loose robust fit that reach least squares.
 
@@ -105,10 +112,12 @@ def at_least_least_squares(
     unknowns : (p,) the most probable ones.
     sigma : px, scale of the robust loss.
     field_px : 1-sigma of what no lens explains, px, see `allowed_level`.
+    in_its_valley : whether least squares from the unknowns alone is enough.
     """
     means = bins.observations(observed, problem, unknowns, information=observed.information)
-    plain = [least_squares(problem, means, begin) for begin in (unknowns, undistorted(unknowns))]
-    plain.append(staged_least_squares(problem, means, unknowns))
+    plain = [least_squares(problem, means, unknowns)]
+    if not in_its_valley:
+        plain += [least_squares(problem, means, undistorted(unknowns)), staged_least_squares(problem, means, unknowns)]
     met = [distance_sigmas(problem, observed, at) for at in plain]
     best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
     level = allowed_level(

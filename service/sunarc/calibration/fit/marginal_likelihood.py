@@ -66,6 +66,12 @@ class NormalEquations:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
         return prior_precision(self.at.size, radial_px, decentering_px, n_air=self.n_air)
 
+    def prior_precisions(self, lens_scales: FloatArray) -> FloatArray:
+        """Return (k, p): those under pairs (k, 2) of the radial distortion's and the decentering's scale."""
+        result = np.tile(self.prior_precision(1.0, 1.0), (lens_scales.shape[0], 1))
+        result[:, RADIAL], result[:, DECENTERING] = lens_scales[:, :1] ** -2.0, lens_scales[:, 1:] ** -2.0
+        return result
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarginalFit:
@@ -173,7 +179,7 @@ def log_evidences(
 
     `lens_scales` (k, 2) holds pairs of the radial distortion's and the decentering's scale.
     """
-    precision = np.stack([normal.prior_precision(float(r), float(d)) for r, d in lens_scales])
+    precision = normal.prior_precisions(lens_scales)
     each = [_log_evidence(normal, Turned.of(normal, basis, float(l)), amplitudes, precision) for l in lengths]
     return np.stack(each, axis=1)
 
@@ -182,8 +188,8 @@ def _log_evidence(normal: NormalEquations, turned: Turned, amplitudes: FloatArra
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
     shrink = turned.axes.shrinkage(amplitudes)
     # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
-    matrices = normal.jj + _ROUNDING * np.diag(np.diag(normal.jj)) - np.stack([turned.absorbed(one) for one in shrink])
-    vectors = normal.jr - np.stack([turned.explained(one) for one in shrink])
+    matrices = normal.jj + _ROUNDING * np.diag(np.diag(normal.jj)) - turned.absorbed(shrink)
+    vectors = normal.jr - turned.explained(shrink)
     square = normal.rr - shrink @ np.sum(turned.residual**2, axis=0)
     # twice: the field's two components have the same kernel and the same sightings
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * turned.axes.power), axis=1)
@@ -208,15 +214,16 @@ class Turned(NamedTuple):
         return cls(axes, normal.jf @ axes.transform, normal.fr @ axes.transform)
 
     def coefficients(self, shrink: FloatArray, step: FloatArray) -> FloatArray:
-        """Return (2, m): the most probable coefficients of the field where the unknowns are a step (p,) away."""
-        return np.asarray((shrink * (self.residual - step @ self.rows)) @ self.axes.transform.T)
+        """Return (..., 2, m): the most probable coefficients of the field, the unknowns being steps (..., p) away."""
+        explained = (step[..., None, None, :] @ self.rows)[..., 0, :]
+        return np.asarray((shrink * (self.residual - explained)) @ self.axes.transform.T)
 
     def explained(self, shrink: FloatArray) -> FloatArray:
-        """Return (p,): what the field takes from the sightings' pull on the parameters."""
-        first, second = (rows @ (shrink * residual) for rows, residual in zip(self.rows, self.residual, strict=True))
-        return np.asarray(first + second)
+        """Return (..., p): what fields of shrinkages (..., r) take from the sightings' pull on the parameters."""
+        return np.asarray(shrink @ np.einsum("apr,ar->rp", self.rows, self.residual))
 
     def absorbed(self, shrink: FloatArray) -> FloatArray:
-        """Return (p, p): what the field takes from the sightings' information on the parameters."""
-        first, second = (rows * np.sqrt(shrink) for rows in self.rows)
-        return np.asarray(first @ first.T + second @ second.T)
+        """Return (..., p, p): what fields of shrinkages (..., r) take from the sightings' information on them."""
+        p = self.rows.shape[1]
+        both = (np.sqrt(shrink)[..., None, None, :] * self.rows).swapaxes(-3, -2).reshape(*shrink.shape[:-1], p, -1)
+        return np.asarray(both @ both.swapaxes(-1, -2))

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.field_axes import BasisProducts
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, marginal_fit, normal_sums, penalty
+from sunarc.calibration.fit.marginal_likelihood import (
+    MarginalFit,
+    NormalEquations,
+    Scales,
+    marginal_fit,
+    normal_sums,
+    penalty,
+)
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis
@@ -61,7 +69,7 @@ class LinearSystem:
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
         residual, rows = problem.linearised(at, self.observed)
-        return replace(self, residual=residual, rows=rows, at=at)
+        return replace(self, residual=residual, rows=rows, at=at, n_air=problem.n_air)
 
 
 def linear_system(
@@ -94,14 +102,28 @@ def linear_system(
     )
 
 
-def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> tuple[FloatArray, FloatArray]:
-    """Return the most probable unknowns (p,) and field coefficients (2, m): Gauss-Newton with halved steps."""
+class AtRest(NamedTuple):
+    """Where the steps came to rest: the equations there, their sums, the linear fit from there, and what was gained."""
+
+    system: LinearSystem
+    normal: NormalEquations
+    fit: MarginalFit
+    gain: float
+
+    @property
+    def unknowns(self) -> FloatArray:
+        """The most probable unknowns, (p,)."""
+        return self.system.at
+
+
+def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> AtRest:
+    """Return the most probable unknowns and field: Gauss-Newton with halved steps."""
     normal = system.normal()
-    now = penalty(normal, system.basis, scales)
+    now = begin = penalty(normal, system.basis, scales)
     for _ in range(_STEPS):
         best = marginal_fit(normal, system.basis, scales)
         if best.gain < _REST:
-            break
+            return AtRest(system, normal, best, begin - now)
         step, gain = best.unknowns - system.at, 0.0
         # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
         for halving in range(_HALVINGS):
@@ -113,4 +135,4 @@ def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> tu
                 break
         if gain < _REST:
             break
-    return system.at, marginal_fit(normal, system.basis, scales).coefficients
+    return AtRest(system, normal, marginal_fit(normal, system.basis, scales), begin - now)

@@ -138,13 +138,15 @@ def _data_sums(  # noqa: PLR0917 - compiled functions take positions
     """Add, for each epoch, the products of the derivatives by lens and pose (20, 20) and with the residuals (20,)."""
     shape, pixel, row = np.empty(11), np.empty(2), np.zeros((2, _SIZE))
     along, across = np.empty(_NATIVE), np.empty(_NATIVE)
-    cost = 0.0
+    cost, e = 0.0, 0
+    pose, turn = rotation[e], jacobian[e]
     for n in range(seen.directions.shape[0]):
-        e = seen.epoch[n]
+        if seen.epoch[n] != e:
+            e = seen.epoch[n]
+            pose, turn = rotation[e], jacobian[e]
         shown = write_pixel_and_rows(
-            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions[n],
-            shape, pixel, row,
-        )  # fmt: skip
+            vector, lens.code, lens.mirror, lens.max_angle, pose, turn, seen.directions[n], shape, pixel, row
+        )
         dx, dy = seen.pixels[n, 0] - pixel[0], seen.pixels[n, 1] - pixel[1]
         shown = shown and math.isfinite(dx) and math.isfinite(dy)
         if not shown:

@@ -11,9 +11,11 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import Camera, Param, angle_limit, project_fast, project_with_rows_fast, rotation_matrix
+from sunarc.optics import Camera, Param, angle_limit, rotation_matrix
 from sunarc.optics.camera import POSE
-from sunarc.optics.forward import by_direction
+from sunarc.optics.forward import by_direction, kernel_lens
+from sunarc.optics.kernels import pixels_and_rows_of, pixels_of
+from sunarc.optics.pose import right_jacobian
 from sunarc.sky import raised, upward
 
 _RIGHT_ANGLE = math.pi / 2
@@ -102,10 +104,13 @@ class Problem:
 
     def camera(self, unknowns: FloatArray, epoch: int = 0) -> Camera:
         """Return the camera of an epoch."""
+        return self.template.with_parameters(self._vector(unknowns, epoch))
+
+    def _vector(self, unknowns: FloatArray, epoch: int) -> FloatArray:
         vector = np.zeros(len(Param))
         vector[LENS] = self.prior.lens(unknowns[:N_LENS])
         vector[POSE] = unknowns[self.pose_slice(epoch)]
-        return self.template.with_parameters(vector)
+        return vector
 
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
@@ -123,7 +128,8 @@ class Problem:
         predicted, directions = np.empty(observed.pixels.shape), self.directions(unknowns, observed)
         for epoch in range(self.n_epochs):
             in_epoch = self._of(epoch, observed)
-            predicted[in_epoch] = project_fast(self.camera(unknowns, epoch), directions[in_epoch])
+            lens, turned = self._kernel_lens(unknowns, epoch), np.ascontiguousarray(directions[in_epoch])
+            predicted[in_epoch] = pixels_of(*lens, rotation_matrix(unknowns[self.pose_slice(epoch)]), turned)
         return finite(observed.pixels - predicted)
 
     def beyond(self, unknowns: FloatArray, observed: Observations) -> BoolArray:
@@ -141,17 +147,23 @@ class Problem:
         rows, directions = np.empty((len(observed), 2, self.size)), self.directions(unknowns, observed)
         for epoch in range(self.n_epochs):
             in_epoch = self._of(epoch, observed)
-            camera = self.camera(unknowns, epoch)
-            pixel, by_parameters = project_with_rows_fast(camera, directions[in_epoch])
+            pose = unknowns[self.pose_slice(epoch)]
+            lens, turned = self._kernel_lens(unknowns, epoch), np.ascontiguousarray(directions[in_epoch])
+            pixel, by_parameters = pixels_and_rows_of(*lens, rotation_matrix(pose), right_jacobian(pose), turned)
             to_unknowns = np.zeros((len(Param), self.size))
             to_unknowns[LENS, :N_LENS] = self.prior.basis
             to_unknowns[POSE, self.pose_slice(epoch)] = np.eye(3)
             rows[in_epoch] = (by_parameters.reshape(-1, len(Param)) @ to_unknowns).reshape(-1, 2, self.size)
             if self.n_air:
-                up = by_elevation(camera, directions[in_epoch], by_parameters)
+                up = by_elevation(self.camera(unknowns, epoch), directions[in_epoch], by_parameters)
                 rows[in_epoch, :, -self.n_air :] = up[..., None] * observed.refraction_sd[in_epoch, None]
             residual[in_epoch] = observed.pixels[in_epoch] - pixel
         return finite(residual), rows
+
+    def _kernel_lens(self, unknowns: FloatArray, epoch: int) -> tuple[FloatArray, int, float, float]:
+        """Return the epoch's camera as the kernels take it, see `kernel_lens`; its displacement does not count."""
+        _, code, mirror, max_angle = kernel_lens(self.template)
+        return self._vector(unknowns, epoch), code, mirror, max_angle
 
     def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
         """Return which observations belong to an epoch."""

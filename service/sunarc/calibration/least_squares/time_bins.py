@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import UNSEEN_PX
@@ -28,6 +28,11 @@ class Bins:
 
     member: IntArray
     count: int
+
+    def select(self, which: BoolArray) -> Bins:
+        """Return the bins of the sightings that a mask picks, numbered anew."""
+        fresh, member = np.unique(self.member[which], return_inverse=True)
+        return Bins(member=member, count=fresh.size)
 
     def gathered(
         self, observed: Observations, residual: FloatArray, information: FloatArray

@@ -9,6 +9,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.model.options import PaperOptions
+from sunarc.calibration.paper.kernels import Weighed
 from sunarc.optics import Param, Projection, ideal_radius
 from sunarc.optics.camera import DECENTERING, RADIAL, RADIAL_ORDERS
 from sunarc.optics.forward import decentering_shift, decentering_slopes
@@ -56,6 +57,21 @@ class Penalties:
             orthogonality=np.trapezoid(ideal[:, None] * powers, theta, axis=0),
             ideal_slope=ideal_slope(projection, theta),
             slope_by_radial=(theta / _RIGHT_ANGLE)[:, None] ** (orders - 1) * orders / _RIGHT_ANGLE,
+        )
+
+    def weighed(self) -> Weighed:
+        """Return the penalties as the compiled loop takes them."""
+        return Weighed(
+            orthogonality=self.options.orthogonality_weight * self.orthogonality,
+            circularity=self.options.circularity_weight / math.sqrt(_AZIMUTHS),
+            edge_radius=self.edge_radius,
+            edge_powers=(self.edge / _RIGHT_ANGLE) ** np.array(RADIAL_ORDERS, dtype=np.float64),
+            cosine=_U,
+            sine=_V,
+            with_decentering=self.options.ellipse_scope == "with_decentering",
+            monotony=self.options.monotony_weight / math.sqrt(_ANGLES),
+            ideal_slope=np.ascontiguousarray(self.ideal_slope),
+            slope_by_radial=np.ascontiguousarray(self.slope_by_radial),
         )
 
     def values(self, vector: FloatArray) -> FloatArray:

@@ -10,26 +10,36 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.fit.assemble import Fitted, no_field
-from sunarc.calibration.least_squares.kernels import FIRST_DAMPING, LARGEST_DAMPING, SMALLEST_DAMPING, damped_step_of
+from sunarc.calibration.least_squares.kernels import FIRST_DAMPING
 from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.least_squares.solve import as_seen
+from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.paper.constraints import Penalties
 from sunarc.calibration.paper.dlt import direct_linear_pose
+from sunarc.calibration.paper.kernels import Limits, Optics, minimised
 from sunarc.calibration.robust_loss import finite
-from sunarc.optics import PARAMETER_NAMES, Camera, Param, angle_limit, project_with_rows_fast
+from sunarc.optics import PARAMETER_NAMES, Camera, Param, angle_limit, project_fast, project_with_rows_fast
 from sunarc.optics.camera import TRANSLATION
+from sunarc.optics.forward import kernel_lens
 
 _NUDGE = 1e-5
 """p1 and p2 start off 0: at 0 the fit cannot feel p3 and p4."""
-_MOST_STEPS = 400
-_GAIN = 1e-8
-"""Relative gain of the squares below which a stage rests, as MINPACK's `ftol` by default."""
+_STAGE = Limits(400, 1e-8, FIRST_DAMPING)
+"""Relative gain of the squares below which a stage rests: as MINPACK's `ftol` by default."""
+_LAST_STEPS = Limits(10, 1e-8, 1e-8)
+"""From the minimum of the means to that of all sightings, some hundredths of a sigma."""
 _PERSPECTIVE_EDGE = math.radians(60.0)
 
 
 def fit_as_paper(
-    observed: Observations, usable: FilteredSightings, cameras: list[Camera], *, options: CalibrationOptions
+    observed: Observations,
+    usable: FilteredSightings,
+    cameras: list[Camera],
+    *,
+    options: CalibrationOptions,
+    quickly: bool = False,
 ) -> Fitted:
     """Return the paper's fit of the latest pose epoch's sightings: all of them, none weighted.
 
@@ -39,10 +49,14 @@ def fit_as_paper(
     usable : the same sightings' times.
     cameras : first cameras, one an epoch.
     options : `options.paper` says what the paper leaves open.
+    quickly : whether the stages' minima are sought on the means of neighbouring sightings, each as heavy as its members
+        together, and only the last one is brought to rest on all sightings. Where Eq. 26 has several minima (p3 and p4
+        that hardly count), another one may be found.
     """
     last = len(cameras) - 1
     in_epoch = usable.epoch == last
-    one = observed.select(in_epoch)
+    one = observed.select(in_epoch).weighted(np.ones(int(np.sum(in_epoch))))
+    bins = time_bins(usable).select(in_epoch) if quickly else None
     camera = _start(cameras[last], one, options)
     last_of_stage = (Param.TRANSLATION_Z, Param.K9, Param.P4)
     for last_moving in last_of_stage:
@@ -51,7 +65,13 @@ def fit_as_paper(
             moving = np.delete(moving, TRANSLATION)
         if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
-        camera, jacobian, misfit = _minimised(camera, one, moving, options)
+        if bins is not None:
+            camera = _minimised(camera, _means(one, bins, camera), moving, options, _STAGE)
+        if bins is None:
+            camera = _minimised(camera, one, moving, options, _STAGE)
+    if bins is not None:
+        camera = _minimised(camera, one, moving, options, _LAST_STEPS)
+    misfit, jacobian = equations(camera, one, options)
     residual = np.full((len(observed), 2), np.nan)
     residual[in_epoch] = -misfit[: 2 * len(one)].reshape(-1, 2)
     degrees_of_freedom = max(2 * len(one) - moving.size, 1)
@@ -59,7 +79,7 @@ def fit_as_paper(
     return Fitted(
         cameras=[*cameras[:last], camera],
         parameter_names=tuple(PARAMETER_NAMES[i] for i in moving),
-        covariance=variance * _inverse(jacobian),
+        covariance=variance * _inverse(jacobian[:, moving]),
         field=no_field(camera, size=moving.size),
         residual=np.nan_to_num(residual),
         used=in_epoch,
@@ -68,6 +88,15 @@ def fit_as_paper(
         radial_px=math.nan,
         held_out=None,
     )
+
+
+def _means(observed: Observations, bins: Bins, camera: Camera) -> Observations:
+    """Return one observation a bin, its residual by a camera the mean one; all of them where one is not in view."""
+    residual = observed.pixels - project_fast(camera, observed.directions)
+    if not np.all(np.isfinite(residual)):
+        return observed
+    gathered, mean = bins.gathered(observed, residual, observed.information)
+    return replace(gathered, pixels=project_fast(camera, gathered.directions) + mean)
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
@@ -88,50 +117,39 @@ def _start(camera: Camera, observed: Observations, options: CalibrationOptions) 
     return posed if options.paper.fit_translation else replace(posed, translation=(0.0, 0.0, 0.0))
 
 
-class _Equations(NamedTuple):
-    """The misfit of Eq. 26 about some parameters: its vector and derivatives, and what the steps are made of."""
+class Equations(NamedTuple):
+    """The misfit of Eq. 26 about some parameters: its vector (n,) and derivatives (n, 23)."""
 
     misfit: FloatArray
     jacobian: FloatArray
-    normal: FloatArray
-    gradient: FloatArray
-    cost: float
 
 
 def _minimised(
-    camera: Camera, observed: Observations, moving: IntArray, options: CalibrationOptions
-) -> tuple[Camera, FloatArray, FloatArray]:
-    """Return the camera at the minimum of Eq. 26, with the Jacobian (n, f) and the residuals there.
+    camera: Camera, observed: Observations, moving: IntArray, options: CalibrationOptions, limits: Limits
+) -> Camera:
+    """Return the camera at the minimum of Eq. 26.
 
     Levenberg-Marquardt on the normal equations, their columns brought to one size.
     """
-    unlimited = replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
+    _, code, mirror, max_angle = kernel_lens(_unlimited(camera))
+    optics, weighed = Optics(code, mirror, max_angle), _penalties(camera, options).weighed()
+    vector = minimised(optics, as_seen(observed), weighed, camera.to_vector(), moving, limits)
+    return camera.with_parameters(vector)
+
+
+def _unlimited(camera: Camera) -> Camera:
+    return replace(camera, max_angle=angle_limit(camera.projection) * (1.0 - 1e-6))
+
+
+def _penalties(camera: Camera, options: CalibrationOptions) -> Penalties:
     edge = _PERSPECTIVE_EDGE if camera.projection == "perspective" else math.pi / 2
-    penalties = Penalties.of(camera.projection, options.paper, largest_angle=edge)
-    vector = unlimited.to_vector()
-    now = _equations(unlimited, observed, penalties)
-    room, step, damping = np.empty((moving.size, moving.size)), np.empty(moving.size), FIRST_DAMPING
-    for _ in range(_MOST_STEPS):
-        damped_step_of(now.normal, now.gradient, moving, damping, room, step)
-        trial = vector.copy()
-        trial[moving] += step
-        then = _equations(unlimited.with_parameters(trial), observed, penalties)
-        if not then.cost <= now.cost:
-            damping *= 10.0
-            if damping > LARGEST_DAMPING:
-                break
-            continue
-        gain, vector, now = now.cost - then.cost, trial, then
-        damping = max(damping * 0.1, SMALLEST_DAMPING)
-        if gain <= _GAIN * now.cost:
-            break
-    found = replace(unlimited.with_parameters(vector), max_angle=camera.max_angle)
-    return found, now.jacobian[:, moving], now.misfit
+    return Penalties.of(camera.projection, options.paper, largest_angle=edge)
 
 
-def _equations(camera: Camera, observed: Observations, penalties: Penalties) -> _Equations:
-    pixels, rows = project_with_rows_fast(camera, observed.directions)
-    values, slopes = penalties.values_and_slopes(camera.to_vector())
-    misfit = np.concatenate([finite(pixels - observed.pixels).ravel(), values])
-    jacobian = np.concatenate([rows.reshape(-1, slopes.shape[1]), slopes])
-    return _Equations(misfit, jacobian, jacobian.T @ jacobian, -(misfit @ jacobian), float(misfit @ misfit))
+def equations(camera: Camera, observed: Observations, options: CalibrationOptions) -> Equations:
+    """Return the misfit of a camera that answers at any angle, each sighting weighed by its information."""
+    pixels, rows = project_with_rows_fast(_unlimited(camera), observed.directions)
+    values, slopes = _penalties(camera, options).values_and_slopes(camera.to_vector())
+    root = np.sqrt(observed.information)[:, None]
+    misfit = np.concatenate([(root * finite(pixels - observed.pixels)).ravel(), values])
+    return Equations(misfit, np.concatenate([(root[..., None] * rows).reshape(-1, slopes.shape[1]), slopes]))

@@ -1,0 +1,205 @@
+"""How often the truth lies within the stated 95 %, over cameras, sites, days and noise of many kinds.
+
+    OMP_NUM_THREADS=1 python docs/studies/coverage.py --lenses 200 [--case NAME]… [--jobs 2]
+
+Where a case names no field, a lens has one or none as the fit's prior has it (`ranks.py`). Printed for every case, over
+the sky that the image holds: the median over lenses of the true error (px), the share of directions whose error lies
+within the stated 95 % ellipse, its 95 % interval by bootstrap over lenses, the same within 20 degrees of the sun's
+track and beyond 40 degrees, and how many of the fits their own verdict accepts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import population as pop
+from numpy.typing import NDArray
+from ranks import FIELD_LENGTHS
+from ranks import amplitude_px as drawn_amplitude_px
+
+from sunarc.calibration import CalibrationOptions, calibrate, camera_sees, hemisphere, project_with_covariance
+from sunarc.optics import Camera, PoseAngles, Projection, ideal_radius, project, rotation_from_pose_angles
+from sunarc.sky import Site, sun_angles, sun_directions
+
+FloatArray = NDArray[np.float64]
+Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]
+"""Errors (n, 2), px, of sightings at zenith angles (n,), degrees, for a 1-sigma per axis."""
+
+_SKY = hemisphere(600)
+_CHI_SQUARE_95 = 5.991
+_DRAWS = 2000
+_CORRELATION = 0.9
+
+
+def white(rng: np.random.Generator, zenith: FloatArray, sigma_px: float) -> FloatArray:
+    """Draw independent errors."""
+    return pop.white_noise(rng, zenith.size, sigma_px)
+
+
+def correlated(rng: np.random.Generator, zenith: FloatArray, sigma_px: float) -> FloatArray:
+    """Draw first-order autoregressive errors."""
+    return pop.correlated_noise(rng, zenith.size, sigma_px, _CORRELATION)
+
+
+def growing(rng: np.random.Generator, zenith: FloatArray, sigma_px: float) -> FloatArray:
+    """Draw errors that are six times as large at the horizon as at the zenith."""
+    return white(rng, zenith, sigma_px) * (1.0 + 5.0 * zenith / 90.0)[:, None]
+
+
+def heavy_tailed(rng: np.random.Generator, zenith: FloatArray, sigma_px: float) -> FloatArray:
+    """Draw errors of Student's t with three degrees of freedom, of the scale sigma."""
+    return sigma_px * rng.standard_t(3, (zenith.size, 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """What is simulated.
+
+    days: offsets from 13 May 2013. field_px: None draws it from the fit's prior, with its length. rounded: to whole
+    pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle off the axis that the
+    image's shorter side ends at; NaN: 90, or 60 with a perspective lens.
+    """
+
+    days: tuple[int, ...] = (0,)
+    sigma_px: float = 0.5
+    field_px: float | None = None
+    field_length_px: float = 425.0
+    noise: Noise = white
+    rounded: bool = False
+    tilt_deg: float | None = None
+    projection: Projection = "equisolid"
+    size: tuple[int, int] = (pop.SIZE, pop.SIZE)
+    edge_deg: float = math.nan
+    site: Site = pop.SGP
+
+
+def at(latitude: float) -> Site:
+    """Return a site at the meridian of the Southern Great Plains."""
+    return Site(latitude=latitude, longitude=pop.SGP.longitude, altitude=300.0)
+
+
+CASES = {
+    "1 day": Case(),
+    "1 day, no field": Case(field_px=0.0),
+    "2 days in a row": Case(days=(0, 1)),
+    "3 days in a row": Case(days=(0, 1, 2)),
+    "4 days": Case(days=(0, 1, 20, 29)),
+    "7 days in a row": Case(days=tuple(range(7))),
+    "14 days in a row": Case(days=tuple(range(14))),
+    "tilt 15°": Case(tilt_deg=15.0),
+    "tilt 40°": Case(tilt_deg=40.0),
+    "120° lens": Case(edge_deg=60.0),
+    "640 × 480": Case(size=(640, 480)),
+    "4096 × 3000": Case(size=(4096, 3000)),
+    "latitude -41°": Case(site=at(-41.0)),
+    "latitude +79°": Case(site=at(79.0)),
+    "the pole": Case(site=at(90.0)),
+    "AR(1) 0.9": Case(noise=correlated),
+    "noise × 6 to the horizon": Case(noise=growing, sigma_px=0.25),
+    "t3 noise": Case(noise=heavy_tailed, sigma_px=0.3),
+    "whole pixels": Case(sigma_px=0.05, rounded=True),
+    "equidistant": Case(projection="equidistant"),
+    "stereographic": Case(projection="stereographic"),
+    "orthographic": Case(projection="orthographic"),
+    "perspective": Case(projection="perspective"),
+    "field 0.3 px": Case(field_px=0.3),
+    "0.03 px, field 0.3 px": Case(sigma_px=0.03, field_px=0.3),
+    "4 days, field 0.3 px": Case(days=(0, 1, 20, 29), field_px=0.3),
+    "4 days, 0.03 px, field 0.1 px, 200 px": Case(
+        days=(0, 1, 20, 29), sigma_px=0.03, field_px=0.1, field_length_px=200.0
+    ),
+    "4 days, 0.03 px, field 1 px, 850 px": Case(
+        days=(0, 1, 20, 29), sigma_px=0.03, field_px=1.0, field_length_px=850.0
+    ),
+}
+
+
+def lens_of(case: Case, rng: np.random.Generator) -> Camera:
+    """Draw the true camera; its departures from the ideal are the same in angle whatever the image's size."""
+    edge = 60.0 if case.projection == "perspective" else 90.0
+    edge = edge if math.isnan(case.edge_deg) else case.edge_deg
+    focal = 0.4863 * min(case.size) / float(ideal_radius(case.projection, math.radians(edge)))
+    share = min(case.size) / pop.SIZE
+    base = replace(
+        pop.CASE_3, width=case.size[0], height=case.size[1], projection=case.projection, focal_length_px=(focal, focal)
+    )
+    lenses = pop.Lenses(radial_px=1.5 * share, decentering_px=0.6 * share, center_px=5.0 * share)
+    camera = pop.random_camera(rng, lenses, base=base)
+    if case.tilt_deg is None:
+        return camera
+    azimuth, turn = rng.uniform(-180.0, 180.0), rng.uniform(0.0, 360.0)
+    pose = PoseAngles(phi_xz_deg=azimuth, theta_zz_deg=case.tilt_deg, psi_z_deg=turn)
+    return replace(camera, rotation_cam_enu=rotation_from_pose_angles(pose))
+
+
+def field_of(case: Case, rng: np.random.Generator) -> pop.Field | None:
+    """Draw what no lens model describes; None where there is no field."""
+    if case.field_px is not None:
+        amplitude, length = case.field_px, case.field_length_px
+    else:
+        amplitude, length = drawn_amplitude_px(rng), min(case.size) * math.exp(rng.uniform(*np.log(FIELD_LENGTHS)))
+    return pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude > 0.0 else None
+
+
+def one_lens(seed: int, case: Case) -> tuple[float, float, float, float, bool]:
+    """Return the RMS error over the sky, px, the share covered there, near the track and far, and the verdict."""
+    rng = np.random.default_rng([seed, 20])
+    truth = lens_of(case, rng)
+    field = field_of(case, rng)
+
+    def seen_at(directions: FloatArray) -> FloatArray:
+        pixels = project(truth, directions)
+        return pixels if field is None else np.asarray(pixels + field(pixels))
+
+    times = pop.sun_track(np.array(case.days, dtype=float), site=case.site)
+    times = times[camera_sees(truth, project(truth, sun_directions(times, case.site)))]
+    zenith = sun_angles(times, case.site).apparent_zenith
+    points = pop.sightings(truth, times, case.noise(rng, zenith, case.sigma_px), site=case.site, field=field)
+    if case.rounded:
+        points = replace(points, pixels=np.rint(points.pixels))
+    options = CalibrationOptions(projection=case.projection)
+    fit = calibrate(points, site=case.site, image_size=case.size, options=options)
+    expected = seen_at(_SKY)
+    found, covariance = project_with_covariance(fit, _SKY)
+    shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
+    error, covariance = (found - expected)[shown], covariance[shown]
+    covered = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) < _CHI_SQUARE_95
+    track = sun_directions(times[:: max(times.size // 400, 1)], case.site)
+    away = np.degrees(np.arccos(np.clip(np.max(_SKY[shown] @ track.T, axis=1), -1.0, 1.0)))
+    rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
+    near, far = away < 20.0, away > 40.0
+    shares = [float(covered[where].mean()) if np.any(where) else math.nan for where in (near, far)]
+    return rms, float(covered.mean()), shares[0], shares[1], fit.verdict.accepted
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lenses", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--case", action="append", choices=list(CASES))
+    parser.add_argument("--jobs", type=int, default=1)
+    chosen = parser.parse_args()
+    print("| case | lenses | sky, px | coverage (interval) | near, far | accepted |\n|---|---|---|---|---|---|")
+    for name in chosen.case or CASES:
+        seeds = range(chosen.first, chosen.first + chosen.lenses)
+        with ProcessPoolExecutor(chosen.jobs) as pool:
+            rows = np.array(list(pool.map(partial(one_lens, case=CASES[name]), seeds)), dtype=float)
+        picks = np.random.default_rng(1).integers(0, len(rows), (_DRAWS, len(rows)))
+        low, high = np.quantile(rows[picks, 1].mean(axis=1), [0.025, 0.975])
+        near, far = np.nanmean(rows[:, 2]), np.nanmean(rows[:, 3])
+        print(
+            f"| {name} | {len(rows)} | {np.median(rows[:, 0]):.3f} | {rows[:, 1].mean():.3f} ({low:.3f} to {high:.3f}) "
+            f"| {near:.3f}, {far:.3f} | {int(rows[:, 4].sum())} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

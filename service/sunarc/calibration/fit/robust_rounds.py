@@ -1,0 +1,273 @@
+"""The rounds of the robust fit: the camera beside a field, from the robust fit without one.
+
+Rounds of: weigh the sightings by what the last fit leaves over, gather them into bins, ask which scales the data speak
+for, solve with the field marginalised. The first round lets the field be large, so that the noise is judged from what
+no smooth error explains.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.fit.hyperparameter_grid import (
+    HyperparameterGrid,
+    likely_scales,
+    log_evidence,
+    log_odds_of_a_field,
+    log_weights,
+    normalised,
+)
+from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
+from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
+from sunarc.calibration.fit.noise import inflation, neighbours
+from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
+from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
+from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.least_squares.time_bins import Bins, time_bins
+from sunarc.calibration.model.sightings import FilteredSightings
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_weights
+
+_ROUNDS = 5
+_FIRST_FIELD_PX = 1.0
+LOOSE_RADIAL_PX = 16.0
+LOOSE_DECENTERING_PX = 3.0
+_ENOUGH = 20
+"""Sightings of one kind, at least, for a scale of their own."""
+_FIELD_MAY_COST = 1.1
+"""Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
+_FIELD_SHRINKS = 0.25
+_FIELD_BOUNDS = 4
+"""How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class State:
+    """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior."""
+
+    unknowns: FloatArray
+    residuals: FloatArray
+    scales: Scales
+    field_odds: float = -math.inf
+    gain: float = math.inf
+
+    @property
+    def proven_field_px(self) -> float:
+        """The field's 1-sigma where the sightings prove one, else 0."""
+        return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
+
+
+class Course(NamedTuple):
+    """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,)."""
+
+    bins: Bins
+    run: IntArray
+    follows: BoolArray
+    alone: BoolArray
+
+    @classmethod
+    def of(cls, usable: FilteredSightings) -> Course:
+        """Return the course of sightings."""
+        run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
+        each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
+        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Noise:
+    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`."""
+
+    scale: FloatArray
+    weight: FloatArray
+    inflation: FloatArray
+
+    @property
+    def sigma_px(self) -> float:
+        """The scale of the track, which comes first; without one, of all."""
+        return float(self.scale[0])
+
+    def information(self, observed: Observations) -> FloatArray:
+        """Return (n,) px⁻²."""
+        variance = self.scale**2 * self.inflation
+        return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobustCamera:
+    """The camera of a robust fit, and all that its uncertainty follows from.
+
+    Attributes
+    ----------
+    problem : of the fit, the refraction among its unknowns.
+    unknowns : (p,) the most probable ones, brought to what least squares reaches.
+    state, noise : as the last round left them, in the air that the fit is made with.
+    grid : the scales that were tried.
+    information : (n,) of each sighting, px⁻².
+    """
+
+    problem: Problem
+    unknowns: FloatArray
+    state: State
+    noise: Noise
+    grid: HyperparameterGrid
+    information: FloatArray
+
+    def system(self, observed: Observations, bins: Bins) -> LinearSystem:
+        """Return the bins' equations about the camera."""
+        return linear_system(
+            self.problem, observed, bins, self.unknowns, information=self.information, basis=self.grid.basis
+        )
+
+    def field_mean(self, normal: NormalEquations) -> FloatArray | None:
+        """Return the field's coefficients (2, m) by the sums about the camera; None where none is more probable."""
+        return field_at(normal, self.grid.basis, self.state.scales) if self.state.field_odds > 0.0 else None
+
+
+def robust_camera(
+    problem: Problem,
+    observed: Observations,
+    plain: FloatArray,
+    *,
+    course: Course,
+    grid: HyperparameterGrid,
+    in_its_valley: bool = False,
+) -> RobustCamera:
+    """Return the fit beside a field from the robust fit without one.
+
+    Parameters
+    ----------
+    problem : the camera sought, in the air as it is assumed.
+    observed : sightings, in the order of time within each epoch.
+    plain : (p,) unknowns of the fit without a field.
+    course : of the sightings.
+    grid : scales to try.
+    in_its_valley : whether the fit without a field is known to be in the right one: least squares is then sought from
+        there alone.
+    """
+    problem = replace(problem, n_air=observed.refraction_sd.shape[1])
+    plain = np.concatenate([plain, np.zeros(problem.n_air)])
+    state, noise, grid = _with_field(problem, observed, plain, grid, course)
+    information = noise.information(observed)
+    state = _in_assumed_air(problem, observed.weighted(information), course.bins, state, grid)
+    weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
+    unknowns = _as_good_as_least_squares(
+        problem, weighed, course.bins, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
+    )
+    return RobustCamera(
+        problem=problem, unknowns=unknowns, state=state, noise=noise, grid=grid, information=information
+    )
+
+
+def _with_field(
+    problem: Problem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, course: Course
+) -> tuple[State, Noise, HyperparameterGrid]:
+    """Return the rounds' answer, and the grid of scales that it took.
+
+    A field is there to widen the uncertainty, and does not enter the prediction. One that lets the camera itself miss
+    the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
+    again.
+    """
+    distance = distance_sigmas(problem, observed, plain)
+    sigma, weight = robust_sigma(distance, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
+    state, noise = _rounds(problem, observed, plain, grid, course)
+    for _ in range(_FIELD_BOUNDS):
+        level = allowed_level(
+            distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
+        )
+        if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
+            break
+        grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
+        state, noise = _rounds(problem, observed, plain, grid, course)
+    return state, noise, grid
+
+
+def _rounds(
+    problem: Problem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: Course
+) -> tuple[State, Noise]:
+    first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
+    state = State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
+    noise = _noise(state.residuals, observed, course)
+    for number in range(_ROUNDS):
+        noise = _noise(state.residuals, observed, course)
+        system = linear_system(
+            problem, observed, course.bins, state.unknowns, information=noise.information(observed), basis=grid.basis
+        )
+        if number == 0:
+            state = _judged(problem, observed, system, state)
+            continue
+        state = _improved(problem, observed, system, grid)
+        if state.gain <= 0.0:
+            break  # where a round does not move the camera, a further one changes nothing
+    return state, noise
+
+
+def _as_good_as_least_squares(
+    problem: Problem, observed: Observations, bins: Bins, state: State, *, sigma: float, in_its_valley: bool
+) -> FloatArray:
+    """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
+    assumed, unknowns = replace(problem, n_air=0), state.unknowns
+    in_this_air = replace(observed, directions=problem.directions(unknowns, observed))
+    camera = at_least_least_squares(
+        assumed,
+        in_this_air,
+        bins,
+        unknowns[: assumed.size],
+        sigma=sigma,
+        field_px=state.proven_field_px,
+        in_its_valley=in_its_valley,
+    )
+    return np.concatenate([camera, unknowns[assumed.size :]])
+
+
+def _judged(problem: Problem, observed: Observations, system: LinearSystem, state: State) -> State:
+    """Return the state with what a large field beside the model leaves over; the camera stays."""
+    marginal = marginal_fit(system.normal(), system.basis, state.scales)
+    explained = system.rows @ (marginal.unknowns - system.at) + system.basis_values @ marginal.coefficients.T
+    return replace(state, residuals=problem.residuals(state.unknowns, observed) - explained[system.member])
+
+
+def _improved(problem: Problem, observed: Observations, system: LinearSystem, grid: HyperparameterGrid) -> State:
+    """Return the state after a solve with the scales that the data speak for."""
+    log_weight = log_weights(system.normal(), grid)
+    scales = likely_scales(normalised(log_weight), grid)
+    rest = irls_converged(problem, system, scales)
+    unknowns, smooth = rest.unknowns, (system.basis_values @ rest.fit.coefficients.T)[system.member]
+    return State(
+        unknowns=unknowns,
+        residuals=problem.residuals(unknowns, observed) - smooth,
+        scales=scales,
+        field_odds=log_odds_of_a_field(log_weight),
+        gain=rest.gain,
+    )
+
+
+def _in_assumed_air(
+    problem: Problem, observed: Observations, bins: Bins, state: State, grid: HyperparameterGrid
+) -> State:
+    """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
+    assumed = replace(problem, n_air=0)
+    system = linear_system(problem, observed, bins, state.unknowns, information=observed.information, basis=grid.basis)
+    in_assumed_air = system.moved(assumed, state.unknowns[: assumed.size])
+    other, usual = (log_weights(each.normal(), grid) for each in (system, in_assumed_air))
+    if log_evidence(other) - log_evidence(usual) > STRONG_EVIDENCE:
+        return state
+    scales = likely_scales(normalised(usual), grid)
+    unknowns = irls_converged(assumed, in_assumed_air, scales).unknowns
+    return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
+
+
+def _noise(residuals: FloatArray, observed: Observations, course: Course) -> Noise:
+    """Return the noise as it shows beside model and field."""
+    distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
+    scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
+    for kind in (course.alone, ~course.alone):
+        # sigmas stated with directions and by the sun's detector may be wrong by different factors
+        if np.count_nonzero(kind) >= _ENOUGH:
+            scale[kind] = robust_sigma(distance[kind], floor=SMALLEST_SIGMA_PX)
+    weight = tukey_weights(distance / scale, sigma=1.0)
+    inflated = inflation(residuals, weight, course.follows, course.run)
+    return Noise(scale=scale, weight=weight, inflation=np.where(course.alone, 1.0, inflated))
