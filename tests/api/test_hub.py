@@ -26,6 +26,7 @@ METRICS = {
     f"sunarc_fleet_{name}"
     for name in (
         "received_seconds",
+        "status_seconds",
         "last_sighting_seconds",
         "sky_sigma_degrees",
         "quarantined",

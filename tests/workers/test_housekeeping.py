@@ -82,6 +82,15 @@ def test_a_kill_loses_ten_minutes_at_most_and_a_stop_nothing(bench: Bench) -> No
     assert bench.archive.housekeeping("roof", step="hour")[0].n_temperatures == pytest.approx(131, abs=1)
 
 
+def test_an_hour_that_has_ended_is_stored_at_once(bench: Bench) -> None:
+    bench.clock.advance(3500.0)
+    worker = bench.worker()
+    bench.pass_time(worker, 100.0)
+    assert bench.archive.housekeeping("roof", step="hour") == ()
+    bench.pass_time(worker, 10.0)
+    assert bench.archive.housekeeping("roof", step="hour")[-1].n_temperatures == 10
+
+
 def test_what_a_full_disk_refuses_waits_and_is_stored_later(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     worker = bench.worker()
 

@@ -59,7 +59,7 @@ def create_hub_app(
     )
     receiver = FeedReceiver(archive, now)
     numbers = registry or CollectorRegistry()
-    numbers.register(FleetCollector(archive, now))
+    numbers.register(FleetCollector(archive, now, status))
     app = new_application("sunarc hub")
     app.include_router(feed_routes(receiver))
     add_camera_routes(app, context)

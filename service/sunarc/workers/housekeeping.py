@@ -60,8 +60,12 @@ class HousekeepingWorker:
         now = self._now()
         if now is not None:
             self._sample(now)
-        if self._clock.monotonic() - self._stored_s >= _STORE_EVERY_S:
+        if self._clock.monotonic() - self._stored_s >= _STORE_EVERY_S or self._has_ended_hour():
             self.store()
+
+    def _has_ended_hour(self) -> bool:
+        """Whether an hour has just ended: a simulated one lasts seconds. What could not be stored waits its time."""
+        return len(self._waiting) > 1 and not self._failed
 
     def _sample(self, now: datetime) -> None:
         snapshot = self._board.snapshot()

@@ -17,10 +17,11 @@ from pydantic import BaseModel
 
 from sunarc.api.problems import answers
 from sunarc.api.routes.health import readiness
-from sunarc.api.routes.metrics import push_metrics
+from sunarc.api.routes.metrics import push_metrics, service_metrics
 from sunarc.api.schemas.calibration import Alive, Readiness
 from sunarc.api.schemas.parameters import row_limit
 from sunarc.archive import Archive, FleetCamera, Quarantined
+from sunarc.errors import OutsideError
 from sunarc.json_fields import Time, described
 from sunarc.runtime.status import StatusSnapshot
 
@@ -131,6 +132,7 @@ def state_of(camera: FleetCamera, now: datetime) -> State:
 
 _NUMBERS: tuple[tuple[str, str, Callable[[FleetCamera], float | None]], ...] = (
     ("received_seconds", "When it last sent something, Unix time.", lambda c: _unix_s(c.received_at)),
+    ("status_seconds", "When its last report of itself came, Unix time.", lambda c: _unix_s(c.status_at)),
     ("last_sighting_seconds", "Time of its newest sighting, Unix time.", lambda c: _unix_s(c.last_sighting_at)),
     ("sky_sigma_degrees", "1-sigma of its calibration over the sky (RMS).", lambda c: c.sky_rms_deg),
     ("quarantined", "Things of it in quarantine.", lambda c: c.n_quarantined),
@@ -141,24 +143,37 @@ _NUMBERS: tuple[tuple[str, str, Callable[[FleetCamera], float | None]], ...] = (
 
 
 class FleetCollector(Collector):
-    """Collects the numbers of the fleet.
+    """Collects the numbers of the hub and of the fleet.
 
     Parameters
     ----------
     archive : the hub's.
     now : real time.
+    status : returns how the hub is.
     """
 
-    def __init__(self, archive: Archive, now: Callable[[], datetime]) -> None:
+    def __init__(self, archive: Archive, now: Callable[[], datetime], status: Callable[[], StatusSnapshot]) -> None:
         self._archive = archive
         self._now = now
+        self._status = status
 
     def describe(self) -> Iterator[Metric]:
         """Return no metrics, so that registering does not query the archive."""
         return iter(())
 
     def collect(self) -> Iterator[Metric]:
-        """Read the fleet once."""
+        """Read the fleet once; where the database does not answer, that and the hub's own numbers are left."""
+        yield from service_metrics(self._status())
+        try:
+            of_fleet = list(self._of_fleet())
+        except OutsideError:
+            of_fleet = []
+        up = GaugeMetricFamily("sunarc_store_up", "1 while the hub's database answers.")
+        up.add_metric([], float(bool(of_fleet)))
+        yield up
+        yield from of_fleet
+
+    def _of_fleet(self) -> Iterator[Metric]:
         cameras, now = self._archive.fleet(), self._now()
         for name, meaning, value_of in _NUMBERS:
             family = GaugeMetricFamily(f"sunarc_fleet_{name}", meaning, labels=["camera"])

@@ -61,21 +61,8 @@ class StatusCollector(Collector):
     def collect(self) -> Iterator[Metric]:
         """Read the board and the archive once."""
         snapshot = self._context.status()
-        yield _labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
-        yield _labelled(
-            "sunarc_health",
-            "1 for the state that holds.",
-            ("state",),
-            {(state,): float(state == snapshot.health) for state in get_args(Health)},
-        )
-        yield _labelled(
-            "sunarc_reason",
-            "1 for each reason why the service is not wholly ready.",
-            ("code", "severity"),
-            {(reason.code, reason.severity): 1.0 for reason in snapshot.reasons},
-        )
+        yield from service_metrics(snapshot)
         yield from _workers(snapshot)
-        yield _single("sunarc_started_seconds", "Unix time at which the service started.", _unix_s(snapshot.started_at))
         yield from _facts(snapshot, self._stored_step_at)
         yield from _counts(snapshot.capture)
         yield from self._calibration()
@@ -93,6 +80,24 @@ class StatusCollector(Collector):
                 "sunarc_calibration_sky_rms_degrees", "1-sigma per axis over the sky.", summary_now.sky_rms_deg
             )
             yield _single("sunarc_calibration_valid_from_seconds", "Unix time.", _unix_s(summary_now.valid_from))
+
+
+def service_metrics(snapshot: StatusSnapshot) -> Iterator[Metric]:
+    """Yield version, health, conditions and the time of the start: of an imager and of a hub."""
+    yield _labelled("sunarc_build_info", "The version that runs.", ("version",), {(snapshot.version,): 1.0})
+    yield _labelled(
+        "sunarc_health",
+        "1 for the state that holds.",
+        ("state",),
+        {(state,): float(state == snapshot.health) for state in get_args(Health)},
+    )
+    yield _labelled(
+        "sunarc_reason",
+        "1 for each reason why the service is not wholly ready.",
+        ("code", "severity"),
+        {(reason.code, reason.severity): 1.0 for reason in snapshot.reasons},
+    )
+    yield _single("sunarc_started_seconds", "Unix time at which the service started.", _unix_s(snapshot.started_at))
 
 
 def push_metrics(archive: Archive) -> Iterator[Metric]:
