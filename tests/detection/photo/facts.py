@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.detection.rendering import FloatArray
 
-from sunarc.detection import detect_sun_in_photo
+from sunarc.detection import Expectation, detect_sun_in_photo
 
 Photo = NDArray[np.uint8]
 
@@ -30,6 +30,9 @@ class Facts(NamedTuple):
     of the light at 1.7 radii over its fall. slope : of the sky across the image, levels. quality : of the JPEG.
     mark_px, streaks, text : a black-sun mark within the plateau, streaks of the lens through it, and an overlay of 255.
     edge : radii by which the light has fallen to `near`. drawn_out : the longer axis over the shorter, less 1, at most.
+    cloud : range of the standard deviation of the logarithm of the transmission of cloud before the sun and its glare.
+    covered : range of the transmission of a cloud whose edge passes through the sun's rim; none where both are 1.
+    size : the smaller side of the real images, px.
     """
 
     radius: tuple[float, float]
@@ -46,18 +49,50 @@ class Facts(NamedTuple):
     text: bool = True
     edge: float = 1.7
     drawn_out: float = 0.0
+    cloud: tuple[float, float] = (0.0, 0.0)
+    covered: tuple[float, float] = (1.0, 1.0)
+    size: int = 1920
 
 
 KINDS = {
     "clear, saturated": Facts((0.032, 0.05), uneven=(0.24, 0.9), slope=0.15),
-    "haze": Facts((0.012, 0.033), rim=(0.939, 0.891), near=0.838, far=0.743, wide=0.651, uneven=(0.1, 0.3), mark_px=3),
-    "thin cloud": Facts((0.04, 0.07), rim=(0.951, 0.913), near=0.853, far=0.776, wide=0.572, uneven=(0.35, 1.2)),
+    "haze": Facts(
+        (0.012, 0.033),
+        rim=(0.939, 0.891),
+        near=0.838,
+        far=0.743,
+        wide=0.651,
+        uneven=(0.05, 0.15),
+        mark_px=3,
+        cloud=(0.007, 0.015),
+    ),
+    "thin cloud": Facts(
+        (0.04, 0.06), rim=(0.951, 0.913), near=0.853, far=0.76, wide=0.572, uneven=(0.1, 0.3), cloud=(0.05, 0.1)
+    ),
     "HDR, Raspberry Pi": Facts(
-        (0.007, 0.018), rim=(0.95, 0.895), near=0.808, far=0.712, wide=0.541, uneven=(0.21, 0.89), streaks=1, text=False
+        (0.007, 0.018),
+        rim=(0.95, 0.895),
+        near=0.808,
+        far=0.712,
+        wide=0.541,
+        uneven=(0.21, 0.89),
+        streaks=1,
+        text=False,
+        size=840,
     ),
     "clipped at 160": Facts((0.015, 0.03), level=160, uneven=(0.2, 0.6)),
     "short exposure": Facts(
-        (0.02, 0.045), level=160, near=0.48, far=0.44, wide=0.34, uneven=(0.04, 0.14), edge=1.25, drawn_out=0.4
+        (0.028, 0.049),
+        level=160,
+        near=0.48,
+        far=0.44,
+        wide=0.34,
+        uneven=(0.04, 0.14),
+        edge=1.25,
+        drawn_out=0.4,
+        cloud=(0.03, 0.1),
+        covered=(0.6, 0.9),
+        size=960,
     ),
     "poor JPEG": Facts((0.02, 0.04), uneven=(0.2, 0.6), quality=70),
 }
@@ -66,6 +101,9 @@ SUNLESS = ("overcast", "bright cloud", "roofs and text", "lamp at night", "moonl
 _TEXTURES = ((3.5, 1.3), (0.2, 0.8))
 """Widths of the unevenness, radii, and the share of each in its standard deviation: by harmonics of the light about the
 real suns (docs/studies.md, "Stand-ins")."""
+_CLOUD_TEXTURES = ((2.0, 0.6), (0.5, 0.8))
+"""The same of the logarithm of the transmission of cloud: beside the sun in thin cloud the first, the second and the
+third to sixth harmonics are alike, and at 1.1 radii half of what they are at 1.7 (0.03 and 0.06)."""
 _UNEVEN_OF_UNIT = 1.9
 """Width of the middle 70 % of a normal distribution's light at 1.7 radii, in its standard deviations."""
 
@@ -86,6 +124,10 @@ def sun_photo(
     parts = [share * _texture(rng, size, max(width * radius, 1.0)) for width, share in _TEXTURES]
     light += amount * np.clip((1.0 - light) / (1.0 - facts.near), 0.0, 2.0) * sum(parts)
     light += facts.slope * 0.3 * (rows - y) / size
+    cloud = sum(share * _texture(rng, size, max(width * radius, 1.0)) for width, share in _CLOUD_TEXTURES)
+    light *= np.exp(rng.uniform(*facts.cloud) * cloud)  # before the light is clipped
+    if facts.covered[0] < 1.0:
+        light *= _cloud_edge((columns - x) / radius, (rows - y) / radius, facts, rng)
     for _ in range(facts.streaks):
         ray = rng.uniform(0.0, math.pi)
         across = np.abs((columns - x) * math.sin(ray) - (rows - y) * math.cos(ray))
@@ -105,6 +147,13 @@ def _profile(facts: Facts) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if facts.edge < 1.7:
         return (0.0, 1.0, facts.edge, *beyond), (1.6, 1.0, facts.near, *glare)
     return (0.0, 0.8, 0.9, 1.0, 1.1, 1.3, *beyond), (1.6, 1.0, 0.99, 0.974, *facts.rim, *glare)
+
+
+def _cloud_edge(dx: FloatArray, dy: FloatArray, facts: Facts, rng: np.random.Generator) -> FloatArray:
+    """Return the transmission of a cloud whose edge passes at 0.6 to 1.5 radii from the sun; dx, dy in radii."""
+    ray, wide = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.1, 0.5)
+    beyond = dx * math.cos(ray) + dy * math.sin(ray) - rng.uniform(0.6, 1.5)
+    return np.asarray(1.0 - (1.0 - rng.uniform(*facts.covered)) / (1.0 + np.exp(-beyond / wide)))
 
 
 def _distance(dx: FloatArray, dy: FloatArray, facts: Facts, rng: np.random.Generator) -> FloatArray:
@@ -184,11 +233,11 @@ class Outcome(NamedTuple):
         return float(np.mean((self.error_px / self.sigma_px) ** 2)) / 2.0
 
 
-def outcome_of(kind: str, images: int, rng: np.random.Generator, *, size: int = 480) -> Outcome:
-    """Return what became of so many suns of a kind."""
+def outcome_of(kind: str, images: int, rng: np.random.Generator, *, size: int | None = None) -> Outcome:
+    """Return what became of so many suns of a kind, in images of the size of the real ones if none is given."""
     error, sigma = list[float](), list[float]()
     for _ in range(images):
-        image, place = sun_photo(KINDS[kind], rng, size=size)
+        image, place = sun_photo(KINDS[kind], rng, size=size or KINDS[kind].size)
         found = detect_sun_in_photo(image, full_scale=255)
         if found.accepted and found.x_px is not None and found.y_px is not None and found.sigma_px is not None:
             error.append(math.hypot(found.x_px - place[0], found.y_px - place[1]))
@@ -196,16 +245,24 @@ def outcome_of(kind: str, images: int, rng: np.random.Generator, *, size: int = 
     return Outcome(images, np.array(error), np.array(sigma))
 
 
-def accepted_without_a_sun(kind: str, images: int, rng: np.random.Generator) -> int:
-    """Return how many of so many frames without a sun were accepted."""
-    return sum(detect_sun_in_photo(sunless_photo(kind, rng), full_scale=255).accepted for _ in range(images))
+def accepted_without_a_sun(kind: str, images: int, rng: np.random.Generator, *, size: int = 320) -> tuple[int, int]:
+    """Return how many of so many frames without a sun were accepted without and with a prediction of its place."""
+    alone = predicted = 0
+    for _ in range(images):
+        image = sunless_photo(kind, rng, size=size)
+        angle, apart = rng.uniform(0.0, 2.0 * math.pi), 0.45 * size * math.sqrt(rng.uniform(0.0, 1.0))
+        x, y = (0.5 * size + apart * math.cos(angle), 0.5 * size + apart * math.sin(angle))
+        expected = Expectation(x_px=x, y_px=y, uncertainty_px=2.0)
+        alone += detect_sun_in_photo(image, full_scale=255).accepted
+        predicted += detect_sun_in_photo(image, full_scale=255, expectation=expected).accepted
+    return alone, predicted
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--images", type=int, default=40)
     parser.add_argument("--sunless", type=int, default=700)
-    parser.add_argument("--size", type=int, default=480)
+    parser.add_argument("--size", type=int, help="smaller side of the images, px; that of the real ones by default")
     arguments, rng = parser.parse_args(), np.random.default_rng(16)
     for kind in KINDS:
         found = outcome_of(kind, arguments.images, rng, size=arguments.size)
@@ -214,9 +271,11 @@ def main() -> None:
             f"| {kind} | {len(found.error_px)} of {found.images} | {np.median(found.error_px):.2f} | "
             f"{np.median(found.sigma_px):.2f} | {found.chi2:.2f} | {far} |\n"
         )
+        sys.stdout.flush()
     for index, kind in enumerate(SUNLESS):
         count = len(range(index, arguments.sunless, len(SUNLESS)))
-        sys.stdout.write(f"| {kind} | {accepted_without_a_sun(kind, count, rng)} of {count} accepted |\n")
+        alone, predicted = accepted_without_a_sun(kind, count, rng)
+        sys.stdout.write(f"| {kind} | {alone} of {count} accepted, {predicted} with a prediction |\n")
 
 
 if __name__ == "__main__":

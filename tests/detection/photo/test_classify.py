@@ -140,12 +140,12 @@ def test_the_score_falls_off_the_glare() -> None:
 
 
 def test_sigma_is_the_root_of_the_sum_of_its_parts() -> None:
-    parts = (0.3, 0.015 * 12.0, 0.35 * 0.6 / 0.9, 0.3 * 0.2, 0.25 * 1.0, 0.09 * 12.0 * 0.3**2)
+    parts = (0.2, 0.015 * 12.0, 7.0 * (0.6 / 0.9) ** 2 / 12.0, 0.5 * 0.2, 0.45 * 1.0)
     assert sigma_px(RIM) == pytest.approx(math.sqrt(sum(part**2 for part in parts)))
 
 
 @pytest.mark.parametrize(
-    "worse", [{"scatter": 2.0}, {"spread": 3.0}, {"offset": 6.0}, {"uneven": 1.0}, {"share": 0.3}, {"radius": 60.0}]
+    "worse", [{"scatter": 2.0}, {"spread": 3.0}, {"offset": 6.0}, {"share": 0.3}, {"radius": 60.0, "scatter": 3.0}]
 )
 def test_sigma_grows_with_what_makes_a_centre_uncertain(worse: dict[str, Any]) -> None:
     assert sigma_px(RIM._replace(**worse)) > 1.3 * sigma_px(RIM)
@@ -194,6 +194,9 @@ def test_where_the_sun_is_predicted_an_edge_needs_no_aureole() -> None:
 
 def test_the_sigma_of_a_rim_with_an_edge_grows_with_what_does_not_follow_it() -> None:
     whole, covered = EDGED._replace(share=1.0, uneven=0.0), EDGED._replace(share=0.6, uneven=0.0)
-    assert sigma_px(whole) == pytest.approx(math.hypot(0.3, 0.06 * 12.0, 0.35 * 0.6, 0.3 * 0.2, 0.25), rel=1e-6)
-    assert sigma_px(covered) > 0.4 * 0.45 * 12.0
+    assert sigma_px(whole) == pytest.approx(
+        math.hypot(0.2, 0.04 * 12.0, 7.0 * 0.6**2 / 12.0, 0.5 * 0.2, 0.45), rel=1e-6
+    )
+    assert sigma_px(covered) > 0.4 * 0.25 * 12.0
     assert sigma_px(covered) > 1.5 * sigma_px(covered._replace(edged=False))
+    assert sigma_px(whole._replace(uneven=0.8)) > 2.0 * sigma_px(whole)

@@ -34,13 +34,14 @@ _AS_LIGHT, _AWAY = 0.9, 2.6
 _LINEAR_TONES = 1.0 / 2.2
 """Images of more than 8 bits are taken for linear: their light beside the sun is compared by the tones of 8 bits."""
 _EIGHT_BITS = 255
-_MIN_SIGMA_PX = 0.3
+_MIN_SIGMA_PX = 0.2
 _MIN_SIGMA_RADIUS = 0.015
 """1-sigma per axis over the radius, at best: real suns in haze, against a camera fitted to them."""
-_SCATTER, _SPREAD, _OFFSET, _UNEVEN = 0.35, 0.3, 0.25, 0.09
-"""Sigma over the scatter (over the share), the spread, the offset, and the radius times the squared unevenness:
-found by maximum likelihood on 117 real suns, then set by hand (docs/studies.md, "Photographs")."""
-_EDGED_RADIUS, _EDGED_SHARE, _EDGED_UNEVEN = 0.06, 0.45, 0.9
+_SCATTER, _SPREAD, _OFFSET = 7.0, 0.5, 0.45
+"""Sigma over the square of the scatter (over the share) over the radius, over the spread and over the offset: by
+maximum likelihood on 28 real suns and 283 stand-ins without an edge, each series of equal weight, rounded
+(docs/studies.md, "Stand-ins"). Cloud that scatters the rim also moves it, by a share that grows with the scatter."""
+_EDGED_RADIUS, _EDGED_SHARE, _EDGED_UNEVEN = 0.04, 0.25, 0.9
 """Sigma of a rim with an edge over the radius, over that times the share that does not follow, and over that times the
 squared unevenness: cloud before a sun in a short exposure is a gap in the rim (docs/studies.md, "A day of clouds")."""
 _LIT, _LIT_SHARE = 0.06, 0.25
@@ -153,10 +154,10 @@ def sigma_px(rim: Rim) -> float:
     return math.hypot(
         _MIN_SIGMA_PX,
         (_EDGED_RADIUS if is_glare_cut else _MIN_SIGMA_RADIUS) * rim.radius,
-        _SCATTER * rim.scatter / rim.share,
+        _SCATTER * (rim.scatter / rim.share) ** 2 / rim.radius,
         _SPREAD * rim.spread,
         _OFFSET * rim.offset,
-        (_EDGED_UNEVEN if is_glare_cut else _UNEVEN) * rim.radius * rim.uneven**2,
+        _EDGED_UNEVEN * rim.radius * rim.uneven**2 * is_glare_cut,
         _EDGED_SHARE * rim.radius * (1.0 - rim.share) * is_glare_cut,
     )
 
