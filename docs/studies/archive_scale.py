@@ -198,7 +198,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="scale-") as folder:
             compare(made_chunks(Path(folder), asked.chunks), Path(folder))
     print("\n| workers | images/s | processors | storage | scheduler | driver |\n|---|---|---|---|---|---|")
-    costs = Costs(worker_s=CHUNK * 0.09, scheduler_s=0.004, driver_s=0.009, read_mb=CHUNK * 0.5)
+    costs = Costs(worker_s=CHUNK * 0.07, scheduler_s=0.004, driver_s=0.009, read_mb=CHUNK * 0.5)
     for workers in _LARGE:
         machine = Machine(cores=workers, storage_mb_s=1000.0)
         found = Simulation(costs, machine, workers=workers, chunks=_EACH * workers).run()

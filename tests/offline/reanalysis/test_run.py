@@ -101,8 +101,10 @@ def test_the_second_pass_finds_suns_that_the_first_did_not(summary: Summary) -> 
 
 
 def test_the_page_needs_no_other_file_and_shows_the_epochs(summary: Summary, target: Path) -> None:
-    del summary
     page = (target / "report.html").read_text()
+    for one in summary.report["cameras"]:
+        assert f"Images that were looked at: {one['by_verdict']['clear']} clear, " in page
+        assert one["epochs"][0]["start"][11:16] in page
     assert re.findall(r'(?:src|href)="(?!data:)', page) == []
     assert page.count("<svg") == 4  # a time line and residuals for each camera
     assert page.count("data:image/jpeg;base64,") == 5

@@ -80,12 +80,17 @@ def _overview(report: dict[str, Any]) -> str:
     header = ("camera", "images", "suns, first pass", "found with prediction", "refused with it", "suns", "epochs")
     failures = [(code, n) for code, n in report["failures"].items()]
     refused = "".join(f"<p><b>{escape(one['camera'])}</b>: {escape(one['reason'])}</p>" for one in report["refused"])
-    return _table(header, rows) + refused + (_table(("files left out", "number"), failures) if failures else "")
+    return (
+        _table(header, rows)
+        + refused
+        + (_table(("files left out (why: failures.csv)", "number"), failures) if failures else "")
+    )
 
 
 def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
     findings = "".join(f"<p>{escape(one['reason'])}</p>" for one in numbers["findings"])
-    head = f"<h2>{escape(result.name)}</h2>{findings}"
+    verdicts = ", ".join(f"{n} {verdict}" for verdict, n in numbers["by_verdict"].items())
+    head = f"<h2>{escape(result.name)}</h2>{findings}<p>Images that were looked at: {escape(verdicts or '0')}.</p>"
     if result.final is None:
         return head + "<p>No calibration.</p>"
     line = time_line(
@@ -99,8 +104,8 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
         (
             one["epoch"],
             one["cause"],
-            one["start"],
-            one["end"],
+            _time(one["start"]),
+            _time(one["end"]),
             f"{one['clock_offset_s']:+.1f}",
             one["sightings"],
             f"{one['rmse_px']:.3f}",
@@ -109,8 +114,23 @@ def _epochs(epochs: Iterable[dict[str, Any]]) -> str:
         )
         for one in epochs
     ]
-    header = ("epoch", "cause", "from", "to", "clock ahead, s", "suns", "RMSE, px", "sky error, °", "calibration")
+    header = (
+        "epoch",
+        "cause",
+        "from, UTC",
+        "to, UTC",
+        "clock ahead, s",
+        "suns",
+        "RMSE, px",
+        "sky error, °",
+        "calibration",
+    )
     return _table(header, rows)
+
+
+def _time(written: str) -> str:
+    """Return a time of RFC 3339 to the minute, which no line is broken within."""
+    return written[:16].replace("T", "\N{NO-BREAK SPACE}").replace("-", "\N{NON-BREAKING HYPHEN}")
 
 
 def _number(value: float | None) -> str:
@@ -124,7 +144,7 @@ def _residuals(result: CameraResult) -> str:
     for number, state in enumerate(result.final.states):
         rows = result.final.path == number
         distance[rows] = _distance(state, points.unix_s[rows], points.pixels[rows], result)
-    return residuals(points.unix_s, distance)
+    return "<p>Distance of the sightings from their calibration, px:</p>" + residuals(points.unix_s, distance)
 
 
 def _distance(state: State, unix_s: Any, pixels: Any, result: CameraResult) -> Any:  # noqa: ANN401 - arrays
