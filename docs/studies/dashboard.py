@@ -42,7 +42,8 @@ MARKER = """() => {
   const frame = image.getBoundingClientRect();
   const x = (box.left + box.width / 2 - frame.left) / frame.width;
   const y = (box.top + box.height / 2 - frame.top) / frame.height;
-  return [x * image.naturalWidth - 0.5, y * image.naturalHeight - 0.5, document.querySelector("#sky-time").textContent];
+  const part = document.querySelector("#overlay").viewBox.baseVal; // px of the camera; the image may be a thumbnail
+  return [part.x + x * part.width, part.y + y * part.height, document.querySelector("#sky-time").textContent];
 }"""
 
 

@@ -133,6 +133,14 @@ def shown(page: Page) -> None:
 
 CUT_OFF = """() => [...document.querySelectorAll("main td, main p, main dd")]
   .filter((one) => one.getBoundingClientRect().right > innerWidth).map((one) => one.textContent)"""
+CUT_LABELS = """() => [...document.querySelectorAll("svg.plot")].flatMap((plot) => {
+  const frame = plot.getBoundingClientRect();
+  return [...plot.querySelectorAll("text")].filter((one) => {
+    const box = one.getBoundingClientRect();
+    return box.left < frame.left - 1 || box.right > frame.right + 1;
+  }).map((one) => `${plot.id}: ${one.textContent}`);
+})"""
+"""Labels of plots that their frame cuts off."""
 MARKER = """() => {
   const box = document.querySelector("#overlay path.expected").getBoundingClientRect();
   const image = document.querySelector("#image");
@@ -194,6 +202,7 @@ def test_the_dashboard_in_a_browser(pictured: Made) -> None:
         shown(phone.page)
         assert phone.page.evaluate("document.documentElement.scrollWidth") <= 360
         assert phone.page.evaluate(CUT_OFF) == []
+        assert phone.page.evaluate(CUT_LABELS) == []
         is_accessible(phone.page)
         docs = opened(chromium, f"{address}docs", width=360, height=740)
         docs.page.wait_for_selector("#back_project", timeout=30_000)
@@ -242,6 +251,7 @@ def has_a_history(page: Page) -> None:
     page.wait_for_selector("#history-disk .x-mark >> nth=2", timeout=10_000)  # now by hour
     assert len(page.query_selector_all("#history-temperature .range")) == 2  # of three hours one has no temperature
     assert "by hour" in page.inner_text("#temperature-sum")
+    assert page.evaluate(CUT_LABELS) == []
 
 
 def can_be_asked(page: Page, sun: list[float]) -> None:

@@ -111,9 +111,10 @@ export function ticksOf(low, high, count) {
   return { ticks, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
 }
 
-export function timeTicks(from, to, most) {
-  const step = STEPS_MS.find((one) => (to - from) / one <= most) ?? STEPS_MS.at(-1);
+export function timeTicks(from, to, most, least = 0) {
+  const step = STEPS_MS.find((one) => one >= least && (to - from) / one <= most) ?? STEPS_MS.at(-1);
   const ticks = [];
   for (let at = Math.ceil(from / step) * step; at <= to; at += step) ticks.push(at);
-  return ticks.map((at) => [at, step >= 86400000 ? new Date(at).toISOString().slice(5, 10) : new Date(at).toISOString().slice(11, 16)]);
+  const written = (at) => new Date(at).toISOString();
+  return ticks.map((at) => [at, at % 86400000 ? written(at).slice(11, 16) : written(at).slice(5, 10)]); // a midnight is its date
 }

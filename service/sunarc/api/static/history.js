@@ -2,7 +2,7 @@
 import { $, element, node, symbol, telling, ticksOf, timeTicks } from "./draw.js";
 
 const DAY_MS = 86400000;
-const [HEIGHT, LEFT, BOTTOM] = [150, 60, 24];
+const [HEIGHT, LEFT, BOTTOM] = [150, 72, 24]; // LEFT holds -0.00004
 const AXES = [["x-mark", "about east"], ["y-mark", "about north"], ["z-mark", "about up"]];
 const VERDICTS = 6; // shades that tell them apart
 
@@ -29,8 +29,8 @@ function drawCalibrations(calibrations) {
     ? `${shown.length} accepted; 1-sigma over the sky ${range(shown, "sky_rms_deg", "°")}, RMSE ${range(shown, "rmse_px", " px")}.`
     : "No accepted calibration yet.";
   if (!shown.length) return;
-  draw("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]]);
-  draw("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]]);
+  draw("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]], 0);
+  draw("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]], 0);
 }
 
 function drawOffsets(days) {
@@ -70,14 +70,14 @@ function drawHousekeeping(rows, step) {
   const space = rows.filter((row) => row.disk_free_bytes !== null);
   $("disk-plot").hidden = !space.length;
   $("disk-sum").textContent = `Least free disk space by ${step}, GB`;
-  if (space.length) draw("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]]);
+  if (space.length) draw("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]], step === "day" ? DAY_MS : 0);
   const warm = rows.filter((row) => row.temperature_c !== null);
   $("temperature-plot").hidden = !warm.length;
   $("temperature-sum").textContent = `Temperature of the camera by ${step}: mean, lowest and highest, °C`;
   if (!warm.length) return;
   const [low, high] = [Math.min(...warm.map((row) => row.temperature_min_c)), Math.max(...warm.map((row) => row.temperature_max_c))];
   const margin = Math.max(0.1 * (high - low), 0.5);
-  const frame = axes("history-temperature", warm.map((row) => row.at), low - margin, high + margin);
+  const frame = axes("history-temperature", warm.map((row) => row.at), low - margin, high + margin, step === "day" ? DAY_MS : 0);
   for (const row of warm) {
     const x = frame.x(row.at);
     frame.parts.push(element("path", { class: "range", d: `M${x} ${frame.y(row.temperature_min_c)}V${frame.y(row.temperature_max_c)}` }), symbol("y-mark", x, frame.y(row.temperature_c), 2));
@@ -95,32 +95,35 @@ function keyed(mark, text, viewBox = "0 0 10 10") {
 
 function range(shown, field, unit) {
   const values = shown.map((one) => one[field]).filter((value) => value !== null);
-  return values.length ? `${telling(Math.min(...values))} to ${telling(Math.max(...values), unit)}` : "not known";
+  if (!values.length) return "not known";
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  return low === high ? telling(high, unit) : `${telling(low)} to ${telling(high, unit)}`;
 }
 
-// Series of [time, value], one symbol each; the scale holds 0.
-function draw(id, series) {
+// Series of [time, value], one symbol each; the scale holds 0. Days have no hours: `least` is the closest that labels stand.
+function draw(id, series, least = DAY_MS) {
   const values = series.flatMap(([, points]) => points.map(([, value]) => value));
   const [low, high] = [Math.min(0, ...values) * 1.15, Math.max(0, ...values) * 1.15];
-  const frame = axes(id, series.flatMap(([, points]) => points.map(([at]) => at)), low, Math.max(high, low < 0 ? 0 : 1e-6));
+  const frame = axes(id, series.flatMap(([, points]) => points.map(([at]) => at)), low, Math.max(high, low < 0 ? 0 : 1e-6), least);
   for (const [style, points] of series) for (const [at, value] of points) frame.parts.push(symbol(style, frame.x(at), frame.y(value), 3));
   $(id).replaceChildren(...frame.parts);
 }
 
-function axes(id, times, low, high) {
+function axes(id, times, low, high, least = DAY_MS) {
   const plot = $(id);
   const width = plot.clientWidth || 600;
   plot.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
   const from = Math.min(...times);
   const to = Math.max(...times, from + 1);
-  const x = (time) => LEFT + 8 + ((time - from) / (to - from)) * (width - LEFT - 24);
+  const x = (time) => LEFT + 8 + ((time - from) / (to - from)) * (width - LEFT - 32); // half a label beyond the last point
   const y = (value) => 8 + (1 - (value - low) / (high - low)) * (HEIGHT - 16 - BOTTOM);
   const { ticks, digits } = ticksOf(low, high, 4);
   const parts = ticks.flatMap((tick) => [
     element("path", { class: Math.abs(tick) < 1e-12 && low < 0 ? "zero" : "grid", d: `M${LEFT} ${y(tick)}H${width - 8}` }),
     element("text", { x: LEFT - 6, y: y(tick) + 4, "text-anchor": "end" }, tick.toFixed(digits)),
   ]);
-  const named = to - from > 400 * DAY_MS ? yearTicks(from, to) : timeTicks(from, to, width / 90);
+  const named = to - from > 400 * DAY_MS ? yearTicks(from, to) : timeTicks(from, to, width / 90, least);
+  if (!named.length) named.push([from, new Date(from).toISOString().slice(0, 10)]);
   for (const [at, text] of named) parts.push(element("text", { x: x(at), y: HEIGHT - 6, "text-anchor": "middle" }, text));
   return { x, y, parts };
 }

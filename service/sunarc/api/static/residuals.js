@@ -40,7 +40,7 @@ function drawByTime(points, series) {
   const values = series.flatMap(([, , pick]) => points.map((point) => pick(point.residual) ?? 0)).map(Math.abs).sort((a, b) => a - b);
   const reach = Math.max(values[Math.floor(values.length * 0.995)] ?? 0, 1e-6) * 1.15;
   const low = series.length === 1 ? 0 : -reach;
-  const x = (time) => left + ((time - from) / (to - from)) * (width - left - 12);
+  const x = (time) => left + ((time - from) / (to - from)) * (width - left - 24); // half a label beyond the last point
   const y = (value) => 8 + (1 - (Math.max(low, Math.min(reach, value)) - low) / (reach - low)) * (height - 16 - bottom);
   const { ticks, digits } = ticksOf(low, reach, 5);
   const parts = ticks.flatMap((tick) => [
