@@ -153,7 +153,7 @@ def test_the_kernels_interpreted_are_the_kernels_compiled_and_the_numpy_model() 
         np.testing.assert_allclose(also, project(camera, directions), atol=1e-8)
         np.testing.assert_allclose(rows[:4], project_with_jacobian(camera, directions[:4])[1], rtol=1e-9, atol=1e-7)
         assert not np.any(rows[4])
-    radius, slope = kernels._radius_and_slope.py_func(0, np.zeros(8), 0.5)
+    radius, slope = kernels.radius_and_slope.py_func(0, np.zeros(8), 0.5)
     assert (radius, slope) == pytest.approx((math.tan(0.5), 1.0 / math.cos(0.5) ** 2))
 
 
@@ -177,7 +177,7 @@ def test_the_radius_of_every_code_and_its_slope_are_those_of_the_projection() ->
     for camera in STRANGE:
         theta = np.linspace(0.0, camera.max_angle, 9)
         code, radial = kernels.PROJECTION_CODES[camera.projection], np.array(camera.radial)
-        found = [kernels._radius_and_slope.py_func(code, radial, float(t)) for t in theta]
+        found = [kernels.radius_and_slope.py_func(code, radial, float(t)) for t in theta]
         np.testing.assert_allclose([r for r, _ in found], distorted_radius(camera, theta), atol=1e-13)
         np.testing.assert_allclose([s for _, s in found], radius_slope(camera, theta), atol=1e-12)
 

@@ -33,7 +33,8 @@ _BLOCK = 512
 
 
 @njit(nogil=True)
-def _radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[float, float]:
+def radius_and_slope(code: int, radial: FloatArray, theta: float) -> tuple[float, float]:
+    """Return the radius of Eq. 9 at an angle, rad, in focal lengths, and its derivative."""
     if code == 0:
         ideal, slope = math.tan(theta), 1.0 / math.cos(theta) ** 2
     elif code == 1:
@@ -173,7 +174,7 @@ def _shape_at(  # noqa: PLR0917 - compiled functions take positions
     theta = math.atan2(across, z)
     if not theta <= max_angle:
         return False
-    radius, slope = _radius_and_slope(code, vector[_RADIAL:_P1], theta)
+    radius, slope = radius_and_slope(code, vector[_RADIAL:_P1], theta)
     p1, p2, p3, p4 = vector[_P1], vector[_P1 + 1], vector[_P1 + 2], vector[_P1 + 3]
     u, v = (x / across, y / across) if across > _ON_AXIS else (1.0, 0.0)
     square = radius * radius
@@ -211,8 +212,7 @@ def _lens_rows(vector: FloatArray, mirror: float, shape: FloatArray, pixel: Floa
     for k in range(_RADIALS):
         row[0, _RADIAL + k], row[1, _RADIAL + k] = power * (ax * gx + skew * gy), power * ay * gy
         power *= tau
-    both = profile * 2.0 * u * v
-    first, second = profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
+    both, first, second = profile * 2.0 * u * v, profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
     row[0, _P1], row[1, _P1] = ax * first + skew * both, ay * both
     row[0, _P1 + 1], row[1, _P1 + 1] = ax * both + skew * second, ay * second
     fourth = radius**4

@@ -1,0 +1,65 @@
+"""The compiled inverse against general solvers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, fsolve
+from tests.fixtures.calibration import small_camera
+
+from sunarc.optics import Projection, unproject
+from sunarc.optics.forward import decentering_shift, distorted_radius
+from sunarc.optics.inverse import _angle_of_radius
+from sunarc.optics.inverse_kernels import without_decentering
+
+
+@pytest.mark.parametrize("strength", [1e-4, 5e-3])
+def test_the_decentering_is_taken_out_as_a_general_solver_does(strength: float) -> None:
+    coefficients = np.array([strength, -0.7 * strength, 0.3, -0.2])
+    points = np.random.default_rng(1).uniform(-0.9, 0.9, (2, 40))
+
+    def shifted(q: np.ndarray) -> np.ndarray:
+        radius = np.hypot(*q)
+        return np.asarray(q + np.stack(decentering_shift(coefficients, radius, *(q / radius))))
+
+    def missed(q: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return np.asarray(shifted(q) - at)
+
+    x, y = points.copy()
+    without_decentering(coefficients, x, y)
+    for i in range(40):
+        expected = fsolve(missed, points[:, i], args=(points[:, i],), xtol=1e-13)
+        np.testing.assert_allclose([x[i], y[i]], expected, atol=1e-11)
+    np.testing.assert_allclose(shifted(np.stack([x, y])), points, atol=1e-14)
+
+
+def test_the_centre_stays_and_no_number_stays_none() -> None:
+    x, y = np.array([0.0, math.nan]), np.array([0.0, 0.2])
+    without_decentering(np.array([1e-3, 2e-3, 0.1, 0.0]), x, y)
+    assert (x[0], y[0]) == (0.0, 0.0)
+    assert math.isnan(x[1])
+
+
+@pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic", "perspective"])
+def test_angles_are_those_of_bracketing(projection: Projection) -> None:
+    camera = replace(small_camera(projection), max_angle=math.radians(75.0))
+    edge = float(distorted_radius(camera, camera.max_angle))
+    radii = np.array([0.0, 1e-9, 0.2 * edge, 0.7 * edge, 0.999 * edge, edge, 1.01 * edge, math.nan])
+    found = _angle_of_radius(camera, radii)
+    assert found[0] == 0.0
+    assert np.isnan(found[-2:]).all()
+    for radius, angle in zip(radii[1:6], found[1:6], strict=True):
+        expected = brentq(
+            lambda theta, r=radius: distorted_radius(camera, theta) - r, 0.0, camera.max_angle + 1e-9, xtol=1e-15
+        )
+        assert angle == pytest.approx(expected, abs=1e-12)
+
+
+def test_one_pixel_and_a_sheet_of_pixels_give_the_same_directions() -> None:
+    pixels = np.random.default_rng(2).uniform(100.0, 400.0, (3, 4, 2))
+    sheet = unproject(small_camera(mirrored=True), pixels)
+    assert sheet.shape == (3, 4, 3)
+    np.testing.assert_allclose(sheet[1, 2], unproject(small_camera(mirrored=True), pixels[1, 2]), atol=1e-15)
