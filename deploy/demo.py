@@ -26,6 +26,7 @@ GVCP_PORT = 3956
 BUFFER_LIMIT = Path("/proc/sys/net/core/rmem_max")
 BUFFER_BYTES = 32 * 1024 * 1024
 CADENCE_S = 120.0
+NIGHT_CADENCE_S = 600.0
 POLL_S = 0.5
 START_WITHIN_S = 300.0
 PACE_SLOTS = 10
@@ -65,6 +66,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--lens-seed", type=int, default=0, metavar="N", help="draw another true camera")
     parser.add_argument("--clouds", default="clear", help="clear, veil, broken, overcast; several by commas: one a day")
     parser.add_argument("--keep", action="store_true", help="with --headless: go on serving")
+    parser.add_argument("--nights", action="store_true", help="look at the stars in the nights, too")
     parser.add_argument("--archive", action="store_true", help="make a small archive of images and analyse it instead")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
@@ -179,8 +181,11 @@ timestamps = "camera"
 
 [capture]
 cadence_s = {CADENCE_S}
-night_cadence_s = {CADENCE_S}
+night_cadence_s = {NIGHT_CADENCE_S if options.nights else CADENCE_S}
 speed = {options.speed}
+
+[night]
+enabled = {str(options.nights).lower()}
 
 [sensor]
 black_level_fraction = 0.0078
@@ -202,6 +207,7 @@ def simulate_command(state: Path, options: argparse.Namespace) -> list[str]:
         *("--latitude", str(SITE["latitude"]), "--longitude", str(SITE["longitude"])),
         *("--altitude", str(SITE["altitude"]), "--speed", str(options.speed)),
         *("--lens-seed", str(options.lens_seed), "--clouds", options.clouds, "--truth", str(state / "truth.json")),
+        *(["--nights"] if options.nights else []),
     ]
 
 
@@ -328,7 +334,7 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
         if line != shown:
             print(f"demo: {line}{missed_slots(status)}", flush=True)
             shown = line
-        if len(days) >= options.days and not refit_under_way(url, days):
+        if ended(url, days, options):
             break
         time.sleep(POLL_S)
     calibration = get_or_none(f"{url}/v1/calibration")
@@ -336,8 +342,19 @@ def follow(url: str, state: Path, options: argparse.Namespace) -> int:
         print("demo: the days are over and no calibration is current; see the dashboard's reasons")
         return 1 if options.until_calibrated else 0
     (state / "calibration.json").write_text(json.dumps(calibration, indent=1))
+    if options.nights:
+        compare_nights(url, state, calibration)
     print(f"demo: served calibration and true camera stand in {state}/calibration.json and truth.json")
     return 0
+
+
+def ended(url: str, days: list[Any], options: argparse.Namespace) -> bool:
+    """Return whether all days, and the nights after them, were judged, and their refits have ended."""
+    if not options.nights:
+        return len(days) >= options.days and not refit_under_way(url, days)
+    nights = get(f"{url}/v1/events?kind=night")["events"]
+    refits = get(f"{url}/v1/refits")["refits"]
+    return len(nights) >= options.days and not any(refit["state"] in {"requested", "running"} for refit in refits)
 
 
 def refit_under_way(url: str, days: list[Any]) -> bool:
@@ -347,6 +364,23 @@ def refit_under_way(url: str, days: list[Any]) -> bool:
         return False
     events = get(f"{url}/v1/events")["events"]
     return not any(event["kind"].startswith("refit_") and event["time"] >= newest["decided_at"] for event in events)
+
+
+def compare_nights(url: str, state: Path, served: Any) -> None:
+    """Say how far the first calibration, of the sun alone, and the served one are from the truth; draw both."""
+    from sunarc.studies.sky_errors import sky_errors, write_picture  # noqa: PLC0415 - slow to load
+
+    oldest = min(get(f"{url}/v1/calibrations?limit=1000")["calibrations"], key=lambda one: one["created_at"])
+    first = get(f"{url}/v1/calibrations/{oldest['id']}")
+    truth = json.loads((state / "truth.json").read_text())
+    maps = {name: sky_errors(document, truth) for name, document in (("day", first), ("day and night", served))}
+    for name, found in maps.items():
+        print(
+            f"demo: {name} ({found.calibration}): north {found.north_px:.3f} px, south {found.south_px:.3f} px (RMS "
+            "from the truth, to 85 degrees of zenith angle)"
+        )
+    write_picture(maps, state / "nights.png")
+    print(f"demo: drawn in {state}/nights.png")
 
 
 def describe(days: list[Any], calibration: Any, status: Any) -> str:

@@ -41,6 +41,7 @@ ASKED: dict[str, Callable[[Imager], Any]] = {
     "POST /v1/calibrations/{calibration_id}/pin": lambda imager: imager.pin("a", reason="r"),
     "POST /v1/calibrations/{calibration_id}/unpin": lambda imager: imager.unpin("a", reason="r"),
     "GET /v1/days": lambda imager: list(imager.days(since=DAY)),
+    "GET /v1/nights": lambda imager: list(imager.nights()),
     "GET /v1/days/{date}/air": lambda imager: imager.day_air(DAY),
     "PUT /v1/days/{date}/air": lambda imager: imager.set_day_air(DAY, pressure_hpa=970.0),
     "POST /v1/epochs/{epoch_id}/close": lambda imager: imager.close_epoch("roof-1", reason="r"),

@@ -15,9 +15,9 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 
 from sunarc.archive import read_sightings
-from sunarc.calibration import Calibration, to_document
+from sunarc.calibration import MOST_STARS, Calibration, to_document
 from sunarc.errors import InputError
-from sunarc.offline.star_files import MOST_STARS, StarOptions, find_stars, write_star_sightings
+from sunarc.offline.star_files import StarOptions, find_stars, write_star_sightings
 from sunarc.optics import Camera, project
 from sunarc.sky import STAR, angles_from_direction, night_sky, relative_air_mass
 

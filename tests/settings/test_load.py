@@ -106,7 +106,7 @@ NUMERIC = [name for name, allowed in ALLOWED.items() if "number" in allowed]
 
 
 NEW = {"store", "hub.url", "hub.token_file"} | {
-    name for name in NAMES if name.startswith(("push.", "nightly.", "first_pose."))
+    name for name in NAMES if name.startswith(("push.", "night.", "nightly.", "first_pose."))
 }
 """Settings that came after 0.2.0."""
 
@@ -126,7 +126,7 @@ def test_a_settings_file_of_0_2_0_is_read_and_has_every_setting() -> None:
 
 
 def test_there_are_about_fifty_settings() -> None:
-    assert len(NAMES) <= 71
+    assert len(NAMES) <= 72
 
 
 def test_every_number_has_a_lower_and_an_upper_bound() -> None:

@@ -16,7 +16,15 @@ from sunarc.errors import CameraError, CameraLostError, CameraTimeoutError
 from sunarc.imaging import SunExposureOptions
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
-from sunarc.workers import CaptureOptions, CaptureWorker, DropOldestQueue, FrameTime, SunExposures
+from sunarc.workers import (
+    CaptureOptions,
+    CaptureWorker,
+    DropOldestQueue,
+    FrameTime,
+    NightCapture,
+    NightExposures,
+    SunExposures,
+)
 
 if TYPE_CHECKING:
     from .conftest import FakeCamera
@@ -51,7 +59,12 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture
 def bench(clock: VirtualClock, board: StatusRegistry, camera: FakeCamera) -> MakeBench:
-    def make(*, zenith: float = 20.0, open_camera: Callable[[], SkyCamera] = lambda: camera) -> Bench:
+    def make(
+        *,
+        zenith: float = 20.0,
+        open_camera: Callable[[], SkyCamera] = lambda: camera,
+        night: NightCapture | None = None,
+    ) -> Bench:
         cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=100)
         sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=100)
         worker = CaptureWorker(
@@ -65,6 +78,7 @@ def bench(clock: VirtualClock, board: StatusRegistry, camera: FakeCamera) -> Mak
             cycles=cycles,
             sun_frames=sun_frames,
             board=board,
+            night=night,
         )
         return Bench(worker, cycles, sun_frames, threading.Event())
 
@@ -95,6 +109,29 @@ def test_at_night_one_exposure_every_ten_minutes_shows_that_the_camera_lives(
     assert starts[1] - starts[0] == pytest.approx(600.0)
     assert len(made.cycles) == 0
     assert len(made.sun_frames) == 0
+
+
+@pytest.mark.parametrize(("zenith", "exposure_us", "count"), [(101.9, 3_000.0, 0), (102.1, 5e6, 4)])
+def test_stars_are_looked_at_once_the_sun_is_twelve_degrees_below_the_horizon(
+    bench: MakeBench, camera: FakeCamera, zenith: float, exposure_us: float, count: int
+) -> None:
+    frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=100)
+    camera.info = replace(INFO, exposure_max_us=60e6)
+    made = bench(zenith=zenith, night=NightCapture(NightExposures(), frames))
+    made.run_until(lambda: len(camera.exposures) >= 4)
+    assert [exposure for _, exposure in camera.exposures] == [exposure_us] * 4
+    assert len(frames) == count
+    assert len(made.cycles) == 0
+
+
+def test_a_night_exposure_that_fails_is_no_frame_and_the_camera_goes_on(bench: MakeBench, camera: FakeCamera) -> None:
+    frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=100)
+    camera.info = replace(INFO, exposure_max_us=1e6)
+    camera.faults = [None, CameraTimeoutError("late"), CameraTimeoutError("late")]
+    made = bench(zenith=120.0, night=NightCapture(NightExposures(), frames))
+    made.run_until(lambda: len(camera.exposures) >= 5)
+    assert {exposure for _, exposure in camera.exposures} == {1e6}
+    assert len(frames) == 3
 
 
 def test_a_low_sun_gets_no_exposures_of_its_own(bench: MakeBench, camera: FakeCamera) -> None:

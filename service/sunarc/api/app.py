@@ -45,6 +45,7 @@ from sunarc.api.routes.images import image_routes
 from sunarc.api.routes.maps import map_routes
 from sunarc.api.routes.masks import mask_routes
 from sunarc.api.routes.metrics import StatusCollector
+from sunarc.api.routes.nights import night_routes
 from sunarc.api.routes.overlay import overlay_routes
 from sunarc.api.routes.refits import refit_routes
 from sunarc.api.routes.remap import remap_routes
@@ -221,6 +222,7 @@ def add_camera_routes(app: FastAPI, context: ApiContext) -> None:
         overlay_routes(context),
         record_routes(context),
         housekeeping_routes(context),
+        night_routes(context),
         event_stream_routes(context),
         image_routes(context),
         remap_routes(context, files),

@@ -12,6 +12,7 @@ from functools import partial
 import sunarc
 from sunarc.app.cameras import camera_record, note_other_camera, require_same_camera
 from sunarc.app.last_known import restore_last_known
+from sunarc.app.night import night_capture, night_worker
 from sunarc.archive import ELSEWHERE, Archive, CameraArchive, ImageStore, Recovery, Refit, Reserve
 from sunarc.calibration import MAX_CLOCK_ERROR_S
 from sunarc.cameras import Frame, SkyCamera
@@ -84,7 +85,13 @@ class Service:
         self.predictor = SunPredictor(self.camera)
         self.images = ImageStore(settings.images, options=settings.disk)
         self.reserve = Reserve(settings.reserve, size_bytes=int(settings.disk.reserve_mb * 1e6))
-        self._restore_last_known()
+        restore_last_known(
+            self.board,
+            archive=archive,
+            images=self.images,
+            camera=settings.name,
+            until=clock.now() if self._in_real_time else None,
+        )
         self.keeper = SightingWriteBuffer(archive, board=self.board)
         self.overdue = self._overdue_sightings()
         self.frozen = FrozenFrames(self.camera, board=self.board)
@@ -97,6 +104,7 @@ class Service:
         self.watch = self.watch_worker()
         self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=_WAITING_CYCLES)
         self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=_WAITING_SUN_FRAMES)
+        self.night = night_capture(settings.night)
         self.days = DayJudge(
             camera=self.camera,
             cadence_s=settings.capture.cadence_s,
@@ -122,15 +130,6 @@ class Service:
         """Whether times of frames go on as the host's do; a replay's and a simulation's jump."""
         return self.settings.source == "aravis" and self.settings.capture.speed == 1.0
 
-    def _restore_last_known(self) -> None:
-        restore_last_known(
-            self.board,
-            archive=self.archive,
-            images=self.images,
-            camera=self.settings.name,
-            until=self.clock.now() if self._in_real_time else None,
-        )
-
     def workers(self) -> tuple[Supervised, ...]:
         """Return what the supervisor keeps alive; consumers first, so that producers find them ready."""
         return (
@@ -140,6 +139,7 @@ class Service:
             self._supervised("refit", self.refit_worker),
             *(() if self.settings.hub.url is None else (self._supervised("feed", self.feed_worker),)),
             self._supervised("watch", lambda: self.watch),
+            *(() if self.night is None else (self._supervised("night", partial(night_worker, self, self.night)),)),
             replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
             self._supervised("compose", self.compose_worker),
             replace(
@@ -229,6 +229,7 @@ class Service:
             cycles=self.cycles,
             sun_frames=self.sun_frames,
             board=self.board,
+            night=self.night,
             on_frame=self.frozen.remember,
         )
 

@@ -64,7 +64,9 @@ from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spr
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.selection.star_selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
 from sunarc.calibration.star_prediction import predict_stars
+from sunarc.calibration.star_views import MatchedView, StarView, match_views
 
 __all__ = [
     "BACK_PROJECTED",
@@ -72,6 +74,7 @@ __all__ = [
     "LENS_SCHEMA",
     "MAX_CLOCK_ERROR_S",
     "MOST_DRAWS",
+    "MOST_STARS",
     "PROJECTED",
     "READ_SCHEMAS",
     "SCHEMA",
@@ -91,6 +94,7 @@ __all__ = [
     "LensTolerances",
     "LensType",
     "Lookup",
+    "MatchedView",
     "Method",
     "Metrics",
     "Move",
@@ -102,6 +106,7 @@ __all__ = [
     "Provenance",
     "Selection",
     "SelectionOptions",
+    "StarView",
     "SunPoints",
     "Unit",
     "UnitSpread",
@@ -132,9 +137,11 @@ __all__ = [
     "fit_backward",
     "from_document",
     "hemisphere",
+    "image_parts",
     "lens_type_from_json",
     "lens_type_of",
     "lookup",
+    "match_views",
     "measure_day",
     "measures",
     "north_sigma_deg",
@@ -146,8 +153,10 @@ __all__ = [
     "select_sightings",
     "sigma_deg",
     "sigma_px",
+    "sky_parts",
     "smooth_arc",
     "sun_with_covariance",
+    "surest_of_parts",
     "tilt_question",
     "to_document",
     "top_azimuth_deg",

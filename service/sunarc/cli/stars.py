@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import SightingTable, read_sightings
+from sunarc.calibration import MOST_STARS
 from sunarc.cli.options import AsJson, CalibrationFile, choice_of
 from sunarc.cli.output import print_json, table
 from sunarc.detection import BAYERS
@@ -18,7 +19,7 @@ from sunarc.extras import extra_module
 from sunarc.offline.files import read_lines
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.project_files import read_calibration
-from sunarc.offline.star_files import MOST_STARS, StarImage, StarOptions, find_stars, write_star_sightings
+from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
 
 
 def stars(

@@ -90,5 +90,6 @@ class AsyncImager:
     images = _one_by_one(Imager.images)
     sun_points = _one_by_one(Imager.sun_points)
     days = _one_by_one(Imager.days)
+    nights = _one_by_one(Imager.nights)
     past_events = _one_by_one(Imager.past_events)
     events = _one_by_one(Imager.events)

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .answers import BackProjection, Condition, Finding, FloatArray, Located, Projection, conditions_of
+from .days import Days
 from .events import ImagerEvent, parsed
-from .requests import Requests, _day, _expected_content, _located, _named, _number, _points, _quoted, _time
+from .requests import _day, _expected_content, _located, _named, _number, _points, _quoted, _time
 from .transport import ImagerError
 
 
-class Imager(Requests):
+class Imager(Days):
     """An imager's service. Times are aware datetimes; without one, the answer is for now.
 
     Parameters
@@ -251,31 +252,6 @@ class Imager(Requests):
         """Return how far another calibration's directions are from these, on a coarse grid of the image."""
         given = None if cells is None else str(cells)
         return self._json("/difference", other=other, cells=given, at=_time(at), calibration=self._chosen)
-
-    def sightings_by_day(self, *, since: date | None = None, until: date | None = None) -> list[dict[str, Any]]:
-        """Return how many looks at the sun had which verdict on each solar day, the newest first; 366 days at most."""
-        return self._listed("/sun-points/days", "days", since=_day(since), until=_day(until))
-
-    def days(self, *, since: date | None = None, until: date | None = None) -> Iterator[dict[str, Any]]:
-        """Yield the verdicts of the solar days with since <= date < until, the newest first."""
-        return self._pages("/days", "days", since=_day(since), until=_day(until))
-
-    def housekeeping(
-        self, *, step: str = "hour", since: datetime | None = None, until: datetime | None = None
-    ) -> list[dict[str, Any]]:
-        """Return free disk space and the camera's temperature by "hour" or "day", the newest first."""
-        return self._listed("/housekeeping", "rows", step=step, since=_time(since), until=_time(until))
-
-    def day_air(self, day: date) -> dict[str, Any]:
-        """Return the air that was measured on a solar day."""
-        return self._json(f"/days/{day.isoformat()}/air")
-
-    def set_day_air(
-        self, day: date, *, temperature_c: float | None = None, pressure_hpa: float | None = None
-    ) -> dict[str, Any]:
-        """Set the air that was measured on a solar day; None: not measured. Needs the token of changes."""
-        air = {"temperature_c": temperature_c, "pressure_hpa": pressure_hpa}
-        return self._change(f"/days/{day.isoformat()}/air", method="PUT", **air)
 
     def past_events(
         self,

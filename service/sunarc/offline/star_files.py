@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, TextIO
@@ -12,16 +12,21 @@ import numpy as np
 
 from sunarc.archive import SightingTable, write_sightings
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration import Calibration, predict_stars
+from sunarc.calibration import (
+    MOST_STARS,
+    Calibration,
+    StarView,
+    match_views,
+    predict_stars,
+    sky_parts,
+    surest_of_parts,
+)
 from sunarc.detection import (
     Bayer,
     PredictedStars,
     StarMatches,
     Stars,
     detect_stars,
-    match_stars,
-    sky_motion,
-    standing_still,
 )
 from sunarc.detection.messages import reason_of
 from sunarc.errors import InputError
@@ -37,10 +42,6 @@ FAINTEST = 5.5
 """V of the faintest stars of the table; fainter neighbours are not known."""
 MOST_PEAK = 0.9
 """Of full scale: a brighter star may be clipped in part, and the counts of many cameras bend before the end."""
-MOST_STARS = 150
-"""Stars that are written. Beside a day of the sun they tell what thousands do (docs/studies.md, "The night"); with
-thousands the fit takes the lens's unmodelled field for noise, and states far too little."""
-_LONGEST_NIGHT_S = 6.0 * 3600.0
 _FWHM = 2.355
 
 
@@ -120,7 +121,20 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     InputError : an image has not the calibration's size, or ephem is not installed.
     """
     seen = [_looked_at(path, calibration, options) for path in paths]
-    return [_matched(one, seen) for one in seen]
+    views = {row: view for row, one in enumerate(seen) if (view := _view(one)) is not None}
+    found = dict(zip(views, match_views(list(views.values())), strict=True))
+    return [
+        replace(
+            one,
+            reason=reason_of(found[row].matches.findings),
+            findings=found[row].matches.findings,
+            stars=found[row].stars,
+            matches=found[row].matches,
+        )
+        if row in found
+        else one
+        for row, one in enumerate(seen)
+    ]
 
 
 def write_star_sightings(
@@ -146,22 +160,12 @@ def write_star_sightings(
     found = [_sightings(image) for image in images]
     stars = [row for part, _ in found for row in part]
     around = np.concatenate([np.zeros((0, 3)), *(part for _, part in found)])
-    used = _spread(around, np.array([row[3] for row in stars], dtype=np.float64), most)
+    sigma_px = np.array([row[3] for row in stars], dtype=np.float64)
+    used = surest_of_parts(sky_parts(around), sigma_px, most)
     rows += [stars[row] for row in used]
     directions.append(around[used])
     air = np.concatenate([air, np.full((2, len(rows) - sun), np.nan)], axis=-1)
     return write_sightings(target, rows, air=(air[0], air[1]), directions=np.concatenate(directions)) - sun
-
-
-def _spread(directions: FloatArray, sigma_px: FloatArray, most: int) -> IntArray:
-    """Return rows of at most so many directions (n, 3): the surest of each of 48 parts of the sky, then the next."""
-    east, north, up = directions.T
-    sector = np.floor((np.arctan2(east, north) / (2.0 * np.pi) % 1.0) * 12.0).astype(np.int64)
-    part = 4 * sector + np.clip(np.floor(4.0 * up), 0, 3).astype(np.int64)
-    order = np.lexsort((sigma_px, part))
-    first = np.searchsorted(part[order], part[order])
-    rank = np.arange(order.size) - first
-    return np.sort(order[np.lexsort((sigma_px[order], rank))[:most]])
 
 
 def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, float | None, str]], FloatArray]:
@@ -208,38 +212,11 @@ def _looked_at(path: Path, calibration: Calibration, options: StarOptions) -> St
     return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, predicted=predicted)
 
 
-def _matched(image: StarImage, every: Sequence[StarImage]) -> StarImage:
-    """Return an image with its matches."""
-    if image.stars is None or image.predicted is None:
-        return image
-    stars, other = image.stars, _furthest(image, every)
-    if other is not None and other.stars is not None and other.predicted is not None:
-        moved = sky_motion(stars, image.predicted, other.predicted)
-        stars = stars.select(~standing_still(stars, other.stars, moved_px=moved))
-    matches = match_stars(stars, image.predicted)
-    return StarImage(
-        file=image.file,
-        reason=reason_of(matches.findings),
-        findings=matches.findings,
-        time=image.time,
-        sky=image.sky,
-        stars=stars,
-        predicted=image.predicted,
-        matches=matches,
-    )
-
-
-def _furthest(image: StarImage, every: Sequence[StarImage]) -> StarImage | None:
-    """Return the image of the same night that is furthest in time; None where there is none."""
-    apart = [(_seconds_between(image, one), one) for one in every if one.time is not None]
-    same_night = [(seconds, one) for seconds, one in apart if 0.0 < seconds < _LONGEST_NIGHT_S]
-    return max(same_night, key=lambda pair: pair[0])[1] if same_night else None
-
-
-def _seconds_between(first: StarImage, second: StarImage) -> float:
-    if first.time is None or second.time is None:
-        return 0.0
-    return abs((first.time - second.time).total_seconds())
+def _view(image: StarImage) -> StarView | None:
+    """Return what an image shows; None where it could not be read."""
+    if image.time is None or image.sky is None or image.stars is None or image.predicted is None:
+        return None
+    return StarView(unix_s=image.time.timestamp(), sky=image.sky, stars=image.stars, predicted=image.predicted)
 
 
 def _finite_or_none(value: float) -> float | None:

@@ -23,6 +23,7 @@ from sunarc.workers import (
     HubOptions,
     LensPriorOptions,
     NightlyOptions,
+    NightOptions,
     PushOptions,
     RefitOptions,
     SensorOptions,
@@ -85,6 +86,7 @@ class Settings(_WithStore):
     api : the web server.
     hub : where the archive's rows are sent to.
     push : receivers of messages about conditions, events and calibrations.
+    night : whether the stars are looked at.
     nightly : what a hub does once a night.
     supervisor : limits of restarts and heartbeats of the workers.
     """
@@ -111,6 +113,7 @@ class Settings(_WithStore):
     api: ApiOptions = ApiOptions()
     hub: HubOptions = HubOptions()
     push: PushOptions = PushOptions()
+    night: NightOptions = NightOptions()
     nightly: NightlyOptions = NightlyOptions()
     supervisor: SupervisorOptions = SupervisorOptions()
 

@@ -1,4 +1,4 @@
-"""Workers of the service: `capture`, `sightings`, `images`, `timing`, `calibrating`, `feeding`, `pushing`."""
+"""Workers of the service: `capture`, `sightings`, `night`, `images`, `timing`, `calibrating`, `feeding`, `pushing`."""
 
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.judge_days import DayJudge
@@ -20,6 +20,9 @@ from sunarc.workers.housekeeping import HousekeepingWorker
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.neighbours import cross_check_fleet
+from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.night import NightWorker
+from sunarc.workers.night.options import NightOptions
 from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
 from sunarc.workers.pushing.mqtt import MqttBroker
 from sunarc.workers.pushing.options import PushOptions
@@ -56,6 +59,10 @@ __all__ = [
     "HubOptions",
     "LensPriorOptions",
     "MqttBroker",
+    "NightCapture",
+    "NightExposures",
+    "NightOptions",
+    "NightWorker",
     "NightlyOptions",
     "NightlyWork",
     "NoticeWorker",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sunarc.calibration import messages as calibration
+from sunarc.detection import messages as detection
 from sunarc.findings import Finding, Message, Messages
 from sunarc.runtime.messages import worker_code
 from sunarc.runtime.status import Reason, Severity
@@ -60,6 +61,18 @@ MESSAGES = Messages(
         "if the clock is right now: sunarc epochs close {pose_epoch}",
     ),
     day=Message("{date} was {verdict}: {reasons}", "A solar day has ended and was evaluated."),
+    night=Message("the night of {date} was {verdict}: {reasons}", "A night has ended and was evaluated."),
+    night_images=Message(
+        "stars named in {n} of {images} images, {cloud_fraction:.2f} of them behind cloud",
+        "Its stars are sightings beside the sun's.",
+    ),
+    night_few_images=Message("{n} images, {limit} needed", "Nothing is said of this night."),
+    night_without_calibration=Message(
+        "no calibration to name the stars by", "The stars of this night are not used.", "wait for a clear day"
+    ),
+    night_clock_not_trusted=Message(
+        "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"
+    ),
     refit_accepted=Message("{message}", "A refit made a calibration that may be served."),
     refit_marginal=Message(
         "{message}",
@@ -271,7 +284,7 @@ MESSAGES = Messages(
     ),
 )
 
-_ALL = Messages(calibration.MESSAGES | MESSAGES)
+_ALL = Messages(detection.MESSAGES | calibration.MESSAGES | MESSAGES)
 
 text_of = _ALL.text_of
 

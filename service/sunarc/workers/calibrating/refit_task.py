@@ -7,15 +7,20 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, SunPointColumns
+from sunarc.archive import SUN, CameraArchive, SunPointColumns
+from sunarc.array_types import IntArray
 from sunarc.calibration import (
+    MAX_CLOCK_ERROR_S,
+    MOST_STARS,
     Calibration,
     CalibrationOptions,
     ImageCircle,
     Selection,
     SelectionOptions,
     days_left_out,
+    image_parts,
     select_sightings,
+    surest_of_parts,
 )
 from sunarc.findings import Finding
 from sunarc.workers.calibrating.epoch_search import since_lens
@@ -47,7 +52,7 @@ class Task:
 
     def of_epoch(self, epoch: str) -> Problem:
         """Return the same solve, its answer that of another pose epoch."""
-        return replace(self.problem, points=points_of(self.used, latest=epoch))
+        return replace(self.problem, points=points_of(self.used, site=self.problem.site, latest=epoch))
 
     def with_selection(self, solved: Calibration) -> Calibration:
         """Return a calibration whose evidence tells how its sightings were picked."""
@@ -65,12 +70,17 @@ def next_task(
 ) -> Task | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
     record = camera.record()
-    columns = camera.sun_point_columns(since=since_lens(camera, now), until=now)
-    if record is None or columns.ids.size == 0:
+    columns = camera.sun_point_columns(since=since_lens(camera, now), until=now, body=None)
+    of_sun = np.flatnonzero(columns.body == SUN)
+    if record is None or of_sun.size == 0:
         return Finding("no_accepted_sightings")
     left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
-        points_of(columns), site=camera.site, slot_s=cadence_s, options=_LIMITS, left_out_days=np.array(left_out)
+        points_of(columns.select(of_sun)),
+        site=camera.site,
+        slot_s=cadence_s,
+        options=_LIMITS,
+        left_out_days=np.array(left_out),
     )
     if selection.index.size == 0:
         counts = {
@@ -79,8 +89,27 @@ def next_task(
             "n_other_days": selection.n_other_days,
         }
         return Finding("no_usable_sightings", counts)
-    used = columns.select(selection.index)
+    used = columns.select(_with_stars(columns, of_sun[selection.index], record.image_size))
     problem = Problem(
-        points=points_of(used), site=camera.site, image_size=record.image_size, options=options, circle=circle
+        points=points_of(used, site=camera.site),
+        site=camera.site,
+        image_size=record.image_size,
+        options=options,
+        circle=circle,
     )
     return Task(problem=problem, used=used, selection=selection)
+
+
+def _with_stars(columns: SunPointColumns, sun: IntArray, image_size: tuple[int, int]) -> IntArray:
+    """Return the rows of a fit: those of the sun, and the surest stars and planets of each part of the image.
+
+    Of the pose epochs that the sun was seen in; those of the latest epoch first, then of the others.
+    """
+    other = np.isin(columns.epoch, columns.epoch[sun]) & (columns.body != SUN)
+    other &= np.nan_to_num(columns.clock_error_s) <= MAX_CLOCK_ERROR_S
+    chosen = np.zeros(0, dtype=np.int64)
+    for epoch in np.unique(columns.epoch[sun])[::-1]:
+        rows = np.flatnonzero(other & (columns.epoch == epoch))
+        part = image_parts(columns.pixels[rows], image_size)
+        chosen = np.concatenate([chosen, rows[surest_of_parts(part, columns.sigma_px[rows], MOST_STARS - chosen.size)]])
+    return np.sort(np.concatenate([sun, chosen]))

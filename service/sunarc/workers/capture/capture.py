@@ -22,6 +22,7 @@ from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilt
 from sunarc.workers.capture.exposure_sequence import ExposureSequence
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 from sunarc.workers.timing.frame_time import FrameTime
 
 _HEARTBEAT_S = 1.0
@@ -41,7 +42,7 @@ class CaptureOptions:
     cadence_s : seconds from slot to slot; slots are whole multiples of it since 1970-01-01 UTC.
     hdr_exposures_us : the normal exposures, in the order taken.
     sun_zenith_deg : sun exposures are taken while the sun's apparent zenith angle is below this.
-    night_cadence_s : seconds between the sign-of-life exposures of the night, which are not kept.
+    night_cadence_s : seconds between the exposures of the night, which are not kept: a sign of life, or of its stars.
     reopen_after_s, reopen_at_most_s : seconds before a lost camera is tried again: the first pause, doubled up to the
         longest one.
     camera_clock_error_s : bound of the camera's clock's error, where frames are dated by it (PTP).
@@ -90,6 +91,7 @@ class CaptureWorker:
     sun_exposures : which sun exposures to take next.
     cycles, sun_frames : where the normal frames of a cycle and the sun frames go.
     board : where the camera's state is shown.
+    night : chooses the exposures of the night, and takes their frames; None looks at no stars.
     on_frame : called with every frame as soon as it is there, in the thread of capture.
     """
 
@@ -106,10 +108,12 @@ class CaptureWorker:
         cycles: DropOldestQueue[Sequence[Frame]],
         sun_frames: DropOldestQueue[Frame],
         board: StatusRegistry,
+        night: NightCapture | None = None,
         on_frame: Callable[[Frame], None] = lambda _: None,
     ) -> None:
         self._open_camera = open_camera
         self._on_frame = on_frame
+        self._night = night
         self._clock = clock
         self._frame_time = frame_time
         self._options = options
@@ -168,7 +172,7 @@ class CaptureWorker:
                 self.cycle(camera, slot, within_s=real_every_s - lead_s)
             else:
                 self._last_slot_at_s = None
-                self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
+                self._at_night(exposer, camera)
             yield slot
 
     def _next_slot(self, *, every_s: float) -> datetime:
@@ -235,6 +239,16 @@ class CaptureWorker:
         taken, self._refused_us = exposer.take_bracket(selected, normal[:1], refused_before_us=self._refused_us)
         self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
         return taken
+
+    def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
+        """Take an exposure of the stars once it is dark, before that and without `night` a sign of life."""
+        if self._night is None or self._apparent_zenith() < DARK_ZENITH_DEG:
+            self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
+            return
+        frame = exposer.take(self._night.exposures.next_us(camera.info.exposure_bounds))
+        self._report.sign_of_life(succeeded=frame is not None)
+        if frame is not None:
+            self._night.frames.put(frame)
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that shows only that the camera answers, and its time."""

@@ -1,0 +1,40 @@
+"""The parts of an imager that work at night."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sunarc.extras import extra_module
+from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightOptions, NightWorker
+
+if TYPE_CHECKING:
+    from sunarc.app.service import Service
+
+_WAITING_FRAMES = 4
+
+
+def night_capture(options: NightOptions) -> NightCapture | None:
+    """Return what joins the night's capture and its worker; None where the night is not worked.
+
+    Raises
+    ------
+    InputError : it is, and the extra `night` is not installed.
+    """
+    if not options.enabled:
+        return None
+    extra_module("ephem", extra="night")
+    return NightCapture(NightExposures(), DropOldestQueue(capacity=_WAITING_FRAMES))
+
+
+def night_worker(service: Service, night: NightCapture) -> NightWorker:
+    """Return the worker that looks at the stars."""
+    return NightWorker(
+        night,
+        camera=service.camera,
+        options=service.settings.sensor,
+        apparent_zenith=lambda: service.predictor.apparent_zenith(service.frame_time.now()),
+        clock_error_s=service.clock_watch.error_s,
+        trusted=service.clock_watch.trusted,
+        now=service.frame_time.now,
+        request_refit=service.request_refit,
+    )

@@ -1,0 +1,1 @@
+"""The night: its exposures, its stars, and what it was like."""

@@ -1,0 +1,241 @@
+"""The worker of the night: finds the stars in its images, names them when it is over, and stores them as sightings."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date, datetime
+
+import numpy as np
+
+from sunarc.archive import CameraArchive, Refit, SunPoint
+from sunarc.calibration import (
+    Calibration,
+    MatchedView,
+    StarView,
+    image_parts,
+    match_views,
+    predict_stars,
+    surest_of_parts,
+)
+from sunarc.cameras import Frame
+from sunarc.detection import Stars, detect_stars
+from sunarc.findings import Finding
+from sunarc.sky import night_sky, solar_date, wanderer_place
+from sunarc.utc import DAY_S
+from sunarc.workers.messages import MESSAGES, text_of
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.offset import RadialOffset, radial_offset
+from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
+from sunarc.workers.sensor import SensorOptions, sensor_of
+
+_log = logging.getLogger(__name__)
+
+_POLL_S = 0.5
+_FAINTEST = 5.5
+"""V of the faintest stars of the table."""
+_BENT_PX = 1.0
+"""1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
+_MOST_A_FRAME = 30
+"""Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
+_MOST_PEAK = 0.9
+_OFFSET_PX = 0.05
+"""1-sigma of what the radial offset leaves of coma and of the image scale."""
+_MOST_IMAGES = 200
+_WORTH_A_REFIT: frozenset[NightVerdict] = frozenset({"clear", "partly"})
+_ENOUGH_STARS = 50
+_HALF_LIT = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Image:
+    """An image of the night, without its pixels."""
+
+    time: datetime
+    exposure_us: float
+    stars: Stars
+
+
+class NightWorker:
+    """Detects the stars in each image of the night; when the sun is back, names them and stores the verdict.
+
+    The calibration that is served then predicts the stars of the whole night: on the first night of a camera there is
+    none before midnight. A restart during the night loses its images until then.
+
+    Parameters
+    ----------
+    capture : the frames of the night, and what chooses their exposures.
+    camera : its archive and site.
+    options : the sensor.
+    apparent_zenith : the sun's, degrees, at a frame time.
+    clock_error_s : bound of the error of a frame's time, seconds.
+    trusted : whether the clock that dates the frames is.
+    now : frame time.
+    request_refit : asks for a refit, with the reason.
+    """
+
+    def __init__(
+        self,
+        capture: NightCapture,
+        *,
+        camera: CameraArchive,
+        options: SensorOptions,
+        apparent_zenith: Callable[[], float],
+        clock_error_s: Callable[[datetime], float],
+        trusted: Callable[[], bool],
+        now: Callable[[], datetime],
+        request_refit: Callable[[str], Refit],
+    ) -> None:
+        self._frames, self._exposures = capture.frames, capture.exposures
+        self._camera = camera
+        self._options = options
+        self._apparent_zenith = apparent_zenith
+        self._clock_error_s = clock_error_s
+        self._trusted = trusted
+        self._now = now
+        self._request_refit = request_refit
+        self._images: list[_Image] = []
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Work until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            frame = self._frames.get(timeout_s=_POLL_S)
+            if frame is not None:
+                self.look_at(frame)
+            elif self._images and self._apparent_zenith() < DARK_ZENITH_DEG:
+                self.finish(heartbeat)
+
+    def look_at(self, frame: Frame) -> None:
+        """Detect the stars of a frame, and remember them."""
+        sensor = sensor_of(frame, self._options)
+        stars = detect_stars(
+            frame.image, full_scale=frame.full_scale, bayer=sensor.bayer, gain_e_per_count=sensor.gain_e_per_count
+        )
+        level = float(np.median(frame.image[::8, ::8])) - sensor.black_level
+        self._exposures.report(stars, sky_fraction=level / frame.full_scale)
+        if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
+            self.finish()  # the sun did not come back meanwhile: a polar night, or a clock that was set
+        self._images = [*self._images, _Image(time=frame.time, exposure_us=frame.exposure_us, stars=stars)]
+        self._images = self._images[-_MOST_IMAGES:]
+
+    def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
+        """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
+        images, self._images = self._images, []
+        night = self._night_of(images[0].time)
+        calibration = self._camera.current_model()
+        if calibration is None or not self._trusted():
+            code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
+            return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)})
+        views = []
+        for image in images:
+            views.append(self._view(image, calibration))
+            heartbeat()
+        matched = match_views(views)
+        heartbeat()
+        summary = summary_of(views, matched)
+        offset = _offset_of(views, matched, calibration)
+        stored = self._store(images, views, matched, offset)
+        verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
+        refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
+        numbers: dict[str, float] = {**asdict(summary), "n_stored": stored, "star_offset_px": offset.largest_px}
+        if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
+            self._request_refit(f"after the night of {night} ({verdict})")
+        return self._remember(night, verdict, (*findings, *refused[:1]), numbers)
+
+    def _night_of(self, time: datetime) -> date:
+        """Return the solar date of the evening that a night began with."""
+        return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self._camera.site.longitude)
+
+    def _view(self, image: _Image, calibration: Calibration) -> StarView:
+        unix_s = image.time.timestamp()
+        sky = night_sky(unix_s, self._camera.site_at(image.time), faintest=_FAINTEST)
+        predicted = predict_stars(calibration, sky, within_px=_BENT_PX)
+        return StarView(unix_s=unix_s, sky=sky, stars=image.stars, predicted=predicted)
+
+    def _store(
+        self,
+        images: Sequence[_Image],
+        views: Sequence[StarView],
+        matched: Sequence[MatchedView],
+        offset: RadialOffset,
+    ) -> int:
+        """Store the sightings of accepted images and return how many were new: none of an image that was not."""
+        points = [
+            point
+            for image, view, found in zip(images, views, matched, strict=True)
+            if found.matches.accepted
+            for point in self._points(image, view, found, offset)
+        ]
+        return self._camera.archive.add_sun_points(points)
+
+    def _points(self, image: _Image, view: StarView, found: MatchedView, offset: RadialOffset) -> list[SunPoint]:
+        """Return the surest stars of each part of an image as sightings."""
+        names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
+        sound = ~stars.saturated & (stars.peak_fraction < _MOST_PEAK)
+        names, stars = names[sound], stars.select(sound)
+        record = self._camera.record()
+        parts = image_parts(stars.pixels, (0, 0) if record is None else record.image_size)
+        chosen = surest_of_parts(parts, stars.sigma_px, _MOST_A_FRAME)
+        pixels = stars.pixels - offset.at(stars.pixels)
+        sigma_px = np.hypot(stars.sigma_px, _OFFSET_PX)
+        epoch = self._camera.archive.epoch_at(self._camera.name, image.time, reason="first sighting")
+        return [
+            SunPoint(
+                camera=self._camera.name,
+                pose_epoch=epoch.id,
+                time=image.time,
+                body=str(names[row]),
+                method="star",
+                accepted=True,
+                verdict="clear",
+                reason=text_of(found.matches.findings[0]),
+                exposure_us=image.exposure_us,
+                x_px=float(pixels[row, 0]),
+                y_px=float(pixels[row, 1]),
+                sigma_px=float(sigma_px[row]),
+                peak_fraction=float(stars.peak_fraction[row]),
+                ellipticity=float(stars.ellipticity[row]),
+                snr=float(stars.snr[row]),
+                saturated_px=0,
+                clock_error_s=self._clock_error_s(image.time),
+            )
+            for row in chosen.tolist()
+        ]
+
+    def _moonlit_share(self, images: Sequence[_Image]) -> float:
+        moons = [wanderer_place("moon", image.time.timestamp(), self._camera.site) for image in images]
+        return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
+
+    def _remember(
+        self, night: date, verdict: NightVerdict, findings: tuple[Finding, ...], numbers: dict[str, float]
+    ) -> NightVerdict:
+        """Store the verdict as an event."""
+        known = {key: value for key, value in numbers.items() if math.isfinite(value)}
+        why = "; ".join(map(text_of, findings))
+        found = Finding("night", {"date": f"{night}", "verdict": verdict, "reasons": why, **known})
+        details = {"findings": [finding.as_json() for finding in findings]}
+        self._camera.add_event(found, MESSAGES, time=self._now(), severity="info", details=details)
+        _log.info("%s", text_of(found))
+        return verdict
+
+
+def _offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration) -> RadialOffset:
+    """Return by how much the unclipped stars of a night lie outside of their predicted places."""
+    pixels, predicted, sigma = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
+    for view, found in zip(views, matched, strict=True):
+        stars, star = found.stars.select(found.matches.detection), found.matches.star
+        sound = ~stars.saturated & (stars.peak_fraction < _MOST_PEAK)
+        pixels.append(stars.pixels[sound])
+        predicted.append(view.predicted.pixels[star][sound])
+        own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - _BENT_PX**2, 0.0)
+        sigma.append(np.sqrt(own))
+    return radial_offset(
+        np.concatenate(pixels),
+        np.concatenate(predicted),
+        sigma_px=np.concatenate(sigma),
+        centre=np.array(calibration.camera.principal_point_px),
+    )
