@@ -50,7 +50,8 @@ def test_the_number_of_rows_is_told_by_file(archive: Archive, tmp_path: Path) ->
     counts = export_everything(tmp_path, tmp_path / "out")
     assert counts == {
         "cameras.csv": 1, "pose_epochs.csv": 1, "sun_points.csv": 2, "sun_points.nc": 2, "days.csv": 0,
-        "day_air.csv": 1, "refits.csv": 0, "events.csv": len(archive.events()), "calibrations/": 0,
+        "day_air.csv": 1, "housekeeping_hour.csv": 0, "housekeeping_day.csv": 0, "refits.csv": 0,
+        "events.csv": len(archive.events()), "calibrations/": 0,
     }  # fmt: skip
     written = {name: len(rows_of(tmp_path / "out" / name)) for name in counts if name.endswith(".csv")}
     assert written == {name: counts[name] for name in written}

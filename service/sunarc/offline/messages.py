@@ -42,7 +42,9 @@ MESSAGES = Messages(
     ),
     file_sidecar=Message("the sidecar cannot be read: {error}", _LEFT_OUT, 'write {{"time_utc": "…Z"}}'),
     file_at_night=Message(
-        "the sun was at {zenith_deg:.1f} degrees from the zenith", _LEFT_OUT, "none; or correct --utc-offset"
+        "the sun was at {zenith_deg:.1f} degrees from the zenith",
+        _LEFT_OUT,
+        "nothing, if that is so; otherwise correct --utc-offset",
     ),
     file_too_large=Message("{bytes} bytes, at most {most} are read", _LEFT_OUT, "give images"),
     image_failed=Message("the detector failed: {error}", _LEFT_OUT, "report it with the image"),
