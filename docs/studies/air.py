@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
@@ -23,7 +24,6 @@ from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
 
-_CHI_SQUARE_95 = 5.991
 _DAYS = {1: (0,), 2: (0, 1), 4: (0, 1, 20, 29), 10: (0, 1, 9, 19, 20, 21, 25, 27, 28, 29)}
 
 
@@ -47,9 +47,9 @@ def one_lens(
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)
     error = found - project(truth, sky)
-    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    square = squared_sigmas(error, covariance)
     stated = float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=-1)))), stated, float(np.mean(square < _CHI_SQUARE_95))
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=-1)))), stated, float(np.mean(square < CHI_SQUARE_95))
 
 
 def main() -> None:

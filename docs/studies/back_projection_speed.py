@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import cv2
 import numpy as np
 import population as pop
+from fit_speed import cost_ms
 from numpy.typing import NDArray
 
 from sunarc.calibration.model.residual_field import wave_basis
@@ -30,17 +29,6 @@ FloatArray = NDArray[np.float64]
 _FIELD_PX = 0.3
 _EDGE_DEG = 89.0
 """OpenCV's model ends below a right angle."""
-
-
-def cost_ms(work: Callable[[], object], repeats: int, pixels: int) -> float:
-    """Return the least processor time of some calls after a first one, ms per million pixels."""
-    work()
-    found = []
-    for _ in range(repeats):
-        began = time.process_time()
-        work()
-        found.append(time.process_time() - began)
-    return 1e9 * min(found) / pixels
 
 
 def lenses() -> dict[str, Camera]:
@@ -87,8 +75,8 @@ def pixels_of(camera: Camera, count: int) -> FloatArray:
 def ours(camera: Camera, pixels: FloatArray, repeats: int) -> str:
     """Return what the table and the exact inverse cost, and how far the table is off."""
     table, into = inverse_table(camera), np.empty((len(pixels), 3))
-    tabulated = cost_ms(partial(table.write_directions, pixels, into), repeats, len(pixels))
-    exact = cost_ms(partial(unproject, camera, pixels), 1, len(pixels))
+    tabulated = 1e6 / len(pixels) * cost_ms(partial(table.write_directions, pixels, into), repeats)
+    exact = 1e6 / len(pixels) * cost_ms(partial(unproject, camera, pixels), 1)
     apart = float(np.nanmax(np.abs(project(camera, into) - pixels)))
     return f"table {tabulated:7.1f} ms, {apart:.0e} px; exact {exact:8.1f} ms"
 
@@ -104,7 +92,7 @@ def by_opencv(camera: Camera, pixels: FloatArray, repeats: int) -> str:
     def undistorted() -> FloatArray:
         return np.asarray(cv2.fisheye.undistortPoints(given, matrix, distortion), dtype=np.float64)
 
-    took = cost_ms(undistorted, repeats, len(pixels))
+    took = 1e6 / len(pixels) * cost_ms(undistorted, repeats)
     found = undistorted()[:, 0]
     good = np.all(found > -1e5, axis=-1)  # OpenCV writes -1e6 where its iteration did not converge
     again = cv2.fisheye.distortPoints(found[good][:, None], matrix, distortion)[:, 0]

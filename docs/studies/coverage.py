@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, squared_sigmas
 from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
@@ -32,8 +33,6 @@ Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 """Errors (n, 2), px, of sightings at zenith angles (n,), degrees, for a 1-sigma per axis."""
 
 _SKY = hemisphere(600)
-_CHI_SQUARE_95 = 5.991
-_DRAWS = 2000
 _CORRELATION = 0.9
 
 
@@ -169,7 +168,7 @@ def one_lens(seed: int, case: Case) -> tuple[float, float, float, float, bool]:
     found, covariance = project_with_covariance(fit, _SKY)
     shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
     error, covariance = (found - expected)[shown], covariance[shown]
-    covered = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) < _CHI_SQUARE_95
+    covered = squared_sigmas(error, covariance) < CHI_SQUARE_95
     track = sun_directions(times[:: max(times.size // 400, 1)], case.site)
     away = np.degrees(np.arccos(np.clip(np.max(_SKY[shown] @ track.T, axis=1), -1.0, 1.0)))
     rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
@@ -191,8 +190,7 @@ def main() -> None:
         seeds = range(chosen.first, chosen.first + chosen.lenses)
         with ProcessPoolExecutor(chosen.jobs) as pool:
             rows = np.array(list(pool.map(partial(one_lens, case=CASES[name]), seeds)), dtype=float)
-        picks = np.random.default_rng(1).integers(0, len(rows), (_DRAWS, len(rows)))
-        low, high = np.quantile(rows[picks, 1].mean(axis=1), [0.025, 0.975])
+        low, high = bootstrap_interval(rows[:, 1])
         near, far = np.nanmean(rows[:, 2]), np.nanmean(rows[:, 3])
         print(
             f"| {name} | {len(rows)} | {np.median(rows[:, 0]):.3f} | {rows[:, 1].mean():.3f} ({low:.3f} to {high:.3f}) "

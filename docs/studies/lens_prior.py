@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import (
@@ -75,9 +76,9 @@ def score(found: Calibration, truth: Camera) -> list[float]:
     """Return the error over the sky, px, its coverage, and whether it was accepted."""
     pixels, covariance = project_with_covariance(found, SKY)
     error = pixels - project(truth, SKY)
-    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    square = squared_sigmas(error, covariance)
     rms = float(np.sqrt(np.nanmean(np.sum(error**2, axis=-1))))
-    return [rms, float(np.nanmean(square < 5.991)), float(found.verdict.accepted)]
+    return [rms, float(np.nanmean(square < CHI_SQUARE_95)), float(found.verdict.accepted)]
 
 
 def of_one_lens(seed: int, rows: dict[str, list[list[float]]], verdicts: dict[str, Counter[str]]) -> None:

@@ -15,6 +15,7 @@ import argparse
 import nights
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import (
@@ -30,7 +31,6 @@ from sunarc.optics import Camera, project
 from sunarc.sky import NightSky
 
 FloatArray = NDArray[np.float64]
-_CHI_SQUARE_95 = 5.991
 
 
 def fitted(points: SunPoints) -> Calibration:
@@ -74,7 +74,7 @@ def error_of(fit: Calibration, camera: Camera, field: pop.Field | None) -> Float
     truth = truth if field is None else truth + field(truth)
     pixels, covariance = project_with_covariance(fit, sky)
     error = pixels - truth
-    covered = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) < _CHI_SQUARE_95
+    covered = squared_sigmas(error, covariance) < CHI_SQUARE_95
     size = np.linalg.norm(error, axis=-1)
     north = sky[:, 1] > 0.0
     return np.array(

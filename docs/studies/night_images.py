@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 
 from sunarc.archive import Archive, CameraArchive, CameraRecord, Refit, SunPoint, open_archive, upgrade
 from sunarc.calibration import (
@@ -47,7 +48,6 @@ NIGHTS: dict[str, tuple[datetime, str, dict[str, Any]]] = {
 }
 EXPOSURE_US, HOURS = 5e6, 6.5
 SUN_PX = 0.03
-_CHI_SQUARE_95 = 5.991
 
 
 class SimulatedImager:
@@ -129,7 +129,7 @@ def errors(fit: Calibration, lens: Camera) -> list[float]:
     sky = sky[sky[:, 2] > math.cos(math.radians(85.0))]
     pixels, covariance = project_with_covariance(fit, sky)
     error = pixels - project(lens, sky)
-    inside = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]) < _CHI_SQUARE_95
+    inside = squared_sigmas(error, covariance) < CHI_SQUARE_95
     north = sky[:, 1] > 0.0
     square = np.sum(error**2, axis=-1)
     return [float(np.sqrt(square[half].mean())) for half in (north, ~north)] + [

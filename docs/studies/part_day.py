@@ -13,6 +13,7 @@ import argparse
 
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import SunPoints, calibrate, hemisphere, project_with_covariance
@@ -21,8 +22,6 @@ from sunarc.simulation import true_camera
 from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
-
-_CHI_SQUARE_95 = 5.991
 
 
 def one_lens(
@@ -44,10 +43,10 @@ def one_lens(
     sky = hemisphere(1000)
     found, covariance = project_with_covariance(fit, sky)
     error = found - seen(sky)
-    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    square = squared_sigmas(error, covariance)
     turned = np.linalg.solve(local_stretch(truth, sky), error[..., None])[..., 0]
     true_deg = float(np.degrees(np.sqrt(0.5 * np.nanmean(np.sum(turned**2, axis=-1)))))
-    return true_deg, fit.sky_rms_deg, float(np.mean(square < _CHI_SQUARE_95)), fit.verdict.accepted
+    return true_deg, fit.sky_rms_deg, float(np.mean(square < CHI_SQUARE_95)), fit.verdict.accepted
 
 
 def main() -> None:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 import population as pop
+from coverage_statistics import bootstrap_interval, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import calibrate, hemisphere, project_with_covariance
@@ -32,7 +33,6 @@ _NO_FIELD, _USUAL_PX, _FACTOR, _LARGEST_PX = 0.6, 0.3, 3.0, 1.5
 FIELD_LENGTHS = (0.16, 0.36)
 """Of the fields, as shares of the image."""
 _SKY = hemisphere(400)
-_DRAWS = 2000
 
 
 class Case(NamedTuple):
@@ -74,7 +74,7 @@ def ranks(seed: int, case: Case) -> FloatArray:
     seen, covariance = project_with_covariance(fit, _SKY)
     pixels = project(truth, _SKY)
     error = seen - (pixels if field is None else pixels + field(pixels))
-    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    square = squared_sigmas(error, covariance)
     return np.asarray(1.0 - np.exp(-0.5 * square))
 
 
@@ -93,8 +93,7 @@ def main() -> None:
             found = np.array(list(pool.map(partial(ranks, case=CASES[name]), seeds)))
         tenths = np.histogram(found, bins=10, range=(0.0, 1.0))[0] / found.size
         covered = (found < 0.95).mean(axis=1)
-        picks = np.random.default_rng(1).integers(0, covered.size, (_DRAWS, covered.size))
-        low, high = np.quantile(covered[picks].mean(axis=1), [0.025, 0.975])
+        low, high = bootstrap_interval(covered)
         shares = " ".join(f"{share:.2f}" for share in tenths)
         print(f"| {name} | {shares} | {covered.mean():.3f} ({low:.3f} to {high:.3f}) |", flush=True)
 

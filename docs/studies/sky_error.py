@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import population as pop
+from coverage_statistics import CHI_SQUARE_95, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import CalibrationOptions, calibrate, hemisphere, project_with_covariance
@@ -22,8 +23,6 @@ from sunarc.optics import Camera, project
 from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
-
-_CHI_SQUARE_95 = 5.991
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,8 +89,8 @@ def one_lens(case: Case, seed: int, options: CalibrationOptions, verbose: bool) 
     sky, track = hemisphere(1000), sun_directions(times[:: max(times.size // 400, 1)], pop.SGP)
     seen, covariance = project_with_covariance(fit, sky)
     error = seen - _true_pixels(truth, sky, field)
-    square = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    covered = square < _CHI_SQUARE_95
+    square = squared_sigmas(error, covariance)
+    covered = square < CHI_SQUARE_95
     away = np.degrees(np.arccos(np.clip(np.max(sky @ track.T, axis=1), -1.0, 1.0)))
     on_track = project(fit.camera, track) - _true_pixels(truth, track, field)
     stated = float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))

@@ -41,8 +41,7 @@ class MatchedView:
 
     def directions(self, view: StarView) -> FloatArray:
         """Return the apparent directions of the matches, (m, 3)."""
-        place = {name: row for row, name in enumerate(view.sky.names.tolist())}
-        return np.asarray(view.sky.directions[[place[name] for name in self.names(view)]].reshape(-1, 3))
+        return np.asarray(view.sky.directions[view.sky.rows_of(self.names(view))])
 
 
 def match_views(views: Sequence[StarView]) -> list[MatchedView]:

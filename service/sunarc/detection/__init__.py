@@ -12,11 +12,12 @@ from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, plane
 from sunarc.detection.stars.detect import detect_stars
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
-from sunarc.detection.stars.values import PredictedStars, Stars
+from sunarc.detection.stars.values import MOST_PEAK, PredictedStars, Stars
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
     "BAYERS",
+    "MOST_PEAK",
     "Bayer",
     "ClearSun",
     "Detection",

@@ -40,8 +40,6 @@ from sunarc.utc import rfc3339, utc_time
 
 FAINTEST = 5.5
 """V of the faintest stars of the table; fainter neighbours are not known."""
-MOST_PEAK = 0.9
-"""Of full scale: a brighter star may be clipped in part, and the counts of many cameras bend before the end."""
 _FWHM = 2.355
 
 
@@ -100,8 +98,7 @@ class StarImage:
         """Return which of the matches are sightings: stars that are not clipped."""
         if self.matches is None or self.stars is None:
             return np.zeros(0, dtype=np.int64)
-        row = self.matches.detection
-        return np.flatnonzero(~self.stars.saturated[row] & (self.stars.peak_fraction[row] < MOST_PEAK))
+        return np.flatnonzero(self.stars.sound[self.matches.detection])
 
 
 def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOptions) -> list[StarImage]:
@@ -176,11 +173,10 @@ def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, flo
     used = image.rows()
     seen, named = stars.select(matches.detection[used]), predicted.names[matches.star[used]].tolist()
     columns = zip(seen.pixels.tolist(), seen.sigma_px.tolist(), named, strict=True)
-    place = {name: row for row, name in enumerate(sky.names.tolist())}
     rows: list[tuple[datetime, float, float, float | None, str]] = [
         (image.time, x, y, sigma, name) for (x, y), sigma, name in columns
     ]
-    return rows, sky.directions[[place[name] for name in named]].reshape(-1, 3)
+    return rows, sky.directions[sky.rows_of(named)]
 
 
 def _looked_at(path: Path, calibration: Calibration, options: StarOptions) -> StarImage:

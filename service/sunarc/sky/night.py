@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gzip
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -78,6 +79,11 @@ class NightSky:
 
     def __len__(self) -> int:
         return int(self.magnitude.size)
+
+    def rows_of(self, names: Sequence[str]) -> IntArray:
+        """Return the rows (m,) of names that are all in it."""
+        row = {name: index for index, name in enumerate(self.names.tolist())}
+        return np.array([row[name] for name in names], dtype=np.int64)
 
     def select(self, which: BoolArray | IntArray) -> NightSky:
         """Return those that a mask or an index picks."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import random_covariance
 
 from sunarc.calibration.fit.evidence_kernel import evidence_terms
-from sunarc.calibration.least_squares.cholesky import factored
+from sunarc.cholesky import factored
 
 FloatArray = NDArray[np.float64]
 

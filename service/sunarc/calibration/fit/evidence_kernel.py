@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.least_squares.cholesky import factored, halved
+from sunarc.cholesky import factored, halved
 from sunarc.jit import njit
 
 

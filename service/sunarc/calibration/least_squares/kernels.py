@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
-from sunarc.calibration.least_squares.cholesky import factored, halved
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import CUT, UNSEEN_PX
+from sunarc.cholesky import solved
 from sunarc.jit import njit
 from sunarc.optics import Param
 from sunarc.optics.kernels import write_pixel_and_rows, write_rotation
@@ -243,23 +243,8 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
         for j in range(i + 1):
             room[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
         room[i, i] += damping + RIDGE
-    if not _solved(room, step):
+    if not solved(room, step):
         step[:] = 0.0
         return
     for i in range(f):
         step[i] *= scale[i]
-
-
-@njit(nogil=True)
-def _solved(matrix: FloatArray, vector: FloatArray) -> bool:
-    """Replace a vector (f,) by the solution; return False where a matrix (f, f; lower half) is not positive."""
-    f = vector.size
-    if math.isnan(factored(matrix, f, f)):
-        return False
-    halved(matrix, vector, f)
-    for i in range(f - 1, -1, -1):
-        total = vector[i]
-        for k in range(i + 1, f):
-            total -= matrix[k, i] * vector[k]
-        vector[i] = total / matrix[i, i]
-    return True

@@ -65,10 +65,8 @@ def fit_as_paper(
             moving = np.delete(moving, TRANSLATION)
         if last_moving == Param.P4:
             camera = replace(camera, decentering=(_NUDGE, _NUDGE, 0.0, 0.0))
-        if bins is not None:
-            camera = _minimised(camera, _means(one, bins, camera), moving, options, _STAGE)
-        if bins is None:
-            camera = _minimised(camera, one, moving, options, _STAGE)
+        sample = one if bins is None else _means(one, bins, camera)
+        camera = _minimised(camera, sample, moving, options, _STAGE)
     if bins is not None:
         camera = _minimised(camera, one, moving, options, _LAST_STEPS)
     misfit, jacobian = equations(camera, one, options)

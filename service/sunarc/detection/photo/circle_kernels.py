@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.cholesky import solved
 from sunarc.jit import njit
 from sunarc.robust_statistics import MAD_TO_SIGMA
 
@@ -42,22 +43,6 @@ def _residuals(points: FloatArray, state: FloatArray, residual: FloatArray, desi
 
 
 @njit(nogil=True)
-def _solved(matrix: FloatArray, right: FloatArray) -> None:
-    """Write the solution of a positive definite system of equations in place of its right side, by elimination."""
-    n = right.size
-    for k in range(n):
-        for i in range(k + 1, n):
-            share = matrix[i, k] / matrix[k, k]
-            right[i] -= share * right[k]
-            for j in range(k, n):
-                matrix[i, j] -= share * matrix[k, j]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            right[k] -= matrix[k, j] * right[j]
-        right[k] /= matrix[k, k]
-
-
-@njit(nogil=True)
 def _step(
     residual: FloatArray, design: FloatArray, state: FloatArray, scale: float, held: float
 ) -> tuple[FloatArray, int]:
@@ -76,7 +61,8 @@ def _step(
     for j in range(3, _SIZE):
         normal[j, j] += held
         step[j] -= held * state[j]
-    _solved(normal, step)
+    if not solved(normal, step):
+        step[:] = 0.0
     return step, inliers
 
 

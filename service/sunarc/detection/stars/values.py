@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
+
+MOST_PEAK = 0.9
+"""Share of full scale: a star with a brighter peak may be clipped in part, and many sensors are not linear there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,6 +40,11 @@ class Stars:
 
     def __len__(self) -> int:
         return int(self.flux.size)
+
+    @property
+    def sound(self) -> BoolArray:
+        """Which are neither clipped nor near full scale, (n,)."""
+        return np.asarray(~self.saturated & (self.peak_fraction < MOST_PEAK))
 
     def select(self, which: BoolArray | IntArray) -> Stars:
         """Return those that a mask or an index picks."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.cameras import Frame
-from sunarc.detection import Stars
+from sunarc.detection import MOST_PEAK, Stars
 from sunarc.imaging import ExposureBounds
 from sunarc.workers.bounded_queue import DropOldestQueue
 
@@ -20,7 +20,6 @@ LADDER_US = (10e6, 5e6, 2.5e6, 1.25e6, 0.6e6, 0.3e6)
 _FIRST = 1
 _BRIGHTEST = 30
 """Stars: of V 3 and brighter, in a clear sky."""
-_CLIPPED_PEAK = 0.9
 _MOST_CLIPPED, _FEW_CLIPPED = 0.5, 0.1
 _BRIGHT_SKY, _DARK_SKY = 0.35, 0.12
 """Share of full scale: a sky above leaves no room for stars; of one below twice the exposure leaves it."""
@@ -42,7 +41,7 @@ class NightExposures:
     def report(self, stars: Stars, *, sky_fraction: float) -> None:
         """Take note of an image: its detections, and the level of its sky over full scale."""
         brightest = stars.peak_fraction[:_BRIGHTEST]
-        clipped = float(np.mean(brightest > _CLIPPED_PEAK)) if brightest.size == _BRIGHTEST else 0.0
+        clipped = float(np.mean(brightest > MOST_PEAK)) if brightest.size == _BRIGHTEST else 0.0
         step = 0
         if sky_fraction > _BRIGHT_SKY or clipped > _MOST_CLIPPED:
             step = 1

@@ -41,7 +41,6 @@ _BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
 _MOST_A_FRAME = 30
 """Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
-_MOST_PEAK = 0.9
 _OFFSET_PX = 0.05
 """1-sigma of what the radial offset leaves of coma and of the image scale."""
 _MOST_IMAGES = 200
@@ -175,7 +174,7 @@ class NightWorker:
     def _points(self, image: _Image, view: StarView, found: MatchedView, offset: RadialOffset) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
         names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
-        sound = ~stars.saturated & (stars.peak_fraction < _MOST_PEAK)
+        sound = stars.sound
         names, stars = names[sound], stars.select(sound)
         record = self._camera.record()
         parts = image_parts(stars.pixels, (0, 0) if record is None else record.image_size)
@@ -228,7 +227,7 @@ def _offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibr
     pixels, predicted, sigma = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
     for view, found in zip(views, matched, strict=True):
         stars, star = found.stars.select(found.matches.detection), found.matches.star
-        sound = ~stars.saturated & (stars.peak_fraction < _MOST_PEAK)
+        sound = stars.sound
         pixels.append(stars.pixels[sound])
         predicted.append(view.predicted.pixels[star][sound])
         own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - _BENT_PX**2, 0.0)

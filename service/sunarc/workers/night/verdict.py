@@ -25,7 +25,6 @@ _COUNTED_TO_V = 4.0
 """Stars that any clear sky shows; those fainter are lost to the light of towns."""
 _STEP_V, _HALF = 0.5, 0.5
 _SIGMAS, _SEEING_PX = 3.0, 0.5
-_MOST_PEAK = 0.9
 _LOWEST_DEG = 78.0
 """Zenith angle of 4.7 air masses; below, haze and trees."""
 _FEWEST_STARS, _LEAST_AIR_MASSES = 100, 1.0
@@ -136,9 +135,8 @@ def _faintness(view: StarView, found: MatchedView) -> FloatArray:
     """Return air masses and magnitudes lost, (2, m), of the unclipped stars of an image, each about its median."""
     stars = found.stars.select(found.matches.detection)
     zenith, _ = angles_from_direction(found.directions(view))
-    place = {name: row for row, name in enumerate(view.sky.names.tolist())}
-    catalogue = view.sky.magnitude[[place[name] for name in found.names(view)]]
-    sound = ~stars.saturated & (stars.peak_fraction < _MOST_PEAK) & (catalogue < _COUNTED_TO_V) & (zenith < _LOWEST_DEG)
+    catalogue = view.sky.magnitude[view.sky.rows_of(found.names(view))]
+    sound = stars.sound & (catalogue < _COUNTED_TO_V) & (zenith < _LOWEST_DEG)
     if not np.any(sound):
         return np.zeros((2, 0))
     both = np.stack([relative_air_mass(zenith), -2.5 * np.log10(np.maximum(stars.flux, 1e-9)) - catalogue])[:, sound]

@@ -42,3 +42,21 @@ def factored(matrix: FloatArray, size: int, rows: int) -> float:
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = total / matrix[j, j]
     return float(determinant)
+
+
+@njit(nogil=True)
+def solved(matrix: FloatArray, vector: FloatArray) -> bool:
+    """Replace a vector (f,) by the solution; return False where a matrix (f, f; lower half) is not positive.
+
+    The factor stands in place of the matrix afterwards.
+    """
+    f = vector.size
+    if math.isnan(factored(matrix, f, f)):
+        return False
+    halved(matrix, vector, f)
+    for i in range(f - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, f):
+            total -= matrix[k, i] * vector[k]
+        vector[i] = total / matrix[i, i]
+    return True
