@@ -41,7 +41,8 @@ MESSAGES = Messages(
     first_sun=Message(
         "first sightings of the sun: {n} of {least} that a first pose needs, the last at x {x_px:.0f}, y {y_px:.0f}",
         "Directions cannot be given yet.",
-        "see in the image that it is the sun, and which way it goes: in the northern hemisphere clockwise",
+        "see in the image that it is the sun, and which way it goes: north of the tropics counter-clockwise round the "
+        "zenith, south of them clockwise; in a mirrored image the other way",
     ),
     first_pose_provisional=Message(
         "first pose, of {n} sightings: north to {north_sigma_deg:.1f}° (1-sigma), directions to {sigma_deg:.1f}°; the "

@@ -3,6 +3,7 @@ import { ask, keepToken, listen, NeedsToken } from "./ask.js";
 import { drawCalendar } from "./calendar.js";
 import { $, ago, fillFacts, fillRows, fixed, judged, moment, node, sentences, telling } from "./draw.js";
 import { compare, offerComparison } from "./compare.js";
+import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
 import { lookUp } from "./lookup.js";
 import { drawResiduals } from "./residuals.js";
@@ -28,7 +29,7 @@ const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
   status: null, points: [], calibrations: [], days: [], counts: [], housekeeping: { step: "hour", rows: [] },
-  overlay: null, sun: null, asked: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
+  overlay: null, sun: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
 function showHealth(health, headline) {
@@ -55,6 +56,7 @@ async function refreshStatus() {
   ]), "No worker has started.");
   fillFacts("facts", factsOf(status));
   fillFacts("more-facts", moreFactsOf(status));
+  redrawFirst();
   await showImage(status);
 }
 
@@ -127,6 +129,17 @@ async function refreshSky() {
   });
 }
 
+// Where the camera stands, as its record has it; it does not change.
+async function readSite() {
+  const { default: name, cameras } = await ask("/v1/cameras");
+  known.site = cameras.find((camera) => camera.name === name) ?? null;
+  redrawFirst();
+}
+
+function redrawFirst() {
+  if (known.status) drawFirst(known, known.site);
+}
+
 const zoom = new Zoom($("picture"), (part, factor) => { showPart(part, factor, known.status); redrawSky(); }, ([x, y]) => {
   [$("ask-x").value, $("ask-y").value] = [x.toFixed(1), y.toFixed(1)];
   askSky();
@@ -135,7 +148,7 @@ const zoom = new Zoom($("picture"), (part, factor) => { showPart(part, factor, k
 function redrawSky() {
   if (!known.sun) return;
   zoom.fit(known.status?.image_size ?? [1, 1]);
-  drawSky(known.status?.image_size, zoom.part, known.overlay, known.sun, known.points.find((point) => point.accepted), known.asked);
+  drawSky(known.status?.image_size, zoom.part, known.overlay, known.sun, known.points.find((point) => point.accepted), known.asked, firstWay(known.status, known.points));
 }
 
 async function askSky() {
@@ -153,6 +166,7 @@ async function refreshResiduals() {
   known.points = since ? [...come.filter((point) => point.time > newest), ...known.points].slice(0, MOST_POINTS) : come;
   known.residualsBy = known.calibration;
   if (come.length > (since ? 1 : 0) || !since) redrawResiduals();
+  redrawFirst();
 }
 
 async function refreshRecord() {
@@ -170,6 +184,7 @@ async function refreshRecord() {
   known.housekeeping = housekeeping;
   drawCalendar(known.days.slice(0, CALENDAR_DAYS), known.status?.frame_time);
   redrawHistory();
+  redrawFirst();
   offerComparison(known.calibrations);
   fillRows("calibrations", known.calibrations.slice(0, MOST_ROWS).map((c) => [
     judged(c.state), moment(c.created_at), telling(c.rmse_px, " px"), telling(c.sky_rms_deg, "°"), moment(c.valid_from), findingsOf(c),
@@ -242,7 +257,7 @@ $("token-form").addEventListener("submit", (event) => {
   event.preventDefault();
   keepToken($("token").value.trim());
   $("token").value = "";
-  [refreshStatus, refreshSky, refreshResiduals, refreshRecord].forEach(refresh);
+  [refreshStatus, refreshSky, refreshResiduals, refreshRecord, readSite].forEach(refresh);
 });
 window.addEventListener("resize", () => { redrawResiduals(); redrawHistory(); });
 $("history-span").addEventListener("change", () => { redrawHistory(); refresh(refreshRecord); });
@@ -258,6 +273,7 @@ await refreshStatus().catch(complain);
 await refreshSky().catch(() => {});
 await refreshResiduals().catch(() => {});
 refresh(refreshRecord);
+refresh(readSite);
 listen("/v1/events/stream", ({ kind }) => (STALE[kind] ?? [refreshStatus]).forEach(refresh));
 every(STATUS_MS, refreshStatus);
 every(SKY_MS, refreshSky);

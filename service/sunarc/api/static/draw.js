@@ -118,3 +118,12 @@ export function timeTicks(from, to, most, least = 0) {
   const written = (at) => new Date(at).toISOString();
   return ticks.map((at) => [at, at % 86400000 ? written(at).slice(11, 16) : written(at).slice(5, 10)]); // a midnight is its date
 }
+
+// An entry of a legend.
+export function keyed(mark, text, viewBox = "0 0 10 10") {
+  const item = node("li", ` ${text}`);
+  const key = element("svg", { viewBox, "aria-hidden": "true" });
+  key.append(mark);
+  item.prepend(key);
+  return item;
+}

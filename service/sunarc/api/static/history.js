@@ -1,8 +1,7 @@
 // What was: calibrations, the camera's rotation, looks at the sun and the clock, over a span that is chosen.
-import { $, element, node, symbol, telling, ticksOf, timeTicks } from "./draw.js";
+import { $, element, keyed, symbol, telling } from "./draw.js";
+import { axes, DAY_MS, drawSeries } from "./plots.js";
 
-const DAY_MS = 86400000;
-const [HEIGHT, LEFT, BOTTOM] = [150, 72, 24]; // LEFT holds -0.00004
 const AXES = [["x-mark", "about east"], ["y-mark", "about north"], ["z-mark", "about up"]];
 const VERDICTS = 6; // shades that tell them apart
 
@@ -29,14 +28,14 @@ function drawCalibrations(calibrations) {
     ? `${shown.length} accepted; 1-sigma over the sky ${range(shown, "sky_rms_deg", "°")}, RMSE ${range(shown, "rmse_px", " px")}.`
     : "No accepted calibration yet.";
   if (!shown.length) return;
-  draw("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]], 0);
-  draw("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]], 0);
+  drawSeries("history-sigma", [["x-mark", shown.map((one) => [one.at, one.sky_rms_deg])]], 0);
+  drawSeries("history-rmse", [["y-mark", shown.filter((one) => one.rmse_px !== null).map((one) => [one.at, one.rmse_px])]], 0);
 }
 
 function drawOffsets(days) {
   $("offset-plot").hidden = !days.length;
   if (!days.length) return;
-  draw("history-offset", AXES.map(([style], k) => [style, days.map((day) => [day.at, day.pose_offset_deg[k]])]));
+  drawSeries("history-offset", AXES.map(([style], k) => [style, days.map((day) => [day.at, day.pose_offset_deg[k]])]));
   $("offset-legend").replaceChildren(...AXES.map(([style, name]) => keyed(symbol(style, 0, 0, 4), name, "-10 -10 20 20")));
 }
 
@@ -62,7 +61,7 @@ function drawCounts(days) {
     });
   }
   $("history-counts").replaceChildren(...frame.parts);
-  draw("history-clock", [["x-mark", days.filter((day) => day.clock_error_s !== null).map((day) => [day.at, day.clock_error_s])]]);
+  drawSeries("history-clock", [["x-mark", days.filter((day) => day.clock_error_s !== null).map((day) => [day.at, day.clock_error_s])]]);
 }
 
 // Free space, and the temperature as its mean with a line from the lowest to the highest, by hour or by day.
@@ -70,7 +69,7 @@ function drawHousekeeping(rows, step) {
   const space = rows.filter((row) => row.disk_free_bytes !== null);
   $("disk-plot").hidden = !space.length;
   $("disk-sum").textContent = `Least free disk space by ${step}, GB`;
-  if (space.length) draw("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]], step === "day" ? DAY_MS : 0);
+  if (space.length) drawSeries("history-disk", [["x-mark", space.map((row) => [row.at, row.disk_free_bytes / 1e9])]], step === "day" ? DAY_MS : 0);
   const warm = rows.filter((row) => row.temperature_c !== null);
   $("temperature-plot").hidden = !warm.length;
   $("temperature-sum").textContent = `Temperature of the camera by ${step}: mean, lowest and highest, °C`;
@@ -85,51 +84,9 @@ function drawHousekeeping(rows, step) {
   $("history-temperature").replaceChildren(...frame.parts);
 }
 
-function keyed(mark, text, viewBox = "0 0 10 10") {
-  const item = node("li", ` ${text}`);
-  const key = element("svg", { viewBox, "aria-hidden": "true" });
-  key.append(mark);
-  item.prepend(key);
-  return item;
-}
-
 function range(shown, field, unit) {
   const values = shown.map((one) => one[field]).filter((value) => value !== null);
   if (!values.length) return "not known";
   const [low, high] = [Math.min(...values), Math.max(...values)];
   return low === high ? telling(high, unit) : `${telling(low)} to ${telling(high, unit)}`;
-}
-
-// Series of [time, value], one symbol each; the scale holds 0. Days have no hours: `least` is the closest that labels stand.
-function draw(id, series, least = DAY_MS) {
-  const values = series.flatMap(([, points]) => points.map(([, value]) => value));
-  const [low, high] = [Math.min(0, ...values) * 1.15, Math.max(0, ...values) * 1.15];
-  const frame = axes(id, series.flatMap(([, points]) => points.map(([at]) => at)), low, Math.max(high, low < 0 ? 0 : 1e-6), least);
-  for (const [style, points] of series) for (const [at, value] of points) frame.parts.push(symbol(style, frame.x(at), frame.y(value), 3));
-  $(id).replaceChildren(...frame.parts);
-}
-
-function axes(id, times, low, high, least = DAY_MS) {
-  const plot = $(id);
-  const width = plot.clientWidth || 600;
-  plot.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
-  const from = Math.min(...times);
-  const to = Math.max(...times, from + 1);
-  const x = (time) => LEFT + 8 + ((time - from) / (to - from)) * (width - LEFT - 32); // half a label beyond the last point
-  const y = (value) => 8 + (1 - (value - low) / (high - low)) * (HEIGHT - 16 - BOTTOM);
-  const { ticks, digits } = ticksOf(low, high, 4);
-  const parts = ticks.flatMap((tick) => [
-    element("path", { class: Math.abs(tick) < 1e-12 && low < 0 ? "zero" : "grid", d: `M${LEFT} ${y(tick)}H${width - 8}` }),
-    element("text", { x: LEFT - 6, y: y(tick) + 4, "text-anchor": "end" }, tick.toFixed(digits)),
-  ]);
-  const named = to - from > 400 * DAY_MS ? yearTicks(from, to) : timeTicks(from, to, width / 90, least);
-  if (!named.length) named.push([from, new Date(from).toISOString().slice(0, 10)]);
-  for (const [at, text] of named) parts.push(element("text", { x: x(at), y: HEIGHT - 6, "text-anchor": "middle" }, text));
-  return { x, y, parts };
-}
-
-function yearTicks(from, to) {
-  const ticks = [];
-  for (let year = new Date(from).getUTCFullYear() + 1; Date.UTC(year, 0) <= to; year += 1) ticks.push([Date.UTC(year, 0), String(year)]);
-  return ticks;
 }

@@ -50,7 +50,7 @@ export function compass(overlay) {
 }
 
 // Marks and names have the size of the part that is shown, not of the image.
-export function drawSky(size, part, overlay, sun, last, asked) {
+export function drawSky(size, part, overlay, sun, last, asked, way = []) {
   const [width, height] = size ?? [1, 1];
   const u = part[2] / 100;
   $("overlay").setAttribute("viewBox", part.join(" "));
@@ -60,6 +60,7 @@ export function drawSky(size, part, overlay, sun, last, asked) {
   for (const circle of overlay?.zenith_circles ?? []) parts.push(element("path", { class: circle.zenith_deg === 90 ? "horizon" : "azimuth", d: path(circle.pixels) }));
   for (const way of overlay?.sun_paths ?? []) parts.push(...drawPath(way, u));
   for (const [name, at] of compass(overlay)) parts.push(label(at, name, u * 4, "corner"));
+  if (way.length > 1) parts.push(element("path", { class: "first-way", d: path(way) }));
   if (last) parts.push(mark(SEEN, "seen", [last.x_px, last.y_px], u));
   if (sun?.pixel) for (const style of ["expected-under", "expected"]) parts.push(mark(EXPECTED, style, sun.pixel, u));
   if (asked) for (const style of ["expected-under", "asked"]) parts.push(mark(ASKED, style, asked, u));

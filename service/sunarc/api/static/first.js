@@ -1,0 +1,140 @@
+// The first hours of a camera: whether the sun was found, what to check, how sure the north is, and when a fit can be expected.
+import { $, ago, fillFacts, fixed, moment, node, telling } from "./draw.js";
+import { DAY_MS, drawSeries } from "./plots.js";
+
+const MS_PER_DEGREE = 240000; // of longitude: the sun's mean rate
+const MOST_POINTS = 1000;
+const LEAST_TURN_DEG = 10; // below, which way the sun goes round the middle is not said
+const OF_FEW = "first_pose_provisional";
+const POINTS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
+
+const finding = (status, code) => status.findings.find((one) => one.code === code)?.data;
+const sum = (counts, of) => counts.reduce((all, day) => all + of(day), 0);
+
+export const isFirst = (status) => Boolean(status) && (!status.calibration || finding(status, OF_FEW) !== undefined);
+
+// The first sightings of the present epoch, the oldest first, as pixels: where the sun went through the image.
+export const firstWay = (status, points) => (isFirst(status) ? found(points).map((point) => [point.x_px, point.y_px]) : []);
+
+const found = (points) => points.filter((point) => point.accepted && point.x_px !== null && point.pose_epoch === points[0].pose_epoch).reverse();
+
+export function drawFirst({ status, points, residualsBy, counts, calibrations, overlay, sun }, site) {
+  $("first").hidden = !isFirst(status);
+  if ($("first").hidden) return;
+  const pose = finding(status, OF_FEW);
+  $("first-title").textContent = pose ? "First hours: a provisional pose" : "First hours: no calibration yet";
+  const sightings = found(points);
+  const today = overlay?.sun_paths.find((way) => way.name === "today");
+  fillFacts("first-facts", {
+    "Sun in the image": residualsBy === undefined ? "…" : ofSun(status, sightings, counts),
+    "Its way": ofWay(status, sightings, today),
+    North: ofNorth(status, pose, sightings.length),
+    "First full fit": ofFit(status, sightings, today, site),
+  });
+  $("first-checks").replaceChildren(...checks(status, sun, site).map(([good, text]) => {
+    const item = node("li", "", good ? "good" : "warn");
+    const sign = node("span", good === null ? "?" : good ? "✓" : "!");
+    if (good === null) item.className = "";
+    item.append(sign, node("span", ` ${text}`, "plain"));
+    return item;
+  }));
+  drawNorth(calibrations, sightings[0]?.pose_epoch);
+}
+
+function ofSun(status, sightings, counts) {
+  const looks = sum(counts, (day) => Object.values(day.verdicts).reduce((all, n) => all + n, 0));
+  if (!sightings.length) return looks ? `not yet: none of ${looks} looks showed it (${verdicts(counts)})` : "not yet: nothing was looked at while the sun was up";
+  const [first, last] = [sightings[0], sightings.at(-1)];
+  const at = (point) => `x ${point.x_px.toFixed(0)}, y ${point.y_px.toFixed(0)} px`;
+  const n = sightings.length >= MOST_POINTS ? `at least ${MOST_POINTS}` : sightings.length;
+  return `found ${n} times, first at ${moment(first.time)} (${at(first)}), last ${ago(last.time, status.frame_time)} (${at(last)})`;
+}
+
+function verdicts(counts) {
+  const all = {};
+  for (const day of counts) for (const [verdict, n] of Object.entries(day.verdicts)) all[verdict] = (all[verdict] ?? 0) + n;
+  return Object.entries(all).sort(([, a], [, b]) => b - a).map(([verdict, n]) => `${n} ${verdict}`).join(", ");
+}
+
+// Seen from below, the azimuth runs counter-clockwise in an image; in a mirrored one clockwise. The middle of the image is
+// near the zenith of a camera that looks up: where the sun goes round it by about as much as its azimuth does, that counts.
+function ofWay(status, sightings, today) {
+  const [width, height] = status.image_size ?? [1, 1];
+  const turned = turn(sightings.map((point) => [Date.parse(point.time), Math.atan2(point.y_px - height / 2, point.x_px - width / 2) * (180 / Math.PI)]));
+  if (Math.abs(turned) < LEAST_TURN_DEG) return "not yet long enough to tell which way it goes round the middle of the image";
+  const way = turned > 0 ? "clockwise" : "counter-clockwise";
+  const said = `${way} round the middle of the image, by ${Math.abs(turned).toFixed(0)}°`;
+  const expected = azimuthTurn(sightings, today);
+  if (expected === null || Math.abs(expected) < LEAST_TURN_DEG) return said;
+  const right = expected > 0 ? "counter-clockwise" : "clockwise";
+  return `${said}; in an image that is not mirrored it goes ${right}, by about ${Math.abs(expected).toFixed(0)}°${way === right ? "" : ": compare with calibration.mirrored"}`;
+}
+
+// How far an angle turned, degrees, from [time, angle] in their order.
+function turn(rows) {
+  let all = 0;
+  for (let k = 1; k < rows.length; k += 1) all += ((((rows[k][1] - rows[k - 1][1]) % 360) + 540) % 360) - 180;
+  return all;
+}
+
+function azimuthTurn(sightings, today) {
+  if (!today || sightings.length < 2) return null;
+  const [from, to] = [Date.parse(sightings[0].time), Date.parse(sightings.at(-1).time)];
+  const rows = today.time.map((time, k) => [Date.parse(time), today.azimuth[k]]).filter(([at]) => at >= from && at <= to);
+  return Date.parse(today.time[0]) <= from && rows.length > 1 ? turn(rows) : null; // of today alone
+}
+
+function ofNorth(status, pose, n) {
+  if (pose) {
+    return `± ${telling(pose.north_sigma_deg)}° (1-sigma) after ${pose.n} sightings; the top of the image looks towards azimuth ${pose.top_azimuth_deg.toFixed(0)}°, ${compassPoint(pose.top_azimuth_deg)}. Directions to ${telling(pose.sigma_deg)}°.`;
+  }
+  const waiting = finding(status, "first_sun");
+  if (waiting) return `not known yet: ${waiting.n} of ${waiting.least} sightings that a first pose needs`;
+  const refused = status.reasons.find((reason) => reason.code === "first_pose_refused");
+  if (refused) return `not known: ${refused.text}`;
+  return n ? "not known before the first full fit: the type of lens is not known (first_pose.lens_prior names a file that says it)" : "not known yet";
+}
+
+const compassPoint = (azimuth) => POINTS[Math.round(azimuth / 45) % 8];
+
+// A day is evaluated when it has ended, by local mean solar time.
+function ofFit(status, sightings, today, site) {
+  if (!today || !site) return "not known yet";
+  const end = Date.parse(today.date) + DAY_MS - site.longitude * MS_PER_DEGREE;
+  const written = (at) => moment(new Date(at).toISOString()).slice(0, 16);
+  const set = today.time.at(-1);
+  const over = !set || set <= status.frame_time;
+  const shown = sightings.some((point) => point.time >= (today.time[0] ?? "9"));
+  if (over && !shown) return `after the next clear day; at the earliest at ${written(end + DAY_MS)}`;
+  const dusk = over ? "the sun has set" : `the sun sets at ${moment(set).slice(11, 16)}`;
+  return `${dusk}; the day is evaluated at ${written(end)}, and fitted if it showed enough of the sun's way. After a cloudy one the next clear day decides.`;
+}
+
+// What a person can compare, with ✓ or ! where the service knows.
+function checks(status, sun, site) {
+  const { clock, camera } = status;
+  const list = [[camera?.connected ?? false, camera?.connected ? `camera: ${[camera.model, camera.serial].filter(Boolean).join(", ") || "connected"}` : "camera: not connected"]];
+  const synchronised = clock?.synchronised ?? null;
+  list.push([synchronised, synchronised ? `clock: synchronised, within ${telling(clock.max_error_s)} s` : synchronised === null ? "clock: not known whether it is synchronised" : "clock: not synchronised; 4 minutes of error turn the north by a degree and more"]);
+  if (site && sun) {
+    const up = sun.apparent_zenith < 90;
+    list.push([null, `clock and site: at ${degrees(site.latitude, "N", "S")}, ${degrees(site.longitude, "E", "W")} the sun is now ${up ? `${fixed(90 - sun.apparent_zenith, 0, "°")} above the horizon in the ${compassPoint(sun.azimuth)}` : "below the horizon"}: compare with the sky`]);
+  }
+  list.push([null, "image: what is marked is the sun, and neither a reflection nor a lamp; the horizon is round the image"]);
+  const refused = status.reasons.find((reason) => reason.code === "first_pose_refused");
+  list.push(refused ? [false, `mounting: ${refused.text}; ${refused.remedy}`] : [finding(status, OF_FEW) ? true : null, finding(status, OF_FEW) ? "mounting: not mirrored, and no second north fits as well; compare the top of the image with a map" : "mounting: the camera is level, its image not mirrored (or calibration.mirrored says so)"]);
+  return list;
+}
+
+const degrees = (value, positive, negative) => `${Math.abs(value).toFixed(2)}° ${value < 0 ? negative : positive}`;
+
+// How sure the north was by each first pose.
+function drawNorth(calibrations, epoch) {
+  const series = calibrations.filter((one) => !epoch || one.pose_epoch === epoch).flatMap((one) => one.findings
+    .filter((each) => each.code === "first_pose").map((each) => [Date.parse(one.created_at), each.data.north_sigma_deg])).sort(([a], [b]) => a - b);
+  $("first-north").toggleAttribute("hidden", series.length < 2);
+  $("first-north-sum").hidden = series.length < 2;
+  if (series.length < 2) return;
+  $("first-north-sum").textContent = `1-sigma of the north, degrees: ${telling(series[0][1])} by the first pose, ${telling(series.at(-1)[1])} by the last`;
+  drawSeries("first-north", [["x-mark", series]], 0);
+}
