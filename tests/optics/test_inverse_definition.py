@@ -16,7 +16,6 @@ from sunarc.optics import (
     Camera,
     angle_limit,
     inverse_table,
-    kernels,
     local_stretch,
     project,
     rising_limit,
@@ -24,6 +23,7 @@ from sunarc.optics import (
 )
 from sunarc.optics.fast import _rounds
 from sunarc.optics.forward import distorted_radius, radius_slope
+from sunarc.optics.inverse_table_kernels import directions_of
 from sunarc.optics.stretch import tangent_basis
 
 FloatArray = NDArray[np.float64]
@@ -110,7 +110,7 @@ def test_the_table_s_kernel_interpreted_is_the_kernel_compiled() -> None:
         pixels = np.concatenate([project(camera, field_of(camera, 5)), [[-9e4, 0.0]]])
         found = np.empty((6, 3))
         with np.errstate(over="ignore", invalid="ignore"):  # far out the fixed point diverges
-            kernels.directions_of.py_func(table.constants, table.rotation, table.pieces, table.rounds, pixels, found)
+            directions_of.py_func(table.constants, table.rotation, table.pieces, table.rounds, pixels, found)
         np.testing.assert_allclose(found[:5], unproject(camera, pixels[:5]), atol=1e-9)
         assert np.all(np.isnan(found[5]))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,14 @@ from tests.fixtures.calibration import small_camera
 
 from sunarc.optics import Projection, unproject
 from sunarc.optics.forward import decentering_shift, distorted_radius
-from sunarc.optics.inverse import _angle_of_radius
-from sunarc.optics.inverse_kernels import without_decentering
+from sunarc.optics.inverse_kernels import _sine_and_cosine_of_half, take_out_decentering
+
+_BARE: dict[str, Any] = {
+    "decentering": (0.0,) * 4,
+    "rotation_cam_enu": (0.0,) * 3,
+    "focal_length_px": (500.0, 500.0),
+    "skew_px": 0.0,
+}
 
 
 @pytest.mark.parametrize("strength", [1e-4, 5e-3])
@@ -29,7 +36,7 @@ def test_the_decentering_is_taken_out_as_a_general_solver_does(strength: float) 
         return np.asarray(shifted(q) - at)
 
     x, y = points.copy()
-    without_decentering(coefficients, x, y)
+    take_out_decentering(coefficients, x, y)
     for i in range(40):
         expected = fsolve(missed, points[:, i], args=(points[:, i],), xtol=1e-13)
         np.testing.assert_allclose([x[i], y[i]], expected, atol=1e-11)
@@ -38,24 +45,25 @@ def test_the_decentering_is_taken_out_as_a_general_solver_does(strength: float) 
 
 def test_the_centre_stays_and_no_number_stays_none() -> None:
     x, y = np.array([0.0, math.nan]), np.array([0.0, 0.2])
-    without_decentering(np.array([1e-3, 2e-3, 0.1, 0.0]), x, y)
+    take_out_decentering(np.array([1e-3, 2e-3, 0.1, 0.0]), x, y)
     assert (x[0], y[0]) == (0.0, 0.0)
     assert math.isnan(x[1])
 
 
 @pytest.mark.parametrize("projection", ["equidistant", "equisolid", "stereographic", "orthographic", "perspective"])
 def test_angles_are_those_of_bracketing(projection: Projection) -> None:
-    camera = replace(small_camera(projection), max_angle=math.radians(75.0))
+    camera = replace(small_camera(projection), max_angle=math.radians(75.0), **_BARE)
     edge = float(distorted_radius(camera, camera.max_angle))
     radii = np.array([0.0, 1e-9, 0.2 * edge, 0.7 * edge, 0.999 * edge, edge, 1.01 * edge, math.nan])
-    found = _angle_of_radius(camera, radii)
-    assert found[0] == 0.0
+    x0, y0 = camera.principal_point_px
+    found = unproject(camera, np.stack([x0 + 500.0 * radii, np.full(radii.size, y0)], axis=-1))
+    np.testing.assert_allclose(found[0], [0.0, 0.0, 1.0], atol=1e-15)
     assert np.isnan(found[-2:]).all()
-    for radius, angle in zip(radii[1:6], found[1:6], strict=True):
-        expected = brentq(
+    for radius, direction in zip(radii[1:6], found[1:6], strict=True):
+        angle = brentq(
             lambda theta, r=radius: distorted_radius(camera, theta) - r, 0.0, camera.max_angle + 1e-9, xtol=1e-15
         )
-        assert angle == pytest.approx(expected, abs=1e-12)
+        np.testing.assert_allclose(direction, [math.sin(angle), 0.0, math.cos(angle)], atol=1e-12)
 
 
 def test_one_pixel_and_a_sheet_of_pixels_give_the_same_directions() -> None:
@@ -63,3 +71,23 @@ def test_one_pixel_and_a_sheet_of_pixels_give_the_same_directions() -> None:
     sheet = unproject(small_camera(mirrored=True), pixels)
     assert sheet.shape == (3, 4, 3)
     np.testing.assert_allclose(sheet[1, 2], unproject(small_camera(mirrored=True), pixels[1, 2]), atol=1e-15)
+
+
+def test_half_angles_are_those_of_the_library() -> None:
+    for theta in np.linspace(0.0, math.pi, 301):
+        sine, cosine = _sine_and_cosine_of_half(theta)
+        assert sine == pytest.approx(math.sin(0.5 * theta), abs=4e-16)
+        assert cosine == pytest.approx(math.cos(0.5 * theta), abs=4e-16)
+
+
+def test_a_pixel_without_a_direction_leaves_the_others_of_its_block_alone() -> None:
+    camera = small_camera()
+    pixels = np.random.default_rng(3).uniform(150.0, 350.0, (600, 2))
+    expected = unproject(camera, pixels)
+    pixels[::7] = [math.nan, 1.0]
+    pixels[1::7] = [1e9, -1e9]
+    pixels[2::7] = [math.inf, 0.0]
+    found = unproject(camera, pixels)
+    spoiled = np.isin(np.arange(600) % 7, (0, 1, 2))
+    assert np.isnan(found[spoiled]).all()
+    np.testing.assert_allclose(found[~spoiled], expected[~spoiled], atol=1e-15)

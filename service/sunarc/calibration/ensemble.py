@@ -22,7 +22,7 @@ from sunarc.calibration.pose.error_model import CameraErrorModel, error_model_of
 from sunarc.jit import njit
 from sunarc.optics import InverseTable, inverse_table, project_fast
 from sunarc.optics.cubic_spline import spline_weights
-from sunarc.optics.kernels import InverseConstants
+from sunarc.optics.inverse_table_kernels import InverseConstants
 
 MOST_DRAWS = 64
 """Draws that one question may ask for: a standard deviation from so many is known to 9 %, 1 / √(2 · 64)."""

@@ -12,10 +12,9 @@ from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
 from sunarc.optics.displacement_table import DisplacementTable, displacement_table
 from sunarc.optics.forward import decentering_shift, distorted_radius, mirror_of, radius_slope
-from sunarc.optics.inverse import unproject
-from sunarc.optics.kernels import InverseConstants, directions_of
+from sunarc.optics.inverse import largest_angle, unproject
+from sunarc.optics.inverse_table_kernels import InverseConstants, directions_of
 from sunarc.optics.pose import rotation_matrix
-from sunarc.optics.projections import angle_limit
 from sunarc.optics.stretch import rising_limit
 
 _PIECES = 1024
@@ -68,8 +67,7 @@ class InverseTable:
 
 def inverse_table(camera: Camera) -> InverseTable:
     """Return the table of a camera."""
-    limit = min(camera.max_angle, angle_limit(camera.projection) * (1.0 - 1e-9))
-    limit = rising_limit(camera, up_to=limit)
+    limit = rising_limit(camera, up_to=largest_angle(camera))
     largest = float(distorted_radius(camera, limit))
     radius = np.linspace(0.0, largest, _PIECES + 1)
     theta = _angles(camera, radius, limit)

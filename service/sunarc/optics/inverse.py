@@ -11,14 +11,11 @@ from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray
 from sunarc.optics.camera import Camera
-from sunarc.optics.forward import distorted_radius
-from sunarc.optics.inverse_kernels import angles_of, without_decentering
+from sunarc.optics.forward import mirror_of
+from sunarc.optics.inverse_kernels import angle_table, write_exact_directions
 from sunarc.optics.kernels import PROJECTION_CODES
 from sunarc.optics.pose import rotation_matrix
 from sunarc.optics.projections import angle_limit
-
-_PIECES = 256
-"""Of the table that the angle's steps begin at."""
 
 
 def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
@@ -36,15 +33,15 @@ def unproject(camera: Camera, pixel: ArrayLike) -> FloatArray:
     place = np.asarray(pixel, dtype=np.float64)
     if camera.displacement is not None:
         place = camera.displacement.taken_out(place.reshape(-1, 2)).reshape(place.shape)
-    x_hat, y_hat = (np.array(each, dtype=np.float64) for each in calibrated(camera, place))
-    if any(camera.decentering[:2]):
-        without_decentering(np.array(camera.decentering), x_hat.reshape(-1), y_hat.reshape(-1))
-    radius = np.hypot(x_hat, y_hat)
-    theta = _angle_of_radius(camera, radius.reshape(-1)).reshape(radius.shape)
-    safe = np.where(radius > 0.0, radius, 1.0)
-    sine = np.sin(theta)
-    ray = np.stack([sine * x_hat / safe, sine * y_hat / safe, np.cos(theta)], axis=-1)
-    return np.asarray(ray @ rotation_matrix(camera.rotation_cam_enu))
+    flat = np.ascontiguousarray(place.reshape(-1, 2))
+    result = np.empty((flat.shape[0], 3))
+    radial, decentering = np.array(camera.radial), np.array(camera.decentering)
+    code = PROJECTION_CODES[camera.projection]
+    lens = np.array([*camera.focal_length_px, camera.skew_px, *camera.principal_point_px, mirror_of(camera)])
+    table = angle_table(code, radial, largest_angle(camera))
+    rotation = rotation_matrix(camera.rotation_cam_enu)
+    write_exact_directions(code, lens, radial, decentering, table, rotation, flat, result)
+    return result.reshape(*place.shape[:-1], 3)
 
 
 def calibrated(camera: Camera, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -56,10 +53,6 @@ def calibrated(camera: Camera, pixel: FloatArray) -> tuple[FloatArray, FloatArra
     return (x - camera.principal_point_px[0] - camera.skew_px * y_hat) / camera.focal_length_px[0], y_hat
 
 
-def _angle_of_radius(camera: Camera, radius: FloatArray) -> FloatArray:
-    """Return the angles (n,) in [0, max_angle] whose radius is given, rad; NaN beyond."""
-    limit = min(camera.max_angle, angle_limit(camera.projection) * (1.0 - 1e-9))
-    grid = np.linspace(0.0, limit, _PIECES + 1)
-    found = distorted_radius(camera, grid)
-    first = np.interp(np.linspace(0.0, found[-1], _PIECES + 1), found, grid)
-    return np.asarray(angles_of(PROJECTION_CODES[camera.projection], np.array(camera.radial), first, limit, radius))
+def largest_angle(camera: Camera) -> float:
+    """Return the angle off the axis, rad, up to which the inverse is looked for."""
+    return min(camera.max_angle, angle_limit(camera.projection) * (1.0 - 1e-9))

@@ -19,7 +19,7 @@ from sunarc.calibration.model.covariance import Uncertain, direction_covariance,
 from sunarc.jit import njit
 from sunarc.optics import Camera, InverseTable, inverse_table, project_fast
 from sunarc.optics.cubic_spline import spline_weights
-from sunarc.optics.kernels import InverseConstants, calibrated_of, decentering_of
+from sunarc.optics.inverse_table_kernels import InverseConstants, calibrated_of, decentering_of
 
 Rows = FloatArray | NDArray[np.float32]
 
