@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from sunarc.array_types import FloatArray
 from sunarc.sky.algorithm import load_spa
 from sunarc.sky.directions import direction_from_angles
+from sunarc.sky.ephemeris import Geocentric, geocentric
 from sunarc.sky.refraction import REFRACTION_AT_HORIZON_DEG
 from sunarc.sky.site import Site
 
@@ -52,18 +53,30 @@ def sun_angles(
     if flat.size == 0:
         empty = np.zeros(times.shape)
         return SunAngles(empty, empty.copy(), empty.copy())
-    rows = _SPA.solar_position(
-        flat,
-        site.latitude,
-        site.longitude,
-        site.altitude,
-        _measured_or(pressure, site.pressure_pa, flat) / 100.0,
-        _measured_or(temperature, site.temperature, flat),
-        _delta_t_s(flat),
-        REFRACTION_AT_HORIZON_DEG,
+    zenith, apparent_zenith, azimuth = _topocentric(
+        geocentric(flat, _delta_t_s(flat)),
+        site,
+        pressure_hpa=_measured_or(pressure, site.pressure_pa, flat) / 100.0,
+        temperature=_measured_or(temperature, site.temperature, flat),
     )
-    apparent_zenith, zenith, azimuth = (np.reshape(rows[i], times.shape) for i in (0, 1, 4))
-    return SunAngles(zenith, apparent_zenith, azimuth)
+    return SunAngles(*(np.reshape(angle, times.shape) for angle in (zenith, apparent_zenith, azimuth)))
+
+
+def _topocentric(
+    sun: Geocentric, site: Site, *, pressure_hpa: FloatArray | float, temperature: FloatArray | float
+) -> SunAngles:
+    """Return the angles of the sun at a site, step by step as `pvlib.spa.solar_position` does."""
+    latitude = site.latitude
+    hour = _SPA.local_hour_angle(sun.sidereal, site.longitude, sun.right_ascension)
+    parallax, u = _SPA.equatorial_horizontal_parallax(sun.distance), _SPA.uterm(latitude)
+    x, y = _SPA.xterm(u, latitude, site.altitude), _SPA.yterm(u, latitude, site.altitude)
+    shift = _SPA.parallax_sun_right_ascension(x, parallax, hour, sun.declination)
+    declination = _SPA.topocentric_sun_declination(sun.declination, x, y, parallax, shift, hour)
+    hour = _SPA.topocentric_local_hour_angle(hour, shift)
+    true = _SPA.topocentric_elevation_angle_without_atmosphere(latitude, declination, hour)
+    lifted = _SPA.atmospheric_refraction_correction(pressure_hpa, temperature, true, REFRACTION_AT_HORIZON_DEG)
+    azimuth = _SPA.topocentric_azimuth_angle(_SPA.topocentric_astronomers_azimuth(hour, declination, latitude))
+    return SunAngles(90.0 - true, 90.0 - (true + lifted), azimuth)
 
 
 def sun_directions(

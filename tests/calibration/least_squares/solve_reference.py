@@ -8,7 +8,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.least_squares.kernels import FIRST_DAMPING, LARGEST_DAMPING, RIDGE, SMALLEST_DAMPING
+from sunarc.calibration.least_squares.kernels import (
+    DAMPING_FALLS,
+    DAMPING_GROWS,
+    FIRST_DAMPING,
+    LARGEST_DAMPING,
+    RIDGE,
+    SMALLEST_DAMPING,
+)
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import Solution, information
 from sunarc.calibration.robust_loss import tukey_loss
@@ -37,21 +44,25 @@ def most_probable_reference(
         # Gauss-Newton: second derivatives of the projection are left out, they vanish with the residuals
         normal = np.einsum("nai,n,naj->ij", flat, weight, flat, optimize=True) + np.diag(precision[moving])
         gradient = np.einsum("nai,n,na->i", flat, weight, residual, optimize=True) - precision[moving] * at[moving]
-        next_, gain = None, 0.0
+        next_, gain, predicted, used = None, 0.0, 0.0, damping
         while damping < LARGEST_DAMPING:
             trial = at.copy()
-            trial[moving] += damped_step(normal, gradient, damping)
+            step = damped_step(normal, gradient, damping)
+            trial[moving] += step
+            predicted = float(gradient @ step - 0.5 * step @ normal @ step)
             trial_residual = problem.residuals(trial, observed)
             gain = cost - _cost(trial_residual, observed, trial, precision, sigma)
             # equal costs are taken: at the minimum rounding decides, and a refusal would only raise the damping
             if gain >= 0.0:
                 next_ = trial
                 break
-            damping *= 10.0
+            damping *= DAMPING_GROWS
         if next_ is None:
             break
         # a good step trusts the linear model more; the floor keeps it from underflowing
-        damping = max(damping * 0.1, SMALLEST_DAMPING)
+        if damping == used and predicted > 0.0:
+            damping *= max(DAMPING_FALLS, min(1.0 - (2.0 * gain / predicted - 1.0) ** 3, 2.0))
+            damping = max(damping, SMALLEST_DAMPING)
         at, cost = next_, cost - gain
         residual, rows = problem.linearised(at, observed)
         if gain <= tolerance * max(cost, 1e-12):

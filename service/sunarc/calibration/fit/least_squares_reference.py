@@ -37,6 +37,8 @@ LENS_MISFIT_PX = 1.0
 the camera has taken over what its parameters explain."""
 _MEDIAN_OF_SIGMA = math.sqrt(2.0 * math.log(2.0))
 """Median distance of a round Gaussian over its 1-sigma per axis."""
+_GAIN = 1e-4
+"""Share of the cost that a step of least squares must gain: far less than what `_COST_RATIO` leaves."""
 _FINEST = 0.9
 _HALVINGS = 7
 """Bisections of the way: to 1 %."""
@@ -115,9 +117,12 @@ def at_least_least_squares(
     in_its_valley : whether least squares from the unknowns alone is enough.
     """
     means = bins.observations(observed, problem, unknowns, information=observed.information)
-    plain = [least_squares(problem, means, unknowns)]
+    plain = [least_squares(problem, means, unknowns, tolerance=_GAIN)]
     if not in_its_valley:
-        plain += [least_squares(problem, means, undistorted(unknowns)), staged_least_squares(problem, means, unknowns)]
+        plain += [
+            least_squares(problem, means, undistorted(unknowns), tolerance=_GAIN),
+            staged_least_squares(problem, means, unknowns, tolerance=_GAIN),
+        ]
     met = [distance_sigmas(problem, observed, at) for at in plain]
     best = int(np.argmin([_costs(distance, np.array([sigma]))[0] for distance in met]))
     level = allowed_level(

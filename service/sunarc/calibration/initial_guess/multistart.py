@@ -24,13 +24,20 @@ SMALLEST_SIGMA_PX = 1e-4
 
 _FEW = 600
 """Sightings, at least, that the starts are brought to rest on, of more: they only lead into a valley."""
+_FEWER = 300
+"""Sightings, at least, of more, that plain least squares begins with."""
 _THINNED = (1, 2, 3)
 """Every first, second and third of them: subsets in which an episode of outliers weighs differently."""
 _FOCAL_STEPS = (-0.5, 0.5)
 """Further focal lengths, in prior sigmas: 15 % shorter and longer where no image circle is known."""
 _SETTLING = 3
-_SAME_PX = 1e-3
-"""px; a third of the finest noise of sightings, 0.003 px."""
+_SAME_SIGMAS = 0.01
+"""Starts that image no sighting further apart, in sigmas of the inliers, are one. With 0.3 such went lost as differ in
+the decentering alone: a part of a day's arc hardly shows it, and the sky beside the arc does."""
+_NEAR = 1e-3
+"""Share of the cost that a step of plain least squares must gain: its answers are where robust fits begin."""
+_SETTLED = 1e-5
+"""The same of a robust fit: with 1e-4 it stops in the slow valley of the decentering's coefficients."""
 _CENTRAL_SHARE = 0.5
 _LOOSENED = 1e-4
 """Prior precisions of plain least squares: the paper's method has no prior."""
@@ -50,16 +57,23 @@ def best_start(problem: Problem, observed: Observations, start: FloatArray, *, p
     """
     few = observed.select(slice(None, None, max(len(observed) // _FEW, 1)))
     starts = [ransac_start(problem, observed, start, precision=precision), *_plain_starts(problem, few, start)]
-    rested = [at_rest(problem, few, at, precision=precision) for at in _distinct(problem, few, starts)]
-    return lowest(problem, observed, rested, precision=precision)
+    for _ in range(_SETTLING):
+        # those that have come to one place go on as one
+        distinct = _distinct(problem, few, starts)
+        starts = [_settled(problem, few, at, precision=precision, tolerance=_SETTLED) for at in distinct]
+    return lowest(problem, observed, _distinct(problem, few, starts), precision=precision)
 
 
-def least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
+def least_squares(
+    problem: Problem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+) -> FloatArray:
     """Return the unknowns (p,) of least squares over all sightings, none weighted down, hardly any prior."""
-    return _loose_fit(problem, observed, start, loosened(problem))
+    return _loose_fit(problem, observed, start, loosened(problem), tolerance)
 
 
-def staged_least_squares(problem: Problem, observed: Observations, start: FloatArray) -> FloatArray:
+def staged_least_squares(
+    problem: Problem, observed: Observations, start: FloatArray, *, tolerance: float = 1e-6
+) -> FloatArray:
     """Return the unknowns (p,) of `least_squares` in the paper's three stages (section 4.2), from an ideal lens.
 
     First without distortion, then with the radial polynomial, then with decentering too: all at once, a distorted lens
@@ -69,13 +83,15 @@ def staged_least_squares(problem: Problem, observed: Observations, start: FloatA
     precision = loosened(problem)
     precision[RADIAL] = precision[DECENTERING] = _FIXED
     for freed in (RADIAL, DECENTERING):
-        unknowns = _loose_fit(problem, observed, unknowns, precision)
+        unknowns = _loose_fit(problem, observed, unknowns, precision, tolerance)
         precision[freed] = _LOOSENED
-    return least_squares(problem, observed, unknowns)
+    return least_squares(problem, observed, unknowns, tolerance=tolerance)
 
 
-def _loose_fit(problem: Problem, observed: Observations, start: FloatArray, precision: FloatArray) -> FloatArray:
-    return most_probable(problem, observed, start, precision=precision, iterations=25).unknowns
+def _loose_fit(
+    problem: Problem, observed: Observations, start: FloatArray, precision: FloatArray, tolerance: float
+) -> FloatArray:
+    return most_probable(problem, observed, start, precision=precision, iterations=25, tolerance=tolerance).unknowns
 
 
 def loosened(problem: Problem) -> FloatArray:
@@ -93,13 +109,14 @@ def undistorted(unknowns: FloatArray) -> FloatArray:
     return plain
 
 
-def at_rest(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
-    """Return the robust fit from one start, the scale of the loss coming down to that of the core."""
-    at = start
-    for _ in range(_SETTLING):
-        sigma = _widest_scatter(problem.residuals(at, observed), observed)
-        at = most_probable(problem, observed, at, precision=precision, sigma=sigma, iterations=20).unknowns
-    return at
+def _settled(
+    problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
+) -> FloatArray:
+    """Return the robust fit from one start at the scale that it leaves over."""
+    sigma = _widest_scatter(problem.residuals(start, observed), observed)
+    return most_probable(
+        problem, observed, start, precision=precision, sigma=sigma, iterations=20, tolerance=tolerance
+    ).unknowns
 
 
 def lowest(
@@ -129,22 +146,25 @@ def distance_sigmas(problem: Problem, observed: Observations, unknowns: FloatArr
 def _plain_starts(problem: Problem, few: Observations, start: FloatArray) -> list[FloatArray]:
     """Return least-squares answers from an ideal lens: thinned, from other focal lengths, and in stages."""
     plain = undistorted(start)
-    found = [least_squares(problem, few.select(slice(None, None, step)), plain) for step in _THINNED]
+    few = few.select(slice(None, None, max(len(few) // _FEWER, 1)))
+    found = [least_squares(problem, few.select(slice(None, None, step)), plain, tolerance=_NEAR) for step in _THINNED]
     for step in _FOCAL_STEPS:
         other = plain.copy()
         other[Whitened.FOCAL_LENGTH] += step
-        found.append(least_squares(problem, few.select(slice(None, None, 2)), other))
-    return [*found, staged_least_squares(problem, few, start)]
+        found.append(least_squares(problem, few, other, tolerance=_NEAR))
+    return [*found, staged_least_squares(problem, few, start, tolerance=_NEAR)]
 
 
 def _distinct(problem: Problem, observed: Observations, starts: list[FloatArray]) -> list[FloatArray]:
     """Return the starts without those that image all sightings where an earlier one does: they end in one valley."""
-    found: list[tuple[FloatArray, FloatArray]] = []
-    for at in starts:
-        residual = problem.residuals(at, observed)
-        if all(np.max(np.abs(residual - other)) > _SAME_PX for _, other in found):
-            found.append((at, residual))
-    return [at for at, _ in found]
+    root = np.sqrt(observed.information)[:, None]
+    residuals = [problem.residuals(at, observed) * root for at in starts]
+    sigma = min(robust_sigma(np.hypot(one[:, 0], one[:, 1]), floor=SMALLEST_SIGMA_PX) for one in residuals)
+    found: list[int] = []
+    for k, residual in enumerate(residuals):
+        if all(np.max(np.abs(residual - residuals[other])) > _SAME_SIGMAS * sigma for other in found):
+            found.append(k)
+    return [starts[k] for k in found]
 
 
 def _widest_scatter(residual: FloatArray, observed: Observations) -> float:

@@ -7,19 +7,27 @@ linear: the first camera is near enough for its derivatives to serve.
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.jit import njit
 
 _TRIALS = 240
 _SAMPLE = 7
 _MAX_SIGHTINGS = 420
 _ROUNDS = 12
+_FEW_STEP = 4
+"""Every fourth sighting of the thinned ones shows which trials are good."""
+_GOOD = 24
+"""So many of these are judged by all of them."""
 _SEED = 20160830
 _TRUST_PX = 0.7
+_LARGEST_SQUARE = 1e60
+"""Bound of squared sigmas, so that products of four stay finite: far from the sightings residuals have any size."""
 _RIDGE = 1e-12
 """Share of the diagonal that is added to it."""
 
@@ -38,13 +46,26 @@ def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *,
     residual, rows = problem.linearised(start, thin)
     steps = _trials(residual, rows, start, precision)
     steps = np.concatenate([np.zeros((1, start.size)), steps])
-    residual_after = residual - np.einsum("nap,kp->kna", rows, steps, optimize=True)
-    distance = np.linalg.norm(residual_after, axis=-1) * np.sqrt(thin.information)
-    close = max(min(robust_sigma(d) for d in distance[:40]), 0.02)
-    # Cauchy's loss counts those close by, and hardly how far the others are off
-    agreed = np.sum(np.log1p((distance / close) ** 2), axis=1)
+    close = max(min(robust_sigma(d) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02)
+    weight = thin.information / close**2
+    # most trials are poor, and a part of the sightings shows it
+    few = slice(None, None, _FEW_STEP)
+    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few]))[:_GOOD]
+    steps = steps[np.sort(good)]
+    agreed = _disagreements(_after(residual, rows, steps), weight)
     best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]
     return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
+
+
+def _after(residual: FloatArray, rows: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return (k, 2 n): the residuals after steps (k, p), x and y by turns."""
+    return np.asarray(residual.ravel() - steps @ rows.reshape(-1, steps.shape[-1]).T)
+
+
+def _distances(residual: FloatArray, rows: FloatArray, steps: FloatArray, information: FloatArray) -> FloatArray:
+    """Return (k, n): distances after steps (k, p), in relative sigmas."""
+    after = _after(residual, rows, steps)
+    return np.asarray(np.hypot(after[:, ::2], after[:, 1::2]) * np.sqrt(information))
 
 
 def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray) -> FloatArray:
@@ -64,14 +85,14 @@ def _tightened(
     step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray
 ) -> FloatArray:
     """Return the step refined on all sightings, those far off counting less and less."""
-    flat = rows.reshape(-1, rows.shape[-1])
+    flat, right = rows.reshape(-1, rows.shape[-1]), residual.ravel()
     for number in range(_ROUNDS):
-        distance = np.linalg.norm(residual - rows @ step, axis=-1)
+        after = (right - flat @ step).reshape(-1, 2)
+        distance = np.hypot(after[:, 0], after[:, 1])
         sigma = robust_sigma(distance, floor=1e-3)
         weight = 1.0 / (1.0 + (distance / (sigma * (3.0 if number < 4 else 1.5))) ** 2) ** 2 / sigma**2
-        doubled = np.repeat(weight, 2)
-        normal = (flat * doubled[:, None]).T @ flat + np.diag(precision)
-        step = _solved(normal, flat.T @ (doubled * residual.ravel()) - precision * start)
+        weighted = flat * np.repeat(weight, 2)[:, None]
+        step = _solved(weighted.T @ flat + np.diag(precision), right @ weighted - precision * start)
     return step
 
 
@@ -83,6 +104,25 @@ def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
     scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(right.shape[-1])
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., None])[..., 0])
+
+
+@njit(nogil=True)
+def _disagreements(after: FloatArray, information: FloatArray) -> FloatArray:
+    """Return (k,): Cauchy's loss of residuals (k, 2 n), in which it hardly counts how far off one is.
+
+    The logarithms of four sightings are taken together, as that of their product.
+    """
+    result = np.zeros(after.shape[0])
+    for k in range(after.shape[0]):
+        product = 1.0
+        for n in range(information.size):
+            dx, dy = after[k, 2 * n], after[k, 2 * n + 1]
+            product *= 1.0 + min((dx * dx + dy * dy) * information[n], _LARGEST_SQUARE)
+            if n % 4 == 3:
+                result[k] += math.log(product)
+                product = 1.0
+        result[k] += math.log(product)
+    return result
 
 
 def _disagreement(problem: Problem, observed: Observations, at: FloatArray, close: float) -> float:

@@ -23,6 +23,9 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e8
 SMALLEST_DAMPING = 1e-12
 """A floor that keeps the damping of good steps from underflowing."""
+DAMPING_GROWS, DAMPING_FALLS = 4.0, 0.03
+"""By what it grows after a step that loses, and falls after one that gains all that was predicted: chosen so that a
+day's fit takes the fewest steps; 10 and 0.1 take a quarter more."""
 RIDGE = 1e-14
 """Share of the diagonal that is always added: below the rounding of the sums."""
 _SIZE = len(Param)
@@ -74,7 +77,7 @@ def minimised(lens: Lens, seen: Seen, goal: Goal, start: FloatArray, moving: Int
     cost = equations(lens, seen, goal, at, normal, gradient)
     damping = FIRST_DAMPING
     for _ in range(goal.iterations):
-        moved, gain = False, 0.0
+        moved, gain, used = False, 0.0, damping
         while damping < LARGEST_DAMPING:
             damped_step_of(normal, gradient, moving, damping, room, step)
             trial[:] = at
@@ -85,10 +88,12 @@ def minimised(lens: Lens, seen: Seen, goal: Goal, start: FloatArray, moving: Int
             if gain >= 0.0:
                 moved = True
                 break
-            damping *= 10.0
+            damping *= DAMPING_GROWS
         if not moved:
             break
-        damping = max(damping * 0.1, SMALLEST_DAMPING)
+        if damping == used:  # one that has just been raised was needed
+            damping *= trust_factor(gain, predicted_gain(normal, gradient, moving, damping, step))
+            damping = max(damping, SMALLEST_DAMPING)
         at[:] = trial
         normal, next_normal = next_normal, normal
         gradient, next_gradient = next_gradient, gradient
@@ -96,6 +101,29 @@ def minimised(lens: Lens, seen: Seen, goal: Goal, start: FloatArray, moving: Int
         if gain <= goal.tolerance * max(cost, 1e-12):
             break
     return at, cost
+
+
+@njit(nogil=True)
+def predicted_gain(
+    normal: FloatArray, gradient: FloatArray, moving: IntArray, damping: float, step: FloatArray
+) -> float:
+    """Return what a damped step (f,) takes from the cost where the residuals are linear."""
+    total = 0.0
+    for i in range(moving.size):
+        k = moving[i]
+        total += step[i] * (gradient[k] + damping * normal[k, k] * step[i])
+    return 0.5 * total
+
+
+@njit(nogil=True)
+def trust_factor(gain: float, predicted: float) -> float:
+    """Return what the damping is multiplied by after a step: the better the prediction, the more it is trusted.
+
+    Reference: H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05 (1999).
+    """
+    if predicted <= 0.0:
+        return 1.0
+    return float(max(DAMPING_FALLS, min(1.0 - (2.0 * gain / predicted - 1.0) ** 3, 2.0)))
 
 
 @njit(nogil=True)
