@@ -1,8 +1,11 @@
-"""Detection of the sun: `disc` in microsecond exposures, `photo` in ordinary ones; `stars` in images of the night."""
+"""Detection of the sun: `disc` in microsecond exposures, `photo` in ordinary ones; `stars` and `moon` at night."""
 
 from sunarc.detection.disc.bracket import beside, combine
 from sunarc.detection.disc.brightness import ClearSun, clear_sun
 from sunarc.detection.disc.detect import detect_sun
+from sunarc.detection.moon.cutouts import Cutout, brightest_cutouts, cutout_around
+from sunarc.detection.moon.detect import detect_moon
+from sunarc.detection.moon.values import MoonDetection, MoonExpectation
 from sunarc.detection.options import DiscOptions
 from sunarc.detection.photo.blob_bias import Lens, radial_bias_px
 from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
@@ -20,6 +23,7 @@ __all__ = [
     "MOST_PEAK",
     "Bayer",
     "ClearSun",
+    "Cutout",
     "Detection",
     "DiscOptions",
     "Estimates",
@@ -27,6 +31,8 @@ __all__ = [
     "Exposure",
     "Lens",
     "Method",
+    "MoonDetection",
+    "MoonExpectation",
     "Planes",
     "PredictedStars",
     "Sensor",
@@ -35,8 +41,11 @@ __all__ = [
     "Verdict",
     "bayer_of",
     "beside",
+    "brightest_cutouts",
     "clear_sun",
     "combine",
+    "cutout_around",
+    "detect_moon",
     "detect_stars",
     "detect_sun",
     "detect_sun_in_photo",

@@ -10,6 +10,7 @@ _ACCEPTED = "Accepted."
 _NO_SUN = "No sun in this image."
 _REJECTED = "A position is given and not used."
 _NO_STARS = "No star of this image is used."
+_NO_MOON = "The moon of this image is not used."
 _BETTER_START = "check time and place, and the calibration that predicts the stars"
 _BY_RIM = "The bright region is not the sun, or too little of it is seen; a position is given and not used."
 _PREDICT = "none: a prediction from a calibration decides"
@@ -111,6 +112,21 @@ MESSAGES = Messages(
     stars_scattered=Message(
         "the stars scatter by {scatter_px:.2f} px within a search of {radius_px:.1f} px", _NO_STARS, _BETTER_START
     ),
+    moon_found=Message("the moon, reduced chi² {chi2:.2f}, sigma {sigma_px:.3f} px", _ACCEPTED),
+    moon_hazy=Message("the sky beside the moon has {haze:.3f} of its light: haze", "Accepted with a larger sigma."),
+    moon_thin=Message("{lit:.3f} of the moon's disc is lit, {limit} needed", _NO_MOON),
+    moon_not_found=Message(
+        "no moon within four times {sigma_px:.1f} px of its predicted place", _NO_MOON, _BETTER_START
+    ),
+    moon_saturated=Message(
+        "{n} pixels of the moon are saturated", _NO_MOON, "none: the service takes a shorter exposure next"
+    ),
+    moon_displaced=Message(
+        "{distance_px:.1f} px from the predicted place, {limit_px:.1f} allowed", _NO_MOON, _BETTER_START
+    ),
+    moon_in_cloud=Message("the sky beside the moon has {haze:.2f} of its light, {limit} allowed: cloud", _NO_MOON),
+    moon_other_shape=Message("a light that is no moon of this phase: {misfit:.1f} of {limit:.1f} allowed", _NO_MOON),
+    moon_poor_fit=Message("residuals {residual:.3f} of the moon's level, sigma {sigma_px:.2f} px", _NO_MOON),
     # by what is known beside the image
     sun_elsewhere=Message(
         "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."

@@ -3,6 +3,7 @@
 from sunarc.sky.air import CLEAR_OPTICAL_DEPTH, clear_transmission, relative_air_mass
 from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, day_of_date, solar_date, solar_days
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
+from sunarc.sky.moon import MoonDisc, moon_disc
 from sunarc.sky.night import (
     STAR,
     WANDERERS,
@@ -38,6 +39,7 @@ __all__ = [
     "STAR",
     "TEMPERATURE_BOUNDS_C",
     "WANDERERS",
+    "MoonDisc",
     "NightSky",
     "Site",
     "SunAngles",
@@ -53,6 +55,7 @@ __all__ = [
     "day_of_date",
     "direction_from_angles",
     "hour_angle",
+    "moon_disc",
     "night_sky",
     "raised",
     "refraction_rad",

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -157,6 +157,26 @@ def wanderer_place(name: Wanderer, unix_s: float, site: Site) -> WandererPlace:
     return WandererPlace(
         direction=(east, north, up), magnitude=float(body.mag), radius=float(body.radius), lit=float(body.phase) / 100.0
     )
+
+
+class TruePlace(NamedTuple):
+    """A body without refraction: unit vector (3,) east-north-up, radius in radians, distance in au, V."""
+
+    direction: FloatArray
+    radius: float
+    distance_au: float
+    magnitude: float
+
+
+def true_place(name: Literal["moon", "sun"], unix_s: float, site: Site) -> TruePlace:
+    """Return where the moon or the sun is without refraction, seen from the site; the distance is the Earth's."""
+    ephem = _ephem()
+    body = getattr(ephem, name.capitalize())()
+    body.compute(_observer(unix_s, site))
+    direction = direction_from_angles(
+        zenith_deg=90.0 - math.degrees(float(body.alt)), azimuth_deg=math.degrees(float(body.az))
+    )
+    return TruePlace(direction, float(body.radius), float(body.earth_distance), float(body.mag))
 
 
 def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
