@@ -58,6 +58,7 @@ def _fit(
         sigma_px=stated_px,
         inflation=np.ones(n),
         information=information,
+        log_odds={},
     )
     usable = FilteredSightings(
         index=np.arange(n),

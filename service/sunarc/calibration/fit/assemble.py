@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, replace
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -58,6 +60,7 @@ class Fitted(NamedTuple):
     inflation: float
     radial_px: float
     held_out: HeldOut | None
+    log_odds: Mapping[str, float] = MappingProxyType({})
 
 
 def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
@@ -86,6 +89,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
             sigma_px=fitted.sigma_px,
             inflation=fitted.inflation,
             radial_px=fitted.radial_px,
+            log_odds=fitted.log_odds,
         ),
         verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
@@ -133,7 +137,15 @@ def _clock_error(points: SunPoints) -> float:
     return float(np.max(np.abs(known_errors), initial=0.0))
 
 
-def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radial_px: float) -> Provenance:
+def _evidence(
+    job: Job,
+    *,
+    n_used: int,
+    sigma_px: float,
+    inflation: float,
+    radial_px: float,
+    log_odds: Mapping[str, float] = MappingProxyType({}),
+) -> Provenance:
     return Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
         n_supplied=len(job.points),
@@ -146,6 +158,7 @@ def _evidence(job: Job, *, n_used: int, sigma_px: float, inflation: float, radia
         clock_error_s=_clock_error(job.points),
         circle=None if job.circle is None else asdict(job.circle),
         start=None if job.start is None else asdict(job.start.lens_alone()),
+        log_odds=dict(log_odds),
     )
 
 

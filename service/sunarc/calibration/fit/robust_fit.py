@@ -13,6 +13,7 @@ from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
+from sunarc.calibration.fit.nested_models import log_odds_of_parts
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, Course, robust_camera
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
@@ -43,6 +44,7 @@ class RobustFit:
     sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
     inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
     information : (n,) what each sighting tells of either axis, all of these together, px⁻².
+    log_odds : of the parts of the model, see `Provenance`.
     """
 
     problem: Problem
@@ -57,6 +59,7 @@ class RobustFit:
     sigma_px: float
     inflation: FloatArray
     information: FloatArray
+    log_odds: dict[str, float]
 
 
 def fit_robustly(
@@ -99,6 +102,7 @@ def fit_robustly(
         sigma_px=found.noise.sigma_px,
         inflation=found.noise.inflation,
         information=found.information,
+        log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds},
     )
 
 

@@ -41,6 +41,7 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
         inflation=float(np.mean(fit.inflation)) if fit.inflation.size else math.nan,
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable),
+        log_odds=fit.log_odds,
     )
 
 

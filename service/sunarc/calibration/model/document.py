@@ -294,6 +294,7 @@ def _read_evidence(read: DocumentReader) -> Provenance:
         selection=read.value("evidence.selection", needed=False) or {},
         pose_spread_deg=_read_spread(read),
         moves=tuple(_read_move(DocumentReader(each)) for each in read.value("evidence.moves", needed=False) or ()),
+        log_odds=read.value("evidence.log_odds", needed=False) or {},
     )
 
 

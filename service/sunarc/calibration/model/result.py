@@ -69,6 +69,8 @@ class Provenance:
     selection : how the sightings were picked from a longer record: limits and counts; empty where all were given.
     pose_spread_deg : the spread of daily poses that the uncertainty allows for, about east, north and up; None: none.
     moves : moves of the camera that were found among the sightings, in the order of time.
+    log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
+        and of a field, and how many `radial_terms` are needed; empty where the method does not compare them.
     """
 
     days: tuple[str, ...]
@@ -85,6 +87,7 @@ class Provenance:
     selection: Mapping[str, object] = field(default_factory=dict)
     pose_spread_deg: tuple[float, float, float] | None = None
     moves: tuple[Move, ...] = ()
+    log_odds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
