@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from sunarc.calibration import Calibration
 from sunarc.calibration.star_prediction import predict_stars
 from sunarc.detection import Stars
 from sunarc.detection.stars.values import PredictedStars
-from sunarc.optics import Camera, project
+from sunarc.optics import Camera, ideal_radius, project, rotation_matrix, rotation_vector
 from sunarc.sky import NightSky, angles_from_direction, night_sky, relative_air_mass
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +28,12 @@ class Night:
 
     sigma_px: of the centre of a star of V 3 per axis; it doubles every 1.5 magnitudes. field: displacement of pixels
     that no model knows. faint: fainter stars. cloud_share: of the azimuths that are behind cloud. satellites: trails
-    of five detections each. hot_pixels: of the sensor hot_seed. lost: share of the stars that are not seen.
+    of five detections each. hot_pixels: of the sensor hot_seed. lost: share of the stars that are not seen. coma_px:
+    displacement of stars outwards at a right angle off the axis, growing as the radius to the power of 1.5;
+    coma_decentred: by which share it varies over the azimuth. bent_deg: turn of the camera against the day's about a
+    random axis. offset_px: further displacement outwards by the first to third power of that radius; decentred_px: by
+    its square, over cosine and sine of the azimuth. raised: directions in the true air. noise_factor: noise over what
+    is stated. clock_s: by how much the images are dated too late.
     """
 
     sigma_px: float = 0.1
@@ -38,6 +44,14 @@ class Night:
     hot_pixels: int = 0
     hot_seed: int = 0
     lost: float = 0.05
+    coma_px: float = 0.13
+    coma_decentred: float = 0.0
+    bent_deg: float = 0.0
+    offset_px: tuple[float, ...] | FloatArray = (0.0, 0.0, 0.0)
+    decentred_px: tuple[float, ...] | FloatArray = (0.0, 0.0)
+    raised: Callable[[FloatArray], FloatArray] | None = None
+    noise_factor: float = 1.0
+    clock_s: float = 0.0
 
 
 def detections(rng: np.random.Generator, camera: Camera, sky: NightSky, night: Night) -> tuple[Stars, list[str]]:
@@ -48,11 +62,14 @@ def detections(rng: np.random.Generator, camera: Camera, sky: NightSky, night: N
     seen = (rng.uniform(size=len(sky)) > night.lost) & (zenith < 85.0)
     seen &= (azimuth - cloud_from) % 360.0 >= 360.0 * night.cloud_share
     sigma = night.sigma_px * 2.0 ** ((magnitude[seen] - 3.0) / 1.5)
-    pixels = project(camera, sky.directions[seen])
+    toward = _dated(sky.directions[seen], night.clock_s)
+    toward = toward if night.raised is None else night.raised(toward)
+    pixels = project(_bent(camera, night.bent_deg), toward)
+    pixels = pixels + _coma(camera, pixels, night)
     pixels = pixels if night.field is None else pixels + night.field(pixels)
     flux = 10.0 ** (-0.4 * (magnitude[seen] + rng.normal(0.0, 0.2, sigma.size)))
     names = [str(name) for name in sky.names[seen]]
-    pixels = pixels + sigma[:, None] * rng.standard_normal((sigma.size, 2))
+    pixels = pixels + night.noise_factor * sigma[:, None] * rng.standard_normal((sigma.size, 2))
     centre, radius = np.array(camera.principal_point_px), 1.4 * camera.focal_length_px[0]
     count = night.faint + night.hot_pixels
     angle, far = rng.uniform(0.0, 2.0 * np.pi, count), radius * np.sqrt(rng.uniform(size=count))
@@ -71,6 +88,33 @@ def detections(rng: np.random.Generator, camera: Camera, sky: NightSky, night: N
     order = np.argsort(-np.r_[flux, light], kind="stable")
     found = _stars(every, np.r_[flux, light], sigma)
     return found.select(order), [names[row] for row in order]
+
+
+def _bent(camera: Camera, angle_deg: float) -> Camera:
+    """Return the camera turned about an axis that the camera's own numbers choose."""
+    axis = np.random.default_rng(int(1e3 * camera.focal_length_px[0])).standard_normal(3)
+    turn = rotation_matrix(tuple(np.radians(angle_deg) * axis / np.linalg.norm(axis)))
+    return replace(camera, rotation_cam_enu=rotation_vector(rotation_matrix(camera.rotation_cam_enu) @ turn))
+
+
+def _dated(directions: FloatArray, late_s: float) -> FloatArray:
+    """Return directions (n, 3) as they were so many seconds before, turned about the pole."""
+    latitude = np.radians(pop.SGP.latitude)
+    pole = np.array([0.0, np.cos(latitude), np.sin(latitude)])
+    return np.asarray(directions @ rotation_matrix(tuple(7.292e-5 * late_s * pole)).T)
+
+
+def _coma(camera: Camera, pixels: FloatArray, night: Night) -> FloatArray:
+    """Return the displacement outwards (n, 2), px."""
+    outwards = pixels - np.array(camera.principal_point_px)
+    far = np.linalg.norm(outwards, axis=-1)
+    edge = camera.focal_length_px[0] * ideal_radius(camera.projection, np.pi / 2)
+    azimuth = np.arctan2(outwards[:, 1], outwards[:, 0])
+    size = night.coma_px * (1.0 + night.coma_decentred * np.cos(azimuth - 1.0)) * (far / edge) ** 1.5
+    size += (far / edge)[:, None] ** np.array([1, 2, 3]) @ np.asarray(night.offset_px)
+    along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    size += (far / edge) ** 2 * (along @ np.asarray(night.decentred_px))
+    return np.asarray(size[:, None] * outwards / np.maximum(far, 1e-9)[:, None])
 
 
 def _stars(pixels: FloatArray, flux: FloatArray, sigma: FloatArray) -> Stars:

@@ -40,6 +40,7 @@ from sunarc.calibration.model.covariance import (
 )
 from sunarc.calibration.model.direction_table import BACK_PROJECTED, PROJECTED, Lookup, lookup
 from sunarc.calibration.model.document import READ_SCHEMAS, SCHEMA, from_document, to_document
+from sunarc.calibration.model.kinds import Kind, kinds_of
 from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.model.metrics import Metrics, measures
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
@@ -91,6 +92,7 @@ __all__ = [
     "FirstPoseOptions",
     "ImageCircle",
     "Joint",
+    "Kind",
     "LensTolerances",
     "LensType",
     "Lookup",
@@ -138,6 +140,7 @@ __all__ = [
     "from_document",
     "hemisphere",
     "image_parts",
+    "kinds_of",
     "lens_type_from_json",
     "lens_type_of",
     "lookup",

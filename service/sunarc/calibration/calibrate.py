@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
+from sunarc.calibration.fit.night_check import contradiction, without_night
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
 from sunarc.calibration.initial_guess.coarse_search import first_cameras, single_problem
@@ -69,23 +70,32 @@ def calibrate(
     job = Job(
         points=points, usable=usable, site=site, image_size=image_size, options=effective, circle=circle, start=start
     )
-    problems = before_fit(usable)
+    return _calibrated(job)
+
+
+def _calibrated(job: Job) -> Calibration:
+    """Return the fit of a job; that of the day's sightings alone where those of the night would make it worse."""
+    problems = before_fit(job.usable)
     if problems:
         return refused(job, problems)
-    observed = observations(usable)
+    observed = observations(job.usable)
     picked = most_plausible_start(observed, job)
     if picked is None:
         return refused(job, (Finding("no_camera_fits"),))
-    return calibration_from_fit(_fitted(job, observed, picked.cameras), job, picked.handedness)
+    found = _fitted(job, observed, picked.cameras)
+    if isinstance(found, Finding):
+        return _calibrated(job._replace(usable=without_night(job.usable, found)))
+    return calibration_from_fit(found, job, picked.handedness)
 
 
-def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted:
-    """Return the fit by the method of the options."""
+def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted | Finding:
+    """Return the fit by the method of the options, or by what the night contradicts the day."""
     options = job.options
     if options.method == "paper":
         return fit_as_paper(observed, job.usable, cameras, options=options)
     fit = robust_fit(observed, job, cameras)
-    return robust_outcome(fit, job.usable, options)
+    found = contradiction(fit, job.usable)
+    return robust_outcome(fit, job.usable, options) if found is None else found
 
 
 def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:

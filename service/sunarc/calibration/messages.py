@@ -50,6 +50,13 @@ MESSAGES = Messages(
     ),
     dropped_duplicate_time=Message("{n} sightings of a time that another one has were left out", "Input of the fit."),
     dropped_static=Message("{n} sightings that do not move with the sun were left out", "Input of the fit."),
+    night_contradicts_day=Message(
+        "{n} sightings of the night contradict those of the day: {cause} {value:.2f}, limit {limit:.2f}",
+        "The fit is of the day's sightings alone. pose_difference and star_offset: of the night, in 1-sigma of their "
+        "priors (0.02° an axis; 0.15 px a coefficient); rejected: share of the night's sightings; sun_scatter: of the "
+        "sun's track over that of its own fit; sky: change over the sky in 1-sigma of the day's fit.",
+        "check the mount and the clock of the night",
+    ),
     static_positions=Message(
         "a text overlay, a reflection or a hot pixel at {places}",
         "The fit is used, without these sightings.",

@@ -22,6 +22,7 @@ from sunarc.calibration import (
     calibrate_with_prior,
     estimate_pose,
     find_image_circle,
+    kinds_of,
     to_document,
 )
 from sunarc.errors import InputError
@@ -111,6 +112,7 @@ def read_points(path: Path, image_size: tuple[int, int]) -> SunPoints:
         temperature=table.temperature,
         pressure=table.pressure,
         directions=table.directions,
+        kind=kinds_of(table.body),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunarc.archive import SUN, SunPointColumns
-from sunarc.calibration import SunPoints
+from sunarc.calibration import SunPoints, kinds_of
 from sunarc.sky import Site, body_directions
 
 
@@ -32,6 +32,7 @@ def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str
         sigma_px=columns.sigma_px,
         epoch=epoch,
         clock_error_s=columns.clock_error_s,
+        kind=kinds_of(columns.body),
         **air,
         **({} if directions is None else {"directions": directions}),
     )

@@ -56,6 +56,7 @@ def _fit(
         field_mean=fit.coefficients if with_field else None,
         weight=np.ones(n),
         sigma_px=stated_px,
+        noise_px=np.full(n, stated_px),
         inflation=np.ones(n),
         information=information,
         log_odds={},

@@ -170,12 +170,12 @@ def test_the_plausible_choices_hold_nearly_all_probability(
 
 
 def test_probes_are_the_sky_that_the_image_shows(problem: Problem, at: FloatArray, grid: HyperparameterGrid) -> None:
-    rows, waves = module._probes(problem, at, grid.basis)
+    rows, waves = module.sky_rows(problem, at, grid.basis)
     assert 20 < rows.shape[0] < 60
     assert rows.shape[1:] == (2, at.size)
     assert waves.shape == (rows.shape[0], len(grid.basis.orders))
     narrow = replace(problem, template=replace(problem.template, width=100, height=100))
-    assert module._probes(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]
+    assert module.sky_rows(narrow, at, grid.basis)[0].shape[0] < rows.shape[0]
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -196,7 +196,7 @@ def test_probes_are_the_directions_within_the_image_to_its_edges(
     inside = _within(camera, pixels, axis=0) & _within(camera, pixels, axis=1)
     assert inside[nearest] == ((off_px < 0.0) == last)
     problem = small_problem(camera)
-    rows, basis_values = module._probes(problem, problem.unknowns([camera]), grid.basis)
+    rows, basis_values = module.sky_rows(problem, problem.unknowns([camera]), grid.basis)
     assert rows.shape == (np.count_nonzero(inside), 2, problem.size)
     np.testing.assert_allclose(basis_values, grid.basis.values(pixels[inside]), atol=1e-9)
 

@@ -122,7 +122,7 @@ def test_given_wave_products_are_taken_as_they_are(basis: WaveBasis) -> None:
 
 
 def test_prior_precisions_are_those_of_lens_pose_and_air() -> None:
-    found = prior_precision(17 + 6 + 2, 2.0, 0.5, n_air=2)
+    found = prior_precision(17 + 6 + 2, 2.0, 0.5, n_unit=2)
     np.testing.assert_allclose(found[5:13], 0.25)
     np.testing.assert_allclose(found[13:15], 4.0)
     np.testing.assert_allclose(found[17:23], 1e-8)

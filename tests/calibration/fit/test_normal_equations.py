@@ -141,7 +141,7 @@ def test_unknown_air_is_among_the_equations(problem: Problem, seen: Observations
     system = linear_system(
         with_air, replace(seen, refraction_sd=sd), BINS, unknowns, information=np.ones(60), basis=basis
     )
-    assert system.n_air == 1
+    assert system.n_unit == 1
     assert system.normal().prior_precision(1.0, 1.0)[-1] == 1.0
     assert system.rows.shape == (15, 2, 21)
     # a rise by 1 mrad moves the image by about the focal length over 1000

@@ -185,3 +185,21 @@ def test_a_selection_and_new_information_keep_the_rest() -> None:
     np.testing.assert_allclose(heavier.information, 9.0)
     np.testing.assert_allclose(heavier.pixels, seen.pixels)
     assert len(seen.select(slice(0, 0))) == 0
+
+
+def test_systematic_errors_are_unknowns_between_the_poses_and_the_air() -> None:
+    camera = small_camera()
+    rng = np.random.default_rng(4)
+    seen = replace(
+        observed(camera, spread_directions(8)),
+        refraction_sd=rng.uniform(1e-4, 1e-3, (8, 1)),
+        systematic_px=rng.normal(0.0, 0.1, (8, 2, 3)),
+    )
+    problem = replace(small_problem(camera), n_systematic=3, n_air=1)
+    assert problem.size == N_LENS + 3 + 3 + 1
+    at = np.concatenate([problem.unknowns([camera])[:-4], [0.4, -0.7, 1.3, 0.2]])
+    residual, rows = problem.linearised(at, seen)
+    np.testing.assert_allclose(residual, problem.residuals(at, seen), atol=1e-9)
+    expected = numerical_derivative(lambda x: seen.pixels - problem.residuals(x, seen), at, step=1e-4)
+    np.testing.assert_allclose(rows[..., -4:], expected[..., -4:], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(rows[..., -4:-1], seen.systematic_px)

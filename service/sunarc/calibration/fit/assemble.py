@@ -19,7 +19,7 @@ from sunarc.calibration.model.covariance import pose_error, sky_sigma_deg
 from sunarc.calibration.model.metrics import NO_METRICS, Metrics, fit_metrics, residual_angles
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.residual_field import Field, wave_basis
-from sunarc.calibration.model.result import Calibration, Provenance, Verdict
+from sunarc.calibration.model.result import Calibration, NightDifference, Provenance, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints
 from sunarc.calibration.quality.fit_checks import Handedness, fit_verdict
 from sunarc.findings import Finding
@@ -61,6 +61,7 @@ class Fitted(NamedTuple):
     radial_px: float
     held_out: HeldOut | None
     log_odds: Mapping[str, float] = MappingProxyType({})
+    night: NightDifference | None = None
 
 
 def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
@@ -95,6 +96,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
         method=options.method,
         site=job.site,
         used=_used(fitted, job),
+        night=fitted.night,
     )
     rms, most = sky_sigma_deg(calibration)
     calibration = replace(calibration, sky_rms_deg=rms, sky_max_deg=most)

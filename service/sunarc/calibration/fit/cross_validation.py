@@ -51,7 +51,7 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
         prediction_error = fit.residual[counted] - predicted[bin_of]
         found += float(np.sum(prediction_error**2))
         # two axes
-        noise = 2.0 * (fit.sigma_px * usable.sigma_px[counted]) ** 2
+        noise = 2.0 * (fit.noise_px * usable.sigma_px)[counted] ** 2
         expected += float(np.sum(_variance(fit, without, normal)[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None

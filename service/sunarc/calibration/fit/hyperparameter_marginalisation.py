@@ -162,7 +162,7 @@ def _at_probes(
     Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted. Without a
     mean of the field in the prediction its own block is that before any sighting.
     """
-    rows, basis_values = _probes(problem, unknowns, basis)
+    rows, basis_values = sky_rows(problem, unknowns, basis)
     n, size = rows.shape[0], unknowns.size
     pulls = np.stack([np.moveaxis(field.pull(basis_values), -1, 0) for field in choices.fields])[choices.field]
     unknown = np.broadcast_to(choices.amplitude[:, None] ** 2, (choices.share.size, n))
@@ -182,13 +182,20 @@ def _at_probes(
     return np.asarray(moments + unknown[..., None, None] * np.eye(2))
 
 
-def _probes(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
+def sky_rows(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
     """Return derivatives (n, 2, p) and basis values (n, m) of sky that the last epoch's camera shows."""
     sky = hemisphere(_PROBES)
     nowhere = np.zeros((_PROBES, 2))
     epoch = np.full(_PROBES, problem.n_epochs - 1)
     minus, rows = problem.linearised(
-        unknowns, Observations(directions=sky, pixels=nowhere, information=np.ones(_PROBES), epoch=epoch)
+        unknowns,
+        Observations(
+            directions=sky,
+            pixels=nowhere,
+            information=np.ones(_PROBES),
+            epoch=epoch,
+            systematic_px=np.zeros((1, 2, problem.n_systematic)),
+        ),
     )
     shown = np.all((minus < 0.5) & (-minus < [problem.template.width - 0.5, problem.template.height - 0.5]), axis=-1)
     return rows[shown], basis.values(-minus[shown])

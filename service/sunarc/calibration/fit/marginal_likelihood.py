@@ -50,7 +50,7 @@ class NormalEquations:
     ff : products of the basis values; both components share them.
     jr, fr, rr : (p,), (2, m), scalar products with the residuals.
     at : (p,) the unknowns that they were made at.
-    n_air : how many of the last unknowns are the refraction's, of unit prior variance.
+    n_unit : how many of the last unknowns have unit prior variance: systematic errors and the refraction's.
     """
 
     jj: FloatArray
@@ -60,11 +60,11 @@ class NormalEquations:
     fr: FloatArray
     rr: float
     at: FloatArray
-    n_air: int = 0
+    n_unit: int = 0
 
     def prior_precision(self, radial_px: float, decentering_px: float) -> FloatArray:
         """Return the prior precisions of the unknowns under two scales of the lens, (p,)."""
-        return prior_precision(self.at.size, radial_px, decentering_px, n_air=self.n_air)
+        return prior_precision(self.at.size, radial_px, decentering_px, n_unit=self.n_unit)
 
     def prior_precisions(self, lens_scales: FloatArray) -> FloatArray:
         """Return (k, p): those under pairs (k, 2) of the radial distortion's and the decentering's scale."""
@@ -100,7 +100,7 @@ def normal_sums(
     *,
     at: FloatArray,
     ff: BasisProducts | None = None,
-    n_air: int = 0,
+    n_unit: int = 0,
 ) -> NormalEquations:
     """Return the sums over sightings: rows (n, 2, p), basis_values (n, m), residual (n, 2), information (n,).
 
@@ -119,14 +119,14 @@ def normal_sums(
         fr=np.stack([f.T @ r[:, a] for a in (0, 1)]),
         rr=float(np.sum(r**2)),
         at=at,
-        n_air=n_air,
+        n_unit=n_unit,
     )
 
 
-def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_air: int = 0) -> FloatArray:
+def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:
     """Return the prior precisions of all unknowns, (size,): lens, poses, and the refraction's."""
-    poses = np.full(size - N_LENS - n_air, _POSE_PRECISION)
-    return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_air)])
+    poses = np.full(size - N_LENS - n_unit, _POSE_PRECISION)
+    return np.concatenate([precisions(radial_px, decentering_px), poses, np.ones(n_unit)])
 
 
 def marginal_fit(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> MarginalFit:

@@ -36,7 +36,7 @@ class LinearSystem:
     basis_products : products of the basis functions over the bins, the same for every camera.
     basis : the field's basis functions.
     member : (n,) the bin of every sighting.
-    n_air : how many of the unknowns are the refraction's.
+    n_unit : how many of the last unknowns have unit prior variance: systematic errors and the refraction's.
     """
 
     observed: Observations
@@ -47,7 +47,7 @@ class LinearSystem:
     basis_products: BasisProducts
     basis: WaveBasis
     member: IntArray
-    n_air: int
+    n_unit: int
 
     def normal(self) -> NormalEquations:
         """Return the sums over all bins."""
@@ -58,18 +58,18 @@ class LinearSystem:
             self.observed.information,
             at=self.at,
             ff=self.basis_products,
-            n_air=self.n_air,
+            n_unit=self.n_unit,
         )
 
     def normal_of(self, which: BoolArray) -> NormalEquations:
         """Return the sums over the bins that are picked."""
         picked = self.rows[which], self.basis_values[which], self.residual[which], self.observed.information[which]
-        return normal_sums(*picked, at=self.at, n_air=self.n_air)
+        return normal_sums(*picked, at=self.at, n_unit=self.n_unit)
 
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
         residual, rows = problem.linearised(at, self.observed)
-        return replace(self, residual=residual, rows=rows, at=at, n_air=problem.n_air)
+        return replace(self, residual=residual, rows=rows, at=at, n_unit=problem.n_unit)
 
 
 def linear_system(
@@ -98,7 +98,7 @@ def linear_system(
         basis_products=BasisProducts(matrix=basis_values.T @ (basis_values * gathered.information[:, None])),
         basis=basis,
         member=bins.member,
-        n_air=problem.n_air,
+        n_unit=problem.n_unit,
     )
 
 

@@ -16,6 +16,7 @@ from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.nested_models import log_odds_of_parts
 from sunarc.calibration.fit.normal_equations import LinearSystem
 from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, Course, robust_camera
+from sunarc.calibration.fit.systematic_errors import with_systematic_errors
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest
 from sunarc.calibration.least_squares.problem import Observations, Problem
@@ -41,7 +42,8 @@ class RobustFit:
     residual : (n, 2) observed minus modelled by the lens alone, px.
     field_mean : (2, m) coefficients of the most probable field; None where none is more probable.
     weight : (n,) how much each sighting counted, 0 to 1.
-    sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1).
+    sigma_px : the noise's scale, px per axis (for sightings of relative sigma 1), of the sun's track.
+    noise_px : (n,) that of each sighting, by what it is of.
     inflation : (n,) by how much each sighting's variance grew because neighbours err alike.
     information : (n,) what each sighting tells of either axis, all of these together, px⁻².
     log_odds : of the parts of the model, see `Provenance`.
@@ -57,6 +59,7 @@ class RobustFit:
     field_mean: FloatArray | None
     weight: FloatArray
     sigma_px: float
+    noise_px: FloatArray
     inflation: FloatArray
     information: FloatArray
     log_odds: dict[str, float]
@@ -83,23 +86,27 @@ def fit_robustly(
     grid = grid_of(problem.template, options)
     course = Course.of(usable)
     plain = _without_field(problem, observed, start, course.bins)
+    observed = with_systematic_errors(observed, usable, problem, plain)
     found = robust_camera(problem, observed, plain, course=course, grid=grid)
     problem, unknowns, grid, state = found.problem, found.unknowns, found.grid, found.state
     system = found.system(observed, course.bins)
     normal = system.normal()
     mean = found.field_mean(normal)
-    gaussian = marginalised_covariance(normal, grid, problem, unknowns, mean)
+    posterior = marginalised_covariance(normal, grid, problem, unknowns, mean)
+    if problem.n_systematic == 0:
+        posterior = mixed_over_decentering(posterior, problem, system, unknowns, state.scales, mean)
     return RobustFit(
         problem=problem,
         system=system,
         unknowns=unknowns,
-        posterior=mixed_over_decentering(gaussian, problem, system, unknowns, state.scales, mean),
+        posterior=posterior,
         scales=state.scales,
         grid=grid,
         residual=problem.residuals(unknowns, observed),
         field_mean=mean,
         weight=found.noise.weight,
         sigma_px=found.noise.sigma_px,
+        noise_px=found.noise.scale,
         inflation=found.noise.inflation,
         information=found.information,
         log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds},

@@ -11,8 +11,10 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.assemble import Fitted, tidied
 from sunarc.calibration.fit.cross_validation import held_out
 from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.systematic_errors import N_OFFSET, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS
 from sunarc.calibration.model.options import CalibrationOptions
+from sunarc.calibration.model.result import NightDifference
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.optics import Camera, Displacement, Param
 from sunarc.optics.camera import POSE
@@ -42,7 +44,30 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
         radial_px=fit.scales.radial_px,
         held_out=held_out(fit, usable),
         log_odds=fit.log_odds,
+        night=_night_difference(fit, usable),
     )
+
+
+def _night_difference(fit: RobustFit, usable: FilteredSightings) -> NightDifference | None:
+    """Return the systematic errors of the night, as found."""
+    if fit.problem.n_systematic == 0:
+        return None
+    part = fit.problem.systematic_slice
+    offset, turn = np.split(fit.unknowns[part], [N_OFFSET])
+    covariance = fit.posterior.covariance[part, part]
+    sigma = np.sqrt(np.diag(covariance)[N_OFFSET:])
+    return NightDifference(
+        n=int(np.sum((fit.weight > 0.0) & usable.night)),
+        pose_difference_deg=_three(POSE_DIFFERENCE_DEG * turn),
+        pose_sigma_deg=_three(POSE_DIFFERENCE_DEG * sigma),
+        star_offset_px=OFFSET_PX * float(np.sum(offset[:N_RADIAL])),
+        star_offset_sigma_px=OFFSET_PX * math.sqrt(float(np.sum(covariance[:N_RADIAL, :N_RADIAL]))),
+    )
+
+
+def _three(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _beside(residual: FloatArray, displacement: Displacement, pixels: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ from sunarc.calibration.fit.hyperparameter_grid import (
     normalised,
 )
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
+from sunarc.calibration.fit.leverage import night_leverage
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
 from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
@@ -40,6 +41,9 @@ _ENOUGH = 20
 """Sightings of one kind, at least, for a scale of their own."""
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
+_FIELD_EXCESS = 2.0
+"""Root mean square along the sun's way over the amplitude of a field that stars prove: it has six or so independent
+parts there, and 99 % of the chi-squares of six are below 2.8 times their mean."""
 _FIELD_SHRINKS = 0.25
 _FIELD_BOUNDS = 4
 """How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
@@ -47,34 +51,47 @@ _FIELD_BOUNDS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State:
-    """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior."""
+    """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior.
+
+    leverage : (n,) see `night_leverage`.
+    """
 
     unknowns: FloatArray
     residuals: FloatArray
     scales: Scales
     field_odds: float = -math.inf
     gain: float = math.inf
+    leverage: FloatArray | None = None
 
     @property
     def proven_field_px(self) -> float:
         """The field's 1-sigma where the sightings prove one, else 0."""
         return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
 
+    def missed_px(self, problem: Problem) -> float:
+        """By how much the camera alone may miss the sightings for the field: by more where stars are over the sky."""
+        return self.proven_field_px * (_FIELD_EXCESS if problem.n_systematic else 1.0)
+
 
 class Course(NamedTuple):
-    """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,)."""
+    """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,).
+
+    sort (n,): the sightings of one sort share a scale of the noise: the track, stated directions, stars, the moon.
+    """
 
     bins: Bins
     run: IntArray
     follows: BoolArray
     alone: BoolArray
+    sort: IntArray
 
     @classmethod
     def of(cls, usable: FilteredSightings) -> Course:
         """Return the course of sightings."""
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
-        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone)
+        sort = 2 * usable.kind + usable.alone
+        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone, sort)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +119,7 @@ class RobustCamera:
 
     Attributes
     ----------
-    problem : of the fit, the refraction among its unknowns.
+    problem : of the fit, systematic errors and the refraction among its unknowns.
     unknowns : (p,) the most probable ones, brought to what least squares reaches.
     state, noise : as the last round left them, in the air that the fit is made with.
     grid : the scales that were tried.
@@ -148,8 +165,8 @@ def robust_camera(
     in_its_valley : whether the fit without a field is known to be in the right one: least squares is then sought from
         there alone.
     """
-    problem = replace(problem, n_air=observed.refraction_sd.shape[1])
-    plain = np.concatenate([plain, np.zeros(problem.n_air)])
+    problem = replace(problem, n_systematic=observed.systematic_px.shape[2], n_air=observed.refraction_sd.shape[1])
+    plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid = _with_field(problem, observed, plain, grid, course)
     information = noise.information(observed)
     state = _in_assumed_air(problem, observed.weighted(information), course.bins, state, grid)
@@ -176,7 +193,7 @@ def _with_field(
     state, noise = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
-            distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
+            distance, sigma=sigma, field_px=state.missed_px(problem), weight=weight, cost_ratio=_FIELD_MAY_COST
         )
         if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
@@ -190,9 +207,9 @@ def _rounds(
 ) -> tuple[State, Noise]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     state = State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
-    noise = _noise(state.residuals, observed, course)
+    noise = _noise(state, observed, course)
     for number in range(_ROUNDS):
-        noise = _noise(state.residuals, observed, course)
+        noise = _noise(state, observed, course)
         system = linear_system(
             problem, observed, course.bins, state.unknowns, information=noise.information(observed), basis=grid.basis
         )
@@ -208,16 +225,23 @@ def _rounds(
 def _as_good_as_least_squares(
     problem: Problem, observed: Observations, bins: Bins, state: State, *, sigma: float, in_its_valley: bool
 ) -> FloatArray:
-    """Return the unknowns, those of the camera brought to what least squares reaches in the same air."""
-    assumed, unknowns = replace(problem, n_air=0), state.unknowns
-    in_this_air = replace(observed, directions=problem.directions(unknowns, observed))
+    """Return the unknowns, those of the camera brought to what least squares reaches in the same air.
+
+    And with the same systematic errors.
+    """
+    assumed, unknowns = replace(problem, n_systematic=0, n_air=0), state.unknowns
+    corrected = replace(
+        observed,
+        directions=problem.directions(unknowns, observed),
+        pixels=observed.pixels - problem.displaced(unknowns, observed),
+    )
     camera = at_least_least_squares(
         assumed,
-        in_this_air,
+        corrected,
         bins,
         unknowns[: assumed.size],
         sigma=sigma,
-        field_px=state.proven_field_px,
+        field_px=state.missed_px(problem),
         in_its_valley=in_its_valley,
     )
     return np.concatenate([camera, unknowns[assumed.size :]])
@@ -242,6 +266,7 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
         scales=scales,
         field_odds=log_odds_of_a_field(log_weight),
         gain=rest.gain,
+        leverage=night_leverage(rest.system, rest.normal, rest.fit, scales) if problem.n_systematic else None,
     )
 
 
@@ -260,14 +285,18 @@ def _in_assumed_air(
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
 
 
-def _noise(residuals: FloatArray, observed: Observations, course: Course) -> Noise:
+def _noise(state: State, observed: Observations, course: Course) -> Noise:
     """Return the noise as it shows beside model and field."""
+    residuals = state.residuals
+    if state.leverage is not None:
+        residuals = residuals / np.sqrt(1.0 - state.leverage)[:, None]
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
     scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
-    for kind in (course.alone, ~course.alone):
-        # sigmas stated with directions and by the sun's detector may be wrong by different factors
-        if np.count_nonzero(kind) >= _ENOUGH:
-            scale[kind] = robust_sigma(distance[kind], floor=SMALLEST_SIGMA_PX)
+    for one in np.unique(course.sort):
+        # sigmas stated with directions, by the sun's detector and by that of stars may be wrong by different factors
+        alike = course.sort == one
+        if np.count_nonzero(alike) >= _ENOUGH:
+            scale[alike] = robust_sigma(distance[alike], floor=SMALLEST_SIGMA_PX)
     weight = tukey_weights(distance / scale, sigma=1.0)
     inflated = inflation(residuals, weight, course.follows, course.run)
     return Noise(scale=scale, weight=weight, inflation=np.where(course.alone, 1.0, inflated))

@@ -25,6 +25,10 @@ def _no_refraction() -> FloatArray:
     return np.zeros((1, 1))
 
 
+def _no_systematic_errors() -> FloatArray:
+    return np.zeros((1, 2, 0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observations:
     """Where the sun was detected, and the information of each sighting.
@@ -36,6 +40,8 @@ class Observations:
     information : (n,) inverse variance of each axis, px⁻²; relative where the scale is still sought.
     epoch : (n,) pose epochs, 0, 1, ….
     refraction_sd : (n, k) 1-sigma of the refraction by its causes, rad, see `FilteredSightings`; 0 unless given.
+    systematic_px : (n, 2, s) displacements by s errors that many sightings share, each at its 1-sigma, px; none unless
+        given.
     """
 
     directions: FloatArray
@@ -43,11 +49,13 @@ class Observations:
     information: FloatArray
     epoch: IntArray
     refraction_sd: FloatArray = field(default_factory=_no_refraction)
+    systematic_px: FloatArray = field(default_factory=_no_systematic_errors)
 
     def __post_init__(self) -> None:
-        """Give every observation its refraction."""
-        full = np.broadcast_to(self.refraction_sd, (self.information.size, self.refraction_sd.shape[1]))
-        object.__setattr__(self, "refraction_sd", full)
+        """Give every observation its refraction and its systematic errors."""
+        for name in ("refraction_sd", "systematic_px"):
+            given: FloatArray = getattr(self, name)
+            object.__setattr__(self, name, np.broadcast_to(given, (self.information.size, *given.shape[1:])))
 
     def __len__(self) -> int:
         return int(self.information.size)
@@ -81,6 +89,7 @@ class Problem:
     template : projection, image size and handedness; its parameters do not count.
     prior : what is known of the lens.
     n_epochs : number of poses.
+    n_systematic : how many unknowns after the poses are sizes of `Observations.systematic_px`, in units of it.
     n_air : 0 where the air is as it is assumed; else how many of the last unknowns are departures of the refraction,
         one for each cause, in units of `Observations.refraction_sd`.
     max_angle : rad, how far off the axis the fitted camera will answer; the fit itself has no such limit.
@@ -89,13 +98,25 @@ class Problem:
     template: Camera
     prior: LensPrior
     n_epochs: int
+    n_systematic: int = 0
     n_air: int = 0
     max_angle: float = math.pi
 
     @property
     def size(self) -> int:
-        """The number of unknowns: the lens's, three for each pose, and those of the refraction."""
-        return N_LENS + 3 * self.n_epochs + self.n_air
+        """The number of unknowns: the lens's, three for each pose, those of systematic errors and of the refraction."""
+        return N_LENS + 3 * self.n_epochs + self.n_unit
+
+    @property
+    def n_unit(self) -> int:
+        """The number of unknowns of unit prior variance, the last ones."""
+        return self.n_systematic + self.n_air
+
+    @property
+    def systematic_slice(self) -> slice:
+        """Where the unknowns hold the sizes of systematic errors."""
+        start = N_LENS + 3 * self.n_epochs
+        return slice(start, start + self.n_systematic)
 
     def pose_slice(self, epoch: int) -> slice:
         """Return where the unknowns hold an epoch's rotation."""
@@ -115,7 +136,7 @@ class Problem:
     def unknowns(self, cameras: list[Camera]) -> FloatArray:
         """Return the unknowns of cameras that share a lens, one an epoch."""
         poses = [camera.rotation_cam_enu for camera in cameras]
-        return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_air)])
+        return np.concatenate([self.prior.whitened(cameras[0]), *poses, np.zeros(self.n_unit)])
 
     def directions(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
         """Return (n, 3): apparent directions, by the refraction that is sought."""
@@ -130,7 +151,13 @@ class Problem:
             in_epoch = self._of(epoch, observed)
             lens, turned = self._kernel_lens(unknowns, epoch), np.ascontiguousarray(directions[in_epoch])
             predicted[in_epoch] = pixels_of(*lens, rotation_matrix(unknowns[self.pose_slice(epoch)]), turned)
-        return finite(observed.pixels - predicted)
+        return finite(observed.pixels - predicted - self.displaced(unknowns, observed))
+
+    def displaced(self, unknowns: FloatArray, observed: Observations) -> FloatArray | float:
+        """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
+        if self.n_systematic == 0:
+            return 0.0
+        return np.asarray(observed.systematic_px @ unknowns[self.systematic_slice])
 
     def beyond(self, unknowns: FloatArray, observed: Observations) -> BoolArray:
         """Return (n,): which directions lie further off the axis than the fitted camera will answer."""
@@ -158,6 +185,9 @@ class Problem:
                 up = by_elevation(self.camera(unknowns, epoch), directions[in_epoch], by_parameters)
                 rows[in_epoch, :, -self.n_air :] = up[..., None] * observed.refraction_sd[in_epoch, None]
             residual[in_epoch] = observed.pixels[in_epoch] - pixel
+        if self.n_systematic:
+            rows[..., self.systematic_slice] = observed.systematic_px
+            residual -= self.displaced(unknowns, observed)
         return finite(residual), rows
 
     def _kernel_lens(self, unknowns: FloatArray, epoch: int) -> tuple[FloatArray, int, float, float]:

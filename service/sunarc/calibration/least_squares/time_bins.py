@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +62,7 @@ class Bins:
             information=total,
             epoch=observed.epoch[first],
             refraction_sd=refraction,
+            systematic_px=self._mean_of(observed.systematic_px, share),
         )
         return gathered, mean
 
@@ -75,6 +77,13 @@ class Bins:
         shown = np.any(residuals != UNSEEN_PX, axis=-1)
         gathered, residual = self.gathered(observed, residuals, information * shown)
         return replace(gathered, pixels=gathered.pixels + residual - problem.residuals(unknowns, gathered))
+
+    def _mean_of(self, columns: FloatArray, share: FloatArray) -> FloatArray:
+        """Return the means (bins, ...) of columns (n, ...), each sighting by its share (n,) of its bin."""
+        means = np.empty((self.count, math.prod(columns.shape[1:])))
+        for number, column in enumerate(columns.reshape(columns.shape[0], means.shape[1]).T):
+            means[:, number] = self._sums(share * column)
+        return means.reshape(self.count, *columns.shape[1:])
 
     def _sums(self, values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))

@@ -8,7 +8,7 @@ its own fit given what all the others say of the type (`further_unit`); no syste
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -129,5 +129,6 @@ def _stacked(entries: Sequence[Entry], latest: Entry) -> SunPoints:
     """Return the sightings of all epochs of a camera, one of them numbered last: a fit is of the last one's pose."""
     ordered = [*(entry for entry in entries if entry is not latest), latest]
     parts = [replace(entry.points, epoch=np.full(len(entry.points), k)) for k, entry in enumerate(ordered)]
-    names = ("unix_s", "pixels", "sigma_px", "epoch", "clock_error_s", "temperature", "pressure", "directions")
-    return SunPoints(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    return SunPoints(
+        **{column.name: np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(SunPoints)}
+    )

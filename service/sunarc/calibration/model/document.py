@@ -15,7 +15,7 @@ from sunarc.calibration.model.backward import BackwardModel
 from sunarc.calibration.model.document_reader import DocumentReader
 from sunarc.calibration.model.metrics import Metrics
 from sunarc.calibration.model.residual_field import Field, WaveBasis
-from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
+from sunarc.calibration.model.result import Calibration, Move, NightDifference, Provenance, Verdict
 from sunarc.errors import InputError
 from sunarc.findings import Finding, from_json
 from sunarc.optics import PARAMETER_NAMES, Camera, Displacement, pose_angles
@@ -77,6 +77,7 @@ def to_document(
         },
         "pose": calibration.pose._asdict(),
         "uncertainty": _uncertainty(calibration),
+        "night": None if calibration.night is None else _plain(asdict(calibration.night)),
         "metrics": {f.name: _number(getattr(calibration.metrics, f.name)) for f in fields(Metrics)},
         "evidence": {f.name: _plain(getattr(calibration.evidence, f.name)) for f in fields(Provenance)},
         "verdict": {
@@ -206,6 +207,7 @@ def from_document(document: object) -> Calibration:
         ),
         method=method,
         site=Site(**read.numbers_of("site", Site)),
+        night=_read_night(read),
     )
 
 
@@ -295,6 +297,19 @@ def _read_evidence(read: DocumentReader) -> Provenance:
         pose_spread_deg=_read_spread(read),
         moves=tuple(_read_move(DocumentReader(each)) for each in read.value("evidence.moves", needed=False) or ()),
         log_odds=read.value("evidence.log_odds", needed=False) or {},
+    )
+
+
+def _read_night(read: DocumentReader) -> NightDifference | None:
+    if read.value("night", needed=False) is None:
+        return None
+    turn, sigma = (read.numbers(f"night.{name}", 3) for name in ("pose_difference_deg", "pose_sigma_deg"))
+    return NightDifference(
+        n=read.count("night.n"),
+        pose_difference_deg=(turn[0], turn[1], turn[2]),
+        pose_sigma_deg=(sigma[0], sigma[1], sigma[2]),
+        star_offset_px=read.number("night.star_offset_px"),
+        star_offset_sigma_px=read.number("night.star_offset_sigma_px"),
     )
 
 

@@ -90,6 +90,26 @@ class Provenance:
     log_odds: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NightDifference:
+    """How the sightings of the night differ from those of the day, by a fit of both; the calibration is the day's.
+
+    Attributes
+    ----------
+    n : sightings of the night that were used: stars, planets and the moon.
+    pose_difference_deg, pose_sigma_deg : turn of the camera at night against the day, about east, north and up, with
+        the 1-sigma of each. The prior's 1-sigma is 0.02 degrees.
+    star_offset_px, star_offset_sigma_px : by how much the centres of stars lie outside of where the sun's would, at a
+        right angle off the axis, with its 1-sigma. The prior's 1-sigma is 0.26 px.
+    """
+
+    n: int
+    pose_difference_deg: tuple[float, float, float]
+    pose_sigma_deg: tuple[float, float, float]
+    star_offset_px: float
+    star_offset_sigma_px: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
     """A fitted camera with its uncertainty and its evidence.
@@ -104,6 +124,7 @@ class Calibration:
     sky_rms_deg, sky_max_deg : 1-sigma per axis over the upper hemisphere that the camera sees.
     pose : the Table 2 angles.
     used : (n,) which of the sightings supplied counted; None where they are not at hand (a calibration that was read).
+    night : how the night differs from the day, of which the calibration is; None without sightings of a night.
     """
 
     camera: Camera
@@ -121,3 +142,4 @@ class Calibration:
     method: Method
     site: Site
     used: BoolArray | None = None
+    night: NightDifference | None = None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
+from sunarc.calibration.model.kinds import Kind, at_night
 from sunarc.calibration.model.static_positions import StaticPosition, static_positions, static_sightings
 from sunarc.errors import InputError
 from sunarc.findings import Finding
@@ -37,8 +38,12 @@ def _of_the_sun() -> FloatArray:
     return np.full(3, np.nan)
 
 
-def _none_alone() -> BoolArray:
+def _none() -> BoolArray:
     return np.array(False)
+
+
+def _sun() -> IntArray:
+    return np.array(int(Kind.SUN))
 
 
 def _first_epoch() -> IntArray:
@@ -60,6 +65,7 @@ class SunPoints:
     temperature, pressure : (n,) of the air, °C and Pa; NaN where not measured: the site's are assumed.
     directions : (n, 3) apparent directions, east-north-up, of what is not the sun or is known better; NaN takes the
         sun's. Such sightings make no track: many may be of one moment, and neighbours say nothing of one another.
+    kind : (n,) see `Kind`.
     """
 
     unix_s: FloatArray
@@ -70,6 +76,7 @@ class SunPoints:
     temperature: FloatArray = field(default_factory=_unknown)
     pressure: FloatArray = field(default_factory=_unknown)
     directions: FloatArray = field(default_factory=_of_the_sun)
+    kind: IntArray = field(default_factory=_sun)
 
     def __post_init__(self) -> None:
         """Refuse columns that do not belong together."""
@@ -94,6 +101,7 @@ class SunPoints:
         object.__setattr__(self, "epoch", epoch.astype(np.int64))
         object.__setattr__(self, "clock_error_s", _column("clock_error_s", self.clock_error_s, times.size))
         object.__setattr__(self, "directions", _unit_vectors("directions", self.directions, times.size))
+        object.__setattr__(self, "kind", _column("kind", self.kind, times.size).astype(np.int64))
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -159,6 +167,8 @@ class FilteredSightings:
         and the assumed one of each day (or of so many runs of days); 0 where a cause does not act.
     dropped : how many were left out, a finding for each cause.
     alone : (n,) whether the direction was stated: such a sighting has no neighbours in time.
+    kind : (n,) see `Kind`.
+    night : (n,) see `at_night`.
     static : positions that do not move with the sun, left out.
     stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where none is stated.
     """
@@ -172,13 +182,16 @@ class FilteredSightings:
     day: IntArray
     refraction_sd: FloatArray
     dropped: tuple[Finding, ...]
-    alone: BoolArray = field(default_factory=_none_alone)
+    alone: BoolArray = field(default_factory=_none)
+    kind: IntArray = field(default_factory=_sun)
+    night: BoolArray = field(default_factory=_none)
     static: tuple[StaticPosition, ...] = ()
     stated_sigma_px: float = math.nan
 
     def __post_init__(self) -> None:
-        """Say of every sighting whether it is alone."""
-        object.__setattr__(self, "alone", np.broadcast_to(self.alone, self.unix_s.shape))
+        """Say of every sighting whether it is alone, of what it is, and whether it is of a night."""
+        for name in ("alone", "kind", "night"):
+            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), self.unix_s.shape))
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
@@ -223,6 +236,8 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         directions=directions[retained],
         sigma_px=_relative_sigma(points.sigma_px[retained], alone[retained]),
         alone=alone[retained],
+        kind=points.kind[retained],
+        night=at_night(points.unix_s[retained], points.kind[retained], site),
         epoch=points.epoch[retained],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),

@@ -41,8 +41,6 @@ _BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
 _MOST_A_FRAME = 30
 """Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
-_OFFSET_PX = 0.05
-"""1-sigma of what the radial offset leaves of coma and of the image scale."""
 _MOST_IMAGES = 200
 _WORTH_A_REFIT: frozenset[NightVerdict] = frozenset({"clear", "partly"})
 _ENOUGH_STARS = 50
@@ -137,7 +135,7 @@ class NightWorker:
         heartbeat()
         summary = summary_of(views, matched)
         offset = _offset_of(views, matched, calibration)
-        stored = self._store(images, views, matched, offset)
+        stored = self._store(images, views, matched)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
         numbers: dict[str, float] = {**asdict(summary), "n_stored": stored, "star_offset_px": offset.largest_px}
@@ -160,18 +158,17 @@ class NightWorker:
         images: Sequence[_Image],
         views: Sequence[StarView],
         matched: Sequence[MatchedView],
-        offset: RadialOffset,
     ) -> int:
         """Store the sightings of accepted images and return how many were new: none of an image that was not."""
         points = [
             point
             for image, view, found in zip(images, views, matched, strict=True)
             if found.matches.accepted
-            for point in self._points(image, view, found, offset)
+            for point in self._points(image, view, found)
         ]
         return self._camera.archive.add_sun_points(points)
 
-    def _points(self, image: _Image, view: StarView, found: MatchedView, offset: RadialOffset) -> list[SunPoint]:
+    def _points(self, image: _Image, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
         names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
         sound = stars.sound
@@ -179,8 +176,6 @@ class NightWorker:
         record = self._camera.record()
         parts = image_parts(stars.pixels, (0, 0) if record is None else record.image_size)
         chosen = surest_of_parts(parts, stars.sigma_px, _MOST_A_FRAME)
-        pixels = stars.pixels - offset.at(stars.pixels)
-        sigma_px = np.hypot(stars.sigma_px, _OFFSET_PX)
         epoch = self._camera.archive.epoch_at(self._camera.name, image.time, reason="first sighting")
         return [
             SunPoint(
@@ -193,9 +188,9 @@ class NightWorker:
                 verdict="clear",
                 reason=text_of(found.matches.findings[0]),
                 exposure_us=image.exposure_us,
-                x_px=float(pixels[row, 0]),
-                y_px=float(pixels[row, 1]),
-                sigma_px=float(sigma_px[row]),
+                x_px=float(stars.pixels[row, 0]),
+                y_px=float(stars.pixels[row, 1]),
+                sigma_px=float(stars.sigma_px[row]),
                 peak_fraction=float(stars.peak_fraction[row]),
                 ellipticity=float(stars.ellipticity[row]),
                 snr=float(stars.snr[row]),
