@@ -15,7 +15,7 @@ from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 
 from sunarc.archive import read_sightings
-from sunarc.calibration import MOST_STARS, Calibration, to_document
+from sunarc.calibration import MOST_STARS, Calibration, from_document, to_document
 from sunarc.errors import InputError
 from sunarc.offline.star_files import StarOptions, find_stars, write_star_sightings
 from sunarc.optics import Camera, project
@@ -129,6 +129,39 @@ def test_the_command_writes_them_beside_the_sun_and_refuses_another_hour(
     assert [one["accepted"] for one in answer] == [False, False]
     codes = {finding["code"] for one in answer for finding in one["findings"]}
     assert codes <= {"stars_few", "stars_not_explained", "stars_not_found"}
+
+
+def test_without_a_calibration_the_command_finds_the_camera(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:
+    target, out = tmp_path / "roof.json", tmp_path / "stars.csv"
+    site = ["--latitude", str(SITE.latitude), "--longitude", str(SITE.longitude), "--altitude", str(SITE.altitude)]
+    usual = ["stars", *(str(path) for path in images), "--blind", "--full-scale", "4095"]
+    done = sunarc(*usual, *site, "--write-calibration", str(target), "-o", str(out), "--json")
+    assert done.code == 0, done.err
+    answer = json.loads(done.out)
+    assert answer["accepted"]
+    assert answer["findings"][0]["code"] == "blind_found"
+    assert [image["accepted"] for image in answer["images"]] == [True, True]
+    document = json.loads(target.read_text())
+    assert document["state"] == "candidate"
+    found = from_document(document)
+    assert not found.camera.mirrored
+    sky = night_sky(unix_s(TIMES[0]), SITE, faintest=4.0).directions
+    sky = sky[sky[:, 2] > 0.2]
+    error = np.linalg.norm(project(found.camera, sky) - project(CAMERA, sky), axis=-1)
+    assert 0.0 < np.median(error) < 0.1
+    table = read_sightings(out.read_text().splitlines(), name="stars.csv")
+    assert np.median(np.linalg.norm(project(CAMERA, table.directions) - table.pixels, axis=-1)) < 0.15
+    alone = sunarc("stars", str(images[0]), "--blind", *site, "--json")
+    assert alone.code == 1
+    assert json.loads(alone.out)["findings"][0]["code"] == "blind_few_images"
+
+
+def test_blind_needs_a_site_and_no_calibration(images: list[Path], tmp_path: Path, sunarc: Sunarc) -> None:
+    path = str(images[0])
+    for options in (["--blind"], ["--blind", "--calibration", str(tmp_path / "c.json")], []):
+        refused = sunarc("stars", path, *options)
+        assert refused.code == 2
+        assert "--" in refused.err
 
 
 def test_what_is_no_image_of_the_night_is_said(images: list[Path], calibration: Calibration, tmp_path: Path) -> None:

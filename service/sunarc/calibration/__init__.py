@@ -5,10 +5,12 @@
 known lens in a new pose · `change_detection` comparison of every sighting with the calibration · `ensemble` joint
 draws of the errors · `pose_change_points`, `pose_step_search`, `pose_step_evidence` pose changes within a record ·
 `projection_choice` the projection of an unknown lens · `lens_library` types of lens, joint fits, first poses ·
-`star_prediction` pixels of the stars · `reproduce` a stored fit again. The maths: docs/maths.md.
+`star_prediction` pixels of the stars · `blind_start` a camera by the stars ·
+`reproduce` a stored fit again. The maths: docs/maths.md.
 """
 
 from sunarc.calibration.batch import Batch
+from sunarc.calibration.blind_start import BlindOptions, BlindStart, NightImage, blind_start
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.ensemble import MOST_DRAWS, Ensemble, draw_ensemble
 from sunarc.calibration.initial_guess.image_circle import find_image_circle
@@ -82,6 +84,8 @@ __all__ = [
     "BackProjectionMap",
     "BackwardModel",
     "Batch",
+    "BlindOptions",
+    "BlindStart",
     "Calibration",
     "CalibrationOptions",
     "DayMeasure",
@@ -101,6 +105,7 @@ __all__ = [
     "Metrics",
     "Move",
     "Moved",
+    "NightImage",
     "PaperOptions",
     "PoseOffset",
     "PoseStep",
@@ -118,6 +123,7 @@ __all__ = [
     "apparent_directions",
     "back_project",
     "back_projection_map",
+    "blind_start",
     "calibrate",
     "calibrate_jointly",
     "calibrate_moved",

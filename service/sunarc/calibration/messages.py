@@ -8,6 +8,7 @@ _ACTIVE_STAYS = "The fit is refused, or kept as a candidate where the verdict is
 _REFUSED = "The fit is refused."
 _ASKED = "Where the odds are above 1 the fit is kept as a candidate that a person may serve; else it is used."
 _AGREE = "{alternatives}; {agreeing} of {of} sightings since agree"
+_NO_CAMERA = "The stars give no camera."
 _MORE_DAYS = "collect sightings on further clear days"
 
 MESSAGES = Messages(
@@ -259,6 +260,37 @@ MESSAGES = Messages(
         f"sun at the position of a site with the opposite latitude or longitude{_AGREE}",
         "Sightings are left out until the site is right.",
         "correct the sign of site.latitude or site.longitude in the settings",
+    ),
+    # a camera by the stars alone
+    blind_found=Message(
+        "a camera by the stars alone: {n} stars in {images} images (the next best camera: {rival}), tilted by "
+        "{tilt_deg:.1f}°; north is right as the clock is, {north_deg_per_minute:.2f}° a minute of its error",
+        "The camera is used. Stars tell no error of the clock from a turn about the pole.",
+    ),
+    blind_few_images=Message(
+        "{n} images with stars, between which the sky turned by {turn_deg:.0f}°; 2 images and {limit:.0f}° are needed",
+        _NO_CAMERA,
+        "give images of one clear night, an hour or more apart",
+    ),
+    blind_no_turning=Message(
+        "no turn about the pole brings the detections of one image onto another's: {share:.2f} of them, {limit:.2f} "
+        "needed",
+        _NO_CAMERA,
+        "give images of a clear night; check their times and the latitude; cut what is beside the image circle",
+    ),
+    blind_no_stars=Message(
+        "the detections turn about a pole ({share:.2f} of them), and none of its cameras names them",
+        _NO_CAMERA,
+        "check the date, the latitude and the longitude",
+    ),
+    blind_ambiguous=Message(
+        "two cameras name the stars: {n} and {rival} of them", _NO_CAMERA, "give more images, or clearer ones"
+    ),
+    blind_tilted=Message(
+        "the camera is tilted by {tilt_deg:.1f}°, {limit:.0f}° allowed: the clock, its zone or the longitude is wrong, "
+        "or the camera lies on its side",
+        _NO_CAMERA,
+        "check --utc-offset and the longitude (east is positive)",
     ),
     # days
     day_too_few_sightings=Message(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
@@ -10,22 +11,42 @@ import typer
 from rich.console import Console
 
 from sunarc.archive import SightingTable, read_sightings
-from sunarc.calibration import MOST_STARS
-from sunarc.cli.options import AsJson, CalibrationFile, choice_of
+from sunarc.calibration import MOST_STARS, BlindOptions
+from sunarc.cli.options import SITE, Altitude, AsJson, choice_of
 from sunarc.cli.output import print_json, table
 from sunarc.detection import BAYERS
 from sunarc.errors import InputError, OutsideError
 from sunarc.extras import extra_module
+from sunarc.offline.blind_stars import find_stars_blind
+from sunarc.offline.calibrate_files import image_circle_of
 from sunarc.offline.files import read_lines
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.project_files import read_calibration
 from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
+from sunarc.runtime.clock import SystemClock
+from sunarc.sky import Site
+
+BLIND = "Without a calibration"
 
 
 def stars(
     images: Annotated[list[Path], typer.Argument(help="Images of the night.")],
     *,
-    calibration: CalibrationFile,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="A calibration document (JSON), unless --blind.")
+    ] = None,
+    blind: Annotated[
+        bool, typer.Option("--blind", help="Without a calibration: find the camera by these images of one night.")
+    ] = False,
+    write_calibration: Annotated[
+        Path | None, typer.Option(help="The calibration that --blind found (JSON).", rich_help_panel=BLIND)
+    ] = None,
+    latitude: Annotated[float | None, typer.Option(help="Degrees, north positive.", rich_help_panel=SITE)] = None,
+    longitude: Annotated[float | None, typer.Option(help="Degrees, east positive.", rich_help_panel=SITE)] = None,
+    altitude: Altitude = 0.0,
+    image_circle: Annotated[
+        str | None, typer.Option(help="X,Y,RADIUS in px, or a daytime image that shows it.", rich_help_panel=BLIND)
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV of the stars' sightings.")] = None,
     beside: Annotated[
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
@@ -45,7 +66,12 @@ def stars(
     With --beside the output holds the sun's sightings as well, for the next sunarc calibrate. Give two images or more,
     ten minutes apart, so that hot pixels and lamps are known. Needs the extra sunarc[night].
 
+    With --blind no calibration is needed: what turns in images of one night (an hour or more apart, within 20 degrees
+    of the zenith) gives lens and pole, and the bright stars the rest. North is then right as the images' clock is.
+
     Example: sunarc stars night/*.png --calibration calibration.json --beside sun.csv -o sightings.csv
+
+    Example: sunarc stars night/*.jpg --blind --latitude 36.6 --longitude -97.5 --write-calibration camera.json
     """
     extra_module("ephem", extra="night")  # before the images, which take seconds each
     electrons = 1.0 if gain is None else gain
@@ -61,17 +87,51 @@ def stars(
         gain_e_per_count=gain,
     )
     sun = None if beside is None else read_sightings(read_lines(beside), name=beside.name)
-    found = find_stars(images, read_calibration(calibration), options)
-    if as_json:
-        print_json([image.as_json() for image in found])
+    if blind:
+        place = _site(calibration, latitude, longitude, altitude)
+        found = _found_blind(images, place, options, image_circle, write_calibration, as_json=as_json)
+    elif calibration is None:
+        raise InputError(field="--calibration", problem="is missing", remedy="give one, or --blind and the site")
     else:
-        _print(found)
+        found = find_stars(images, read_calibration(calibration), options)
+        if as_json:
+            print_json([image.as_json() for image in found])
+        else:
+            _print(found)
     if not any(image.matches is not None and image.matches.accepted for image in found):
         raise typer.Exit(2 if all(image.time is None for image in found) else 1)
     if output is not None:
         count = _write(output, found, sun, most)
         if not as_json:
             print(f"{count} sightings of stars written to {output}")
+
+
+def _site(calibration: Path | None, latitude: float | None, longitude: float | None, altitude: float) -> Site:
+    if calibration is not None:
+        raise InputError(field="--calibration", problem="beside --blind", remedy="give one of them")
+    if latitude is None or longitude is None:
+        raise InputError(field="--blind", problem="has no site", remedy="give --latitude and --longitude")
+    return Site(latitude=latitude, longitude=longitude, altitude=altitude)
+
+
+def _found_blind(
+    images: list[Path], site: Site, options: StarOptions, circle: str | None, target: Path | None, *, as_json: bool
+) -> list[StarImage]:
+    """Return the images with their stars named by the camera that they gave, and write its calibration."""
+    known = BlindOptions(circle=None if circle is None else image_circle_of(circle))
+    result = find_stars_blind(images, site, options, known=known)
+    if as_json:
+        print_json(result.as_json())
+    else:
+        _print(result.images)
+        print(result.as_json()["reason"])
+    if result.accepted and target is not None:
+        text = json.dumps(result.document(camera=target.stem, clock=SystemClock()), indent=2)
+        try:
+            target.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise OutsideError(f"{target} could not be written: {error.strerror}") from None
+    return result.images
 
 
 def _print(found: list[StarImage]) -> None:

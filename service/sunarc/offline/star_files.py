@@ -35,7 +35,7 @@ from sunarc.offline.detect_files import full_scale_of
 from sunarc.offline.files import read_image
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import MESSAGES, RefusedImageError
-from sunarc.sky import NightSky, night_sky
+from sunarc.sky import NightSky, Site, night_sky
 from sunarc.utc import rfc3339, utc_time
 
 FAINTEST = 5.5
@@ -76,6 +76,7 @@ class StarImage:
     stars: Stars | None = None
     predicted: PredictedStars | None = None
     matches: StarMatches | None = None
+    size: tuple[int, int] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the summary of the image."""
@@ -117,7 +118,19 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     ------
     InputError : an image has not the calibration's size, or ephem is not installed.
     """
-    seen = [_looked_at(path, calibration, options) for path in paths]
+    camera = calibration.camera
+    seen = [read_stars(path, calibration.site, options) for path in paths]
+    for one in seen:
+        require_size(one, (camera.width, camera.height))
+    return named_stars(seen, calibration, within_px=options.within_px)
+
+
+def named_stars(images: Sequence[StarImage], calibration: Calibration, *, within_px: float = 0.0) -> list[StarImage]:
+    """Return images with the names that a calibration gives their stars."""
+    seen = [
+        one if one.sky is None else replace(one, predicted=predict_stars(calibration, one.sky, within_px=within_px))
+        for one in images
+    ]
     views = {row: view for row, one in enumerate(seen) if (view := _view(one)) is not None}
     found = dict(zip(views, match_views(list(views.values())), strict=True))
     return [
@@ -179,8 +192,8 @@ def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, flo
     return rows, sky.directions[sky.rows_of(named)]
 
 
-def _looked_at(path: Path, calibration: Calibration, options: StarOptions) -> StarImage:
-    """Return the detections and the predicted stars of a file."""
+def read_stars(path: Path, site: Site, options: StarOptions) -> StarImage:
+    """Return the detections of a file, and the sky at its moment; a file that is no image gets its reason."""
     try:
         stated, _ = taken(path, options.naming)
         image = read_image(path)
@@ -189,23 +202,26 @@ def _looked_at(path: Path, calibration: Calibration, options: StarOptions) -> St
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
         return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
-    camera = calibration.camera
-    if image.shape[:2] != (camera.height, camera.width):
-        raise InputError(
-            field=str(path),
-            problem=f"is {image.shape[1]}x{image.shape[0]}, the calibration of {camera.width}x{camera.height} images",
-            remedy="give images of the calibrated camera",
-        )
     time = stated + timedelta(seconds=options.to_middle_s)
-    sky = night_sky(time.timestamp(), calibration.site, faintest=FAINTEST)
     stars = detect_stars(
         image,
         full_scale=options.full_scale or full_scale_of(image),
         bayer=options.bayer,
         gain_e_per_count=options.gain_e_per_count,
     )
-    predicted = predict_stars(calibration, sky, within_px=options.within_px)
-    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, predicted=predicted)
+    sky = night_sky(time.timestamp(), site, faintest=FAINTEST)
+    size = (image.shape[1], image.shape[0])
+    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=size)
+
+
+def require_size(image: StarImage, size: tuple[int, int]) -> None:
+    """Raise InputError where an image that could be read is not of a size (width, height)."""
+    if image.size is not None and image.size != size:
+        raise InputError(
+            field=image.file,
+            problem=f"is {image.size[0]}x{image.size[1]}, the calibration of {size[0]}x{size[1]} images",
+            remedy="give images of the calibrated camera",
+        )
 
 
 def _view(image: StarImage) -> StarView | None:
