@@ -31,6 +31,7 @@ from sunarc.calibration import (
 )
 from sunarc.cameras import Frame
 from sunarc.optics import Camera, project
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, true_camera
 from sunarc.sky import body_directions, sun_angles, sun_directions
 from sunarc.utc import utc_time
@@ -102,6 +103,7 @@ class SimulatedImager:
             trusted=lambda: True,
             now=lambda: begin + timedelta(hours=8),
             request_refit=lambda reason: Refit(id="r", camera="roof", requested_at=begin, reason=reason),
+            board=StatusRegistry(version="0", started_at=begin, monotonic=lambda: 0.0),
         )
         times: list[float] = []
         for number in range(frames):

@@ -93,6 +93,12 @@ CASES = [
         {gauge("sunarc_calibration_sky_rms_degrees"): f"0.19x{2 * DAY}"},
         minutes=2 * DAY,
     ),
+    Case(
+        "SunarcDomeDark",
+        {gauge("sunarc_night_zero_point"): f"10.9x{30 * DAY} 10.1x{5 * DAY}"},
+        {gauge("sunarc_night_zero_point"): f"10.9x{30 * DAY} 10.4x{5 * DAY}"},
+        minutes=35 * DAY,
+    ),
 ]
 
 

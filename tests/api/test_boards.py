@@ -21,9 +21,11 @@ from tests.api.test_event_stream import serving
 from tests.fixtures.calibrations import SITE
 from tests.fixtures.ports import free_port
 
-from sunarc.archive import CameraArchive, Day, DiskOptions, ImageStore, Refit, Reserve
+from sunarc.archive import CameraArchive, Day, DiskOptions, Event, ImageStore, Refit, Reserve
+from sunarc.findings import Finding
 from sunarc.runtime.clock import ClockState, SystemClock, VirtualClock
 from sunarc.workers import ClockOptions, ClockWatch, DiskWorker, FrameTime
+from sunarc.workers.messages import MESSAGES
 
 if TYPE_CHECKING:
     from tests.api.conftest import Made
@@ -84,6 +86,10 @@ def observed(made: Made, tmp_path: Path) -> Iterator[tuple[Made, Prometheus]]:
         pose_offset_deg=(0.1, 0.0, 0.0),
     )
     made.archive.save_day(day)
+    numbers = dict.fromkeys(re.findall(r"sunarc_night_(\w+)", " ".join(EXPRESSIONS)), 1.0)
+    night = Finding("night", {"date": "2013-05-12", "verdict": "clear", "reasons": "", **numbers})
+    event = Event.of(night, MESSAGES, time=made.noon, severity="info", camera="roof", details={})
+    made.archive.add_event(event)
     camera = made.board.snapshot().camera
     assert camera is not None
     made.board.note(camera=replace(camera, temperature_c=31.0))

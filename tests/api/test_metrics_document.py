@@ -93,8 +93,8 @@ def test_every_rule_says_what_is_the_matter_and_what_to_do() -> None:
         assert re.fullmatch(r"\d+[smhd]", rule.get("for", "0s")), rule["alert"]
 
 
-SOON = ("sunarc_clock_", "sunarc_disk_", "sunarc_worker_", "sunarc_reason")
-"""Written by a worker's first look, seconds after the start, or there only while something is the matter."""
+SOON = ("sunarc_clock_", "sunarc_disk_", "sunarc_worker_", "sunarc_reason", "sunarc_night_")
+"""Written by a worker's first look, seconds after the start, only while something is the matter, or by night."""
 
 
 def test_what_alerts_go_by_is_there_as_soon_as_the_service_answers(empty: Made) -> None:

@@ -12,7 +12,18 @@ if TYPE_CHECKING:
 
 NUMBERS: dict[str, Any] = {
     "n_images": 48, "n_accepted": 46, "n_stored": 1380, "n_stars": 1700, "n_matched": 620, "limiting_magnitude": 5.5,
-    "star_fwhm_px": 2.4, "cloud_fraction": 0.1, "transparency": 0.83,
+    "star_fwhm_px": 2.4, "cloud_fraction": 0.1, "transparency": 0.83, "extinction": 0.2, "extinction_sigma": 0.01,
+    "zero_point": 10.9, "star_ellipticity": 0.1, "halo": 0.01, "width_growth": 1.02, "halo_growth": 0.0,
+    "fading_mag": 0.05,
+}  # fmt: skip
+
+
+PARTS: dict[str, Any] = {
+    "zenith_bands": [{"from_deg": 0.0, "to_deg": 30.0, "predicted": 40, "found": 38, "transparency": 0.8}],
+    "images": {
+        "time": ["2013-05-13T05:00:02Z"], "n_matched": [620], "cloud_fraction": [0.1], "limiting_magnitude": [5.1],
+        "star_fwhm_px": [2.4], "star_ellipticity": [0.1], "halo": [None], "zero_point": [10.9],
+    },
 }  # fmt: skip
 
 
@@ -27,7 +38,7 @@ def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> No
         found = Finding("night", {"date": date, "reasons": "as it was", **data})
         event = Event.of(
             found, MESSAGES, time=made.noon - timedelta(days=days), severity="info", camera="roof",
-            details={"findings": findings},
+            details={"findings": findings, **(PARTS if days == 1 else {})},
         )  # fmt: skip
         made.archive.add_event(event)
     newest, oldest = made.client.get("/v1/nights").json()["nights"]
@@ -37,7 +48,15 @@ def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> No
         "findings": findings,
         "decided_at": "2013-05-12T18:30:00Z",
         **NUMBERS,
+        **PARTS,
+        "images": None,
     }
+    assert made.client.get("/v1/nights?images=true").json()["nights"][0]["images"] == PARTS["images"]
+    assert (oldest["zenith_bands"], oldest["images"]) == ([], None)
+    text = made.client.get("/metrics").text
+    assert "sunarc_night_limiting_magnitude 5.5" in text
+    assert "sunarc_night_seconds 1.3683168e+09" in text  # the evening of 2013-05-12
+    assert "sunarc_night_fading_mag 0.05" in text
     assert (oldest["night"], oldest["n_images"], oldest["limiting_magnitude"]) == ("2013-05-11", 2, None)
     first = made.client.get("/v1/nights", params={"limit": 1}).json()
     assert [night["night"] for night in first["nights"]] == ["2013-05-12"]

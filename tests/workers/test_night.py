@@ -20,6 +20,7 @@ from sunarc.array_types import Image
 from sunarc.calibration import Calibration, to_document
 from sunarc.cameras import Frame
 from sunarc.optics import Camera, project
+from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, Weather, true_camera
 from sunarc.sky import STAR, body_directions
 from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker, SensorOptions
@@ -83,6 +84,7 @@ class Bench:
     def __post_init__(self) -> None:
         self.capture = NightCapture(NightExposures(), DropOldestQueue(capacity=9))
         self.camera = CameraArchive(self.archive, name="roof", site=SGP)
+        self.board = StatusRegistry(version="0", started_at=BEGIN, monotonic=lambda: 0.0)
         self.worker = NightWorker(
             self.capture,
             camera=self.camera,
@@ -92,6 +94,7 @@ class Bench:
             trusted=lambda: self.trusted,
             now=lambda: BEGIN + timedelta(hours=6),
             request_refit=self.ask,
+            board=self.board,
         )
 
     def ask(self, reason: str) -> Refit:

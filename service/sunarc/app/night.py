@@ -37,4 +37,5 @@ def night_worker(service: Service, night: NightCapture) -> NightWorker:
         trusted=service.clock_watch.trusted,
         now=service.frame_time.now,
         request_refit=service.request_refit,
+        board=service.board,
     )

@@ -12,15 +12,26 @@ from sunarc.detection.photo.exposure_stack import Exposure, detect_sun_in_stack
 from sunarc.detection.photo.ordinary_image import detect_sun_in_photo
 from sunarc.detection.photo.static_mask import static_mask
 from sunarc.detection.photo.urquhart2016 import Estimates, Planes, locate, planes_of
+from sunarc.detection.stars.completeness import (
+    ZENITH_BANDS_DEG,
+    ZenithBand,
+    detected,
+    limiting_magnitude,
+    zenith_bands,
+)
 from sunarc.detection.stars.detect import detect_stars
+from sunarc.detection.stars.extinction import Extinction, StarLight, extinction_of
+from sunarc.detection.stars.halo import star_halo
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
+from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio, trend_of
 from sunarc.detection.stars.values import MOST_PEAK, PredictedStars, Stars
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
     "BAYERS",
     "MOST_PEAK",
+    "ZENITH_BANDS_DEG",
     "Bayer",
     "ClearSun",
     "Cutout",
@@ -29,16 +40,21 @@ __all__ = [
     "Estimates",
     "Expectation",
     "Exposure",
+    "Extinction",
     "Lens",
     "Method",
     "MoonDetection",
     "MoonExpectation",
+    "NightLimits",
+    "NightTrend",
     "Planes",
     "PredictedStars",
     "Sensor",
+    "StarLight",
     "StarMatches",
     "Stars",
     "Verdict",
+    "ZenithBand",
     "bayer_of",
     "beside",
     "brightest_cutouts",
@@ -50,11 +66,19 @@ __all__ = [
     "detect_sun",
     "detect_sun_in_photo",
     "detect_sun_in_stack",
+    "detected",
+    "dew_suspected",
+    "extinction_of",
+    "focus_ratio",
+    "limiting_magnitude",
     "locate",
     "match_stars",
     "planes_of",
     "radial_bias_px",
     "sky_motion",
     "standing_still",
+    "star_halo",
     "static_mask",
+    "trend_of",
+    "zenith_bands",
 ]

@@ -74,6 +74,17 @@ MESSAGES = Messages(
     night_clock_not_trusted=Message(
         "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"
     ),
+    night_focus_worse=Message(
+        "stars are {ratio:.2f} times as wide as on the nights before, for {nights} nights: {fwhm_px:.2f} px",
+        "The night's sightings are less sure; the sun's disc is hardly changed.",
+        "look at lens and dome: focus, dirt, ice",
+    ),
+    night_dew_suspected=Message(
+        "in the night of {date} the stars lost {fading_mag:.2f} magnitudes while they became {width_growth:.2f} times "
+        "as wide and their halo grew by {halo_growth:.2f} of their light: dew, ice or haze",
+        "Images of that night's end are less sharp; its sightings carry their own uncertainty.",
+        "look at the dome's heating and its seal; where the sky was hazy there is nothing to do",
+    ),
     refit_accepted=Message("{message}", "A refit made a calibration that may be served."),
     refit_marginal=Message(
         "{message}",

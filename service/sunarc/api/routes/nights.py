@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
@@ -26,6 +26,7 @@ def night_routes(context: ApiContext) -> APIRouter:
         request: Request,
         since: Since = None,
         until: Until = None,
+        images: Annotated[bool, Query(description="Add the numbers of each image.", examples=[True])] = False,
         limit: Annotated[int, row_limit()] = 366,
         cursor: Cursor = None,
     ) -> Nights:
@@ -35,11 +36,12 @@ def night_routes(context: ApiContext) -> APIRouter:
             selected.camera, since=since, until=page.until(until), kind=_KIND, limit=page.rows
         )
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
-        return Nights(nights=[_night(event) for event in rows], next=next_)
+        return Nights(nights=[_night(event, images=images) for event in rows], next=next_)
 
     return routes
 
 
-def _night(event: Event) -> Night:
+def _night(event: Event, *, images: bool) -> Night:
     """Return the verdict that the event of a night carries."""
-    return Night.model_validate({**event.details, "decided_at": event.time})
+    left_out = {} if images else {"images": None}
+    return Night.model_validate({**event.details, **left_out, "decided_at": event.time})

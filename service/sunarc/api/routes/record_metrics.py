@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from typing import get_args
 
 from prometheus_client.core import GaugeMetricFamily, Metric
 
-from sunarc.archive import Archive, Day, DayVerdict, RefitState
+from sunarc.archive import Archive, Day, DayVerdict, Event, RefitState
 
 _A_DAY = timedelta(days=1)
 
@@ -30,6 +30,7 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.count_refits(camera))
     yield _counts("sunarc_refits", "Refits by state.", "state", refits)
     yield from _of_last_day(next(iter(archive.days(camera, limit=1)), None))
+    yield from _of_last_night(next(iter(archive.events(camera, kind="night", limit=1)), None))
 
 
 def _of_last_day(day: Day | None) -> Iterator[Metric]:
@@ -48,10 +49,45 @@ def _of_last_day(day: Day | None) -> Iterator[Metric]:
         ),
     }
     for name, (text, value) in values.items():
-        family = GaugeMetricFamily(f"sunarc_last_day_{name}", text)
-        if value is not None:
-            family.add_metric((), value)
-        yield family
+        yield _gauge(f"sunarc_last_day_{name}", text, value)
+
+
+_OF_NIGHT = {
+    "limiting_magnitude": "V to which half of the stars are detected.",
+    "cloud_fraction": "Share of the stars to V 4 that are not seen.",
+    "transparency": "Share of the light that comes through one air mass, with the shading of the lens.",
+    "extinction": "Loss of light, magnitudes an air mass, with the shading of the lens.",
+    "zero_point": "V of a star outside the air that gives one count a second.",
+    "star_fwhm_px": "Full width of the stars at half maximum, px.",
+    "star_ellipticity": "1 - minor / major axis of bright stars.",
+    "halo": "Light around stars over their own: dew, haze.",
+    "width_growth": "Width of the stars at its end over that at its beginning.",
+    "halo_growth": "Growth of the halo from its beginning to its end.",
+    "fading_mag": "Loss of brightness from its beginning to its end, magnitudes.",
+    "n_images": "Exposures of the night.",
+    "n_accepted": "Images whose stars were named.",
+    "n_matched": "Named stars in an accepted image, median.",
+}
+"""Numbers of the event of a night that are metrics, and what they are."""
+
+
+def _of_last_night(event: Event | None) -> Iterator[Metric]:
+    """Yield the numbers of the last night that was judged; none where no night was, or where one is not known."""
+    details = {} if event is None else event.details
+    night = details.get("date")
+    evening = None if night is None else datetime.combine(date.fromisoformat(str(night)), time(), UTC).timestamp()
+    yield _gauge("sunarc_night_seconds", "Date of the last night that was judged (its evening) as Unix time.", evening)
+    for name, text in _OF_NIGHT.items():
+        value = details.get(name)
+        number = float(value) if isinstance(value, int | float) else None
+        yield _gauge(f"sunarc_night_{name}", f"Last night: {text}", number)
+
+
+def _gauge(name: str, text: str, value: float | None) -> Metric:
+    family = GaugeMetricFamily(name, text)
+    if value is not None:
+        family.add_metric((), value)
+    return family
 
 
 def _counts(name: str, text: str, label: str, counts: Mapping[str, int]) -> Metric:

@@ -10,6 +10,46 @@ from sunarc.api.schemas.parameters import Next
 from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
 
 
+class ZenithBandOut(BaseModel):
+    """The stars of a band of zenith angles."""
+
+    from_deg: float = Field(description="Zenith angle, degrees.", examples=[50.0])
+    to_deg: float = Field(description="Zenith angle, degrees.", examples=[65.0])
+    predicted: int = Field(
+        description="Stars to V 4 that the calibration predicts in the images, a count.", examples=[812]
+    )
+    found: int = Field(description="Of them those that are detected, a count.", examples=[741])
+    transparency: float | None = Field(
+        description="Share of their light that arrives, of what it is outside the air; with the lens's own shading.",
+        examples=[0.74],
+    )
+
+
+class NightImages(BaseModel):
+    """Numbers of a night's images, 72 at most, in columns; null where one is not known."""
+
+    time: list[Time] = Field(default=[], description="Middles of the exposures.", examples=[[EXAMPLE_TIME]])
+    n_matched: list[int] = Field(default=[], description="Named stars, counts.", examples=[[620]])
+    cloud_fraction: list[float | None] = Field(
+        default=[], description="Share of the stars to V 4 that are not seen.", examples=[[0.1]]
+    )
+    limiting_magnitude: list[float | None] = Field(
+        default=[], description="V at which half as many are detected as of the bright ones.", examples=[[5.1]]
+    )
+    star_fwhm_px: list[float | None] = Field(
+        default=[], description="Full width at half maximum of bright stars, px.", examples=[[2.4]]
+    )
+    star_ellipticity: list[float | None] = Field(
+        default=[], description="1 - minor / major axis, of bright stars.", examples=[[0.12]]
+    )
+    halo: list[float | None] = Field(
+        default=[], description="Light between 4 and 7 widths around stars, over their own.", examples=[[0.01]]
+    )
+    zero_point: list[float | None] = Field(
+        default=[], description="V of a star outside the air that gives one count a second.", examples=[[10.9]]
+    )
+
+
 class Night(BaseModel):
     """Verdict of a night; what is null is not known: no image of it was matched."""
 
@@ -31,6 +71,32 @@ class Night(BaseModel):
     transparency: Annotated[
         float | None,
         described("Share of the light that comes through one air mass, by the stars' brightness over the sky.", 0.83),
+    ] = None
+    extinction: Annotated[
+        float | None, described("Loss of light, magnitudes an air mass, with the shading of the lens.", 0.21)
+    ] = None
+    extinction_sigma: Annotated[float | None, described("1-sigma of the extinction, magnitudes.", 0.01)] = None
+    zero_point: Annotated[
+        float | None, described("V of a star outside the air that gives one count a second, median.", 10.9)
+    ] = None
+    star_ellipticity: Annotated[
+        float | None, described("1 - minor / major axis of bright stars, median of the images.", 0.12)
+    ] = None
+    halo: Annotated[
+        float | None, described("Light between 4 and 7 widths around stars over their own, median.", 0.01)
+    ] = None
+    width_growth: Annotated[
+        float | None, described("Width of the stars in the last third of the images over the first.", 1.02)
+    ] = None
+    halo_growth: Annotated[
+        float | None, described("Growth of the halo from the first to the last third of the images.", 0.002)
+    ] = None
+    fading_mag: Annotated[
+        float | None, described("Loss of brightness from the first to the last third, magnitudes.", 0.05)
+    ] = None
+    zenith_bands: Annotated[list[ZenithBandOut], described("Stars by zenith angle; empty where none were named.")] = []
+    images: Annotated[
+        NightImages | None, described("Numbers of its images; null where not asked for, or not known.")
     ] = None
     findings: Annotated[list[dict[str, Any]], described("Why, as codes and data.", [{"code": "night_images"}])]
     decided_at: Annotated[Time, described("When the night was judged, by the frames' time.", EXAMPLE_TIME)]

@@ -22,12 +22,15 @@ from sunarc.calibration import (
     surest_of_parts,
 )
 from sunarc.cameras import Frame
-from sunarc.detection import Stars, detect_stars
+from sunarc.detection import NightLimits, Stars, detect_stars, star_halo
 from sunarc.findings import Finding
+from sunarc.runtime.status import StatusRegistry
 from sunarc.sky import night_sky, solar_date, wanderer_place
 from sunarc.utc import DAY_S
 from sunarc.workers.messages import MESSAGES, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
+from sunarc.workers.night.numbers import FAINTEST_V, NightNumbers, TakenImage, numbers_of
 from sunarc.workers.night.offset import RadialOffset, radial_offset
 from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
 from sunarc.workers.sensor import SensorOptions, sensor_of
@@ -35,8 +38,6 @@ from sunarc.workers.sensor import SensorOptions, sensor_of
 _log = logging.getLogger(__name__)
 
 _POLL_S = 0.5
-_FAINTEST = 5.5
-"""V of the faintest stars of the table."""
 _BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
 _MOST_A_FRAME = 30
@@ -54,6 +55,7 @@ class _Image:
     time: datetime
     exposure_us: float
     stars: Stars
+    halo: float
 
 
 class NightWorker:
@@ -72,6 +74,8 @@ class NightWorker:
     trusted : whether the clock that dates the frames is.
     now : frame time.
     request_refit : asks for a refit, with the reason.
+    board : where a focus that got worse, or dew, degrades the service.
+    limits : what is suspected.
     """
 
     def __init__(
@@ -85,6 +89,8 @@ class NightWorker:
         trusted: Callable[[], bool],
         now: Callable[[], datetime],
         request_refit: Callable[[str], Refit],
+        board: StatusRegistry,
+        limits: NightLimits | None = None,
     ) -> None:
         self._frames, self._exposures = capture.frames, capture.exposures
         self._camera = camera
@@ -94,10 +100,13 @@ class NightWorker:
         self._trusted = trusted
         self._now = now
         self._request_refit = request_refit
+        self._board = board
+        self._limits = limits or NightLimits()
         self._images: list[_Image] = []
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped."""
+        self.publish_conditions()
         while not stop.is_set():
             heartbeat()
             frame = self._frames.get(timeout_s=_POLL_S)
@@ -116,7 +125,8 @@ class NightWorker:
         self._exposures.report(stars, sky_fraction=level / frame.full_scale)
         if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
             self.finish()  # the sun did not come back meanwhile: a polar night, or a clock that was set
-        self._images = [*self._images, _Image(time=frame.time, exposure_us=frame.exposure_us, stars=stars)]
+        halo = star_halo(frame.image, stars, full_scale=frame.full_scale, bayer=sensor.bayer)
+        self._images = [*self._images, _Image(time=frame.time, exposure_us=frame.exposure_us, stars=stars, halo=halo)]
         self._images = self._images[-_MOST_IMAGES:]
 
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
@@ -134,14 +144,24 @@ class NightWorker:
         matched = match_views(views)
         heartbeat()
         summary = summary_of(views, matched)
+        taken = [
+            TakenImage(view, found, image.exposure_us / 1e6, image.halo)
+            for image, view, found in zip(images, views, matched, strict=True)
+        ]
+        measured = numbers_of(taken)
         offset = _offset_of(views, matched, calibration)
         stored = self._store(images, views, matched)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
-        numbers: dict[str, float] = {**asdict(summary), "n_stored": stored, "star_offset_px": offset.largest_px}
+        numbers: dict[str, float] = {
+            **asdict(summary),
+            **measured.of_night,
+            "n_stored": stored,
+            "star_offset_px": offset.largest_px,
+        }
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self._request_refit(f"after the night of {night} ({verdict})")
-        return self._remember(night, verdict, (*findings, *refused[:1]), numbers)
+        return self._remember(night, verdict, (*findings, *refused[:1]), numbers, measured)
 
     def _night_of(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""
@@ -149,7 +169,7 @@ class NightWorker:
 
     def _view(self, image: _Image, calibration: Calibration) -> StarView:
         unix_s = image.time.timestamp()
-        sky = night_sky(unix_s, self._camera.site_at(image.time), faintest=_FAINTEST)
+        sky = night_sky(unix_s, self._camera.site_at(image.time), faintest=FAINTEST_V)
         predicted = predict_stars(calibration, sky, within_px=_BENT_PX)
         return StarView(unix_s=unix_s, sky=sky, stars=image.stars, predicted=predicted)
 
@@ -205,16 +225,30 @@ class NightWorker:
         return sum(moon.direction[2] > 0.0 and moon.lit > _HALF_LIT for moon in moons) / len(moons)
 
     def _remember(
-        self, night: date, verdict: NightVerdict, findings: tuple[Finding, ...], numbers: dict[str, float]
+        self,
+        night: date,
+        verdict: NightVerdict,
+        findings: tuple[Finding, ...],
+        numbers: dict[str, float],
+        measured: NightNumbers | None = None,
     ) -> NightVerdict:
-        """Store the verdict as an event."""
+        """Store the verdict as an event, and set the conditions that the last nights give rise to."""
         known = {key: value for key, value in numbers.items() if math.isfinite(value)}
         why = "; ".join(map(text_of, findings))
         found = Finding("night", {"date": f"{night}", "verdict": verdict, "reasons": why, **known})
-        details = {"findings": [finding.as_json() for finding in findings]}
+        details: dict[str, object] = {"findings": [finding.as_json() for finding in findings]}
+        if measured is not None:
+            details |= {"zenith_bands": measured.bands, "images": measured.images}
         self._camera.add_event(found, MESSAGES, time=self._now(), severity="info", details=details)
         _log.info("%s", text_of(found))
+        self.publish_conditions()
         return verdict
+
+    def publish_conditions(self) -> None:
+        """Set or clear the conditions of the last nights, as the archive has them."""
+        nights = [event.details for event in self._camera.events(kind="night", limit=NIGHTS_COMPARED)]
+        for code, reason in night_conditions(nights, self._limits).items():
+            self._board.set_condition(code, reason)
 
 
 def _offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration) -> RadialOffset:
