@@ -15,7 +15,7 @@ import pytest
 from tests.fixtures.archive import new_archive
 from tests.fixtures.calibrations import chosen_calibration
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, Event, Refit
+from sunarc.archive import Archive, CameraArchive, CameraRecord, Event, ImageStore, Refit
 from sunarc.array_types import Image
 from sunarc.calibration import Calibration, to_document
 from sunarc.cameras import Frame
@@ -80,6 +80,7 @@ class Bench:
     zenith_deg: float = 120.0
     trusted: bool = True
     refits: list[str] = field(default_factory=list)
+    store: ImageStore | None = None
 
     def __post_init__(self) -> None:
         self.capture = NightCapture(NightExposures(), DropOldestQueue(capacity=9))
@@ -95,6 +96,7 @@ class Bench:
             now=lambda: BEGIN + timedelta(hours=6),
             request_refit=self.ask,
             board=self.board,
+            store=self.store,
         )
 
     def ask(self, reason: str) -> Refit:

@@ -38,4 +38,5 @@ def night_worker(service: Service, night: NightCapture) -> NightWorker:
         now=service.frame_time.now,
         request_refit=service.request_refit,
         board=service.board,
+        store=service.images,
     )

@@ -21,7 +21,7 @@ from sunarc.bounds import require_bounds
 from sunarc.errors import InputError, OutsideError
 
 _STAMP = "%Y%m%dT%H%M%S"
-_OURS = re.compile(r"(\d{8}T\d{6})\.\d{3}Z_hdr\.(png|jpg)")
+_OURS = re.compile(r"(\d{8}T\d{6})\.\d{3}Z_(?:hdr\.png|hdr\.jpg|night\.jpg|night\.json)")
 _DAYS = "[0-9]*/[0-9]*/[0-9]*"
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _MB = 1e6

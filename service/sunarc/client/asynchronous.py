@@ -91,5 +91,7 @@ class AsyncImager:
     sun_points = _one_by_one(Imager.sun_points)
     days = _one_by_one(Imager.days)
     nights = _one_by_one(Imager.nights)
+    night_image = _in_thread(Imager.night_image)
+    night_bodies = _in_thread(Imager.night_bodies)
     past_events = _one_by_one(Imager.past_events)
     events = _one_by_one(Imager.events)

@@ -26,9 +26,17 @@ class Days(Requests):
         """Return free disk space and the camera's temperature by "hour" or "day", the newest first."""
         return self._listed("/housekeeping", "rows", step=step, since=_time(since), until=_time(until))
 
-    def nights(self) -> Iterator[dict[str, Any]]:
-        """Yield the verdicts of the nights, the newest first."""
-        return self._pages("/nights", "nights")
+    def nights(self, *, images: bool = False) -> Iterator[dict[str, Any]]:
+        """Yield the verdicts of the nights, the newest first, with the numbers of their images where asked for."""
+        return self._pages("/nights", "nights", images="true" if images else None)
+
+    def night_image(self, night: date) -> bytes:
+        """Return the picture of a night, by the date of its evening, as JPEG."""
+        return self._content(f"/nights/{night.isoformat()}/image")
+
+    def night_bodies(self, night: date) -> dict[str, Any]:
+        """Return the stars, planets and the moon in the picture of a night, and which were detected."""
+        return self._json(f"/nights/{night.isoformat()}/bodies")
 
     def day_air(self, day: date) -> dict[str, Any]:
         """Return the air that was measured on a solar day."""

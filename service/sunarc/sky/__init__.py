@@ -24,6 +24,7 @@ from sunarc.sky.refraction import (
     upward,
 )
 from sunarc.sky.site import PA_PER_HPA, PRESSURE_BOUNDS_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C, Site
+from sunarc.sky.star_names import title_of
 from sunarc.sky.sun import SOLAR_RADIUS, SunAngles, hour_angle, sun_angles, sun_directions
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "solar_days",
     "sun_angles",
     "sun_directions",
+    "title_of",
     "upward",
     "wanderer_place",
     "wrapped_deg",

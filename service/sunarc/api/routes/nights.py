@@ -1,19 +1,43 @@
-"""Route: what the nights were like."""
+"""Routes: what the nights were like, and the picture of each with what is named in it."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from datetime import date, datetime
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
+from fastapi import Path as InPath
+from fastapi.responses import FileResponse, Response
 
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
-from sunarc.api.schemas.nights import Night, Nights
+from sunarc.api.routes.calibrations import matches
+from sunarc.api.schemas.nights import Night, NightBodies, Nights
 from sunarc.api.schemas.paging import Cursor, page_at
-from sunarc.api.schemas.parameters import Since, Until, row_limit
+from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.archive import Event
+from sunarc.errors import NotFoundError, OutsideError
+from sunarc.json_fields import SolarDate
+from sunarc.sky import day_bounds_unix_s
+from sunarc.utc import DAY_S, rfc3339, utc_time
 
 _KIND = "night"
+_PICTURE, _NAMES = "night.jpg", "night.json"
+"""Kinds of files of the store of images, as the worker of the night writes them."""
+_CACHED = "private, max-age=300"
+"""A night whose work was interrupted may get another picture; it may hold people, so no shared cache keeps it."""
+_IMAGE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture, 1024 px wide at most.",
+        "headers": {"Sunarc-Time": {"description": "Middle of its exposure.", "schema": {"type": "string"}}},
+        "content": {"image/jpeg": {}},
+    },
+    304: {"description": "The picture is the one that If-None-Match names."},
+}
+Evening = Annotated[SolarDate, InPath(description="Local mean solar date of the evening, as /v1/nights has it.")]
 
 
 def night_routes(context: ApiContext) -> APIRouter:
@@ -38,7 +62,36 @@ def night_routes(context: ApiContext) -> APIRouter:
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
         return Nights(nights=[_night(event, images=images) for event in rows], next=next_)
 
+    @routes.get("/nights/{night}/image", response_class=Response, responses=_IMAGE | answers(404, 422))
+    def night_image(request: Request, night: Evening, if_none_match: IfNoneMatch = None) -> Response:
+        """Return the picture of a night: its image with the most stars, stretched to 8 bits."""
+        time, path = _newest(context.of(request), night, _PICTURE)
+        tag = f'"{path.stem}"'
+        headers = {"etag": tag, "cache-control": _CACHED, "sunarc-time": rfc3339(time)}
+        if matches(if_none_match, tag):
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+        return FileResponse(path, media_type="image/jpeg", headers=headers)
+
+    @routes.get("/nights/{night}/bodies", responses=answers(404, 422))
+    def night_bodies(request: Request, night: Evening) -> NightBodies:
+        """Tell the bright stars, the planets and the moon in the picture of a night, and which were detected."""
+        _, path = _newest(context.of(request), night, _NAMES)
+        try:
+            return NightBodies.model_validate(json.loads(path.read_text("utf-8")))
+        except (OSError, ValueError) as error:
+            raise OutsideError(f"{path.name} cannot be read: {error}") from error
+
     return routes
+
+
+def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path]:
+    """Return the time and the file of a kind that belongs to a night: from noon to noon, local mean solar time."""
+    begin = day_bounds_unix_s(night, longitude=context.site.longitude)[0] + 0.5 * DAY_S
+    since, until = utc_time(begin), utc_time(begin + DAY_S)
+    found = [] if context.images is None else context.images.between(kind=kind, since=since, until=until, limit=1)
+    if not found:
+        raise NotFoundError(field="night", problem=f"no picture of the night {night}", remedy="see /v1/nights")
+    return found[0]
 
 
 def _night(event: Event, *, images: bool) -> Night:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.schemas.parameters import Next
+from sunarc.api.schemas.parameters import Next, Pair, Size
 from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
 
 
@@ -100,6 +100,31 @@ class Night(BaseModel):
     ] = None
     findings: Annotated[list[dict[str, Any]], described("Why, as codes and data.", [{"code": "night_images"}])]
     decided_at: Annotated[Time, described("When the night was judged, by the frames' time.", EXAMPLE_TIME)]
+
+
+class NightBody(BaseModel):
+    """A star, a planet or the moon in the picture of a night."""
+
+    body: str = Field(description="As in the sightings.", examples=["star:HIP32349"])
+    title: str = Field(description="What a person calls it.", examples=["Sirius"])
+    pixel: Pair = Field(description="Where it is predicted, x, y in px of the camera.", examples=[[400.0, 912.5]])
+    magnitude: float = Field(description="V, of stars and planets with the air's extinction.", examples=[-1.4])
+    found: bool | None = Field(
+        description="Whether it was detected; null where no star of the picture was named, and of the moon.",
+        examples=[True],
+    )
+    lit: float | None = Field(default=None, description="Of the moon, the share that is lit.", examples=[0.4])
+
+
+class NightBodies(BaseModel):
+    """What is in the picture of a night: stars to V 3.5, planets, the moon."""
+
+    time: Annotated[Time, Field(description="Middle of the exposure of the picture.")]
+    calibration: str | None = Field(
+        description="Id of the calibration that predicted them.", examples=["20130514T150508Z"]
+    )
+    image_size: Size | None = Field(description="Width, height of the camera's image, px.", examples=[[1748, 1748]])
+    bodies: list[NightBody] = Field(description="The moon first, then the brightest; empty without a calibration.")
 
 
 class Nights(BaseModel):

@@ -6,6 +6,7 @@ import { compare, offerComparison } from "./compare.js";
 import { drawFirst, firstWay } from "./first.js";
 import { drawHistory, spanDays } from "./history.js";
 import { lookUp } from "./lookup.js";
+import { readNights } from "./night.js";
 import { drawResiduals } from "./residuals.js";
 import { drawSigma } from "./sigma.js";
 import { drawSky, showImage, showPart } from "./sky.js";
@@ -28,7 +29,7 @@ const CALENDAR_DAYS = 182;
 const COUNTED_DAYS = 366; // as many as are counted at once
 const MOST_HOURLY_DAYS = 31; // of longer spans housekeeping is shown by day
 const known = {
-  status: null, points: [], calibrations: [], days: [], counts: [], housekeeping: { step: "hour", rows: [] },
+  status: null, points: [], calibrations: [], days: [], nights: [], counts: [], housekeeping: { step: "hour", rows: [] },
   overlay: null, sun: null, asked: null, site: null, calibration: undefined, residualsBy: undefined, date: null, events: MORE_EVENTS, kinds: new Set(),
 };
 
@@ -182,7 +183,8 @@ async function refreshRecord() {
   ]);
   [known.days, known.calibrations, known.counts] = [record.days, calibrations.calibrations, counts.days];
   known.housekeeping = housekeeping;
-  drawCalendar(known.days.slice(0, CALENDAR_DAYS), known.status?.frame_time);
+  known.nights = await readNights().catch(() => known.nights);
+  drawCalendar(known.days.slice(0, CALENDAR_DAYS), known.nights.slice(0, CALENDAR_DAYS), known.status?.frame_time);
   redrawHistory();
   redrawFirst();
   offerComparison(known.calibrations);

@@ -30,7 +30,7 @@ class NightLimits:
     nights : nights in a row with such a ratio.
     """
 
-    width_growth: Annotated[float, Gt(1.0)] = 1.15
+    width_growth: Annotated[float, Gt(1.0)] = 1.1
     halo_growth: Annotated[float, Gt(0.0)] = 0.05
     fading_mag: Annotated[float, Gt(0.0)] = 0.25
     width_ratio: Annotated[float, Gt(1.0)] = 1.2

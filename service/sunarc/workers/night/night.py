@@ -11,7 +11,7 @@ from datetime import date, datetime
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, Refit, SunPoint
+from sunarc.archive import CameraArchive, ImageStore, Refit, SunPoint
 from sunarc.calibration import (
     Calibration,
     MatchedView,
@@ -32,6 +32,7 @@ from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
 from sunarc.workers.night.numbers import FAINTEST_V, NightNumbers, TakenImage, numbers_of
 from sunarc.workers.night.offset import RadialOffset, radial_offset
+from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
 from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
@@ -54,6 +55,7 @@ class _Image:
 
     time: datetime
     exposure_us: float
+    gain_db: float
     stars: Stars
     halo: float
 
@@ -76,6 +78,7 @@ class NightWorker:
     request_refit : asks for a refit, with the reason.
     board : where a focus that got worse, or dew, degrades the service.
     limits : what is suspected.
+    store : where the picture of the night goes; None: nowhere.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class NightWorker:
         request_refit: Callable[[str], Refit],
         board: StatusRegistry,
         limits: NightLimits | None = None,
+        store: ImageStore | None = None,
     ) -> None:
         self._frames, self._exposures = capture.frames, capture.exposures
         self._camera = camera
@@ -102,7 +106,9 @@ class NightWorker:
         self._request_refit = request_refit
         self._board = board
         self._limits = limits or NightLimits()
+        self._store_images = store
         self._images: list[_Image] = []
+        self._picture: NightPicture | None = None
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped."""
@@ -126,15 +132,20 @@ class NightWorker:
         if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
             self.finish()  # the sun did not come back meanwhile: a polar night, or a clock that was set
         halo = star_halo(frame.image, stars, full_scale=frame.full_scale, bayer=sensor.bayer)
-        self._images = [*self._images, _Image(time=frame.time, exposure_us=frame.exposure_us, stars=stars, halo=halo)]
+        if better(self._picture, n_stars=len(stars)):
+            self._picture = night_picture(frame.image, frame.time, len(stars))
+        taken = _Image(time=frame.time, exposure_us=frame.exposure_us, gain_db=frame.gain_db, stars=stars, halo=halo)
+        self._images = [*self._images, taken]
         self._images = self._images[-_MOST_IMAGES:]
 
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         images, self._images = self._images, []
+        picture, self._picture = self._picture, None
         night = self._night_of(images[0].time)
         calibration = self._camera.current_model()
         if calibration is None or not self._trusted():
+            self._keep(picture, None, calibration)
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
             return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)})
         views = []
@@ -145,10 +156,11 @@ class NightWorker:
         heartbeat()
         summary = summary_of(views, matched)
         taken = [
-            TakenImage(view, found, image.exposure_us / 1e6, image.halo)
+            TakenImage(view, found, image.exposure_us / 1e6 * 10.0 ** (image.gain_db / 20.0), image.halo)
             for image, view, found in zip(images, views, matched, strict=True)
         ]
         measured = numbers_of(taken)
+        self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = _offset_of(views, matched, calibration)
         stored = self._store(images, views, matched)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
@@ -162,6 +174,22 @@ class NightWorker:
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self._request_refit(f"after the night of {night} ({verdict})")
         return self._remember(night, verdict, (*findings, *refused[:1]), numbers, measured)
+
+    def _keep(
+        self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
+    ) -> None:
+        """Write the picture of the night, with the names of what is in it where a calibration predicts that."""
+        if self._store_images is None or picture is None:
+            return
+        one = None if taken is None else taken.get(picture.time)
+        current, record = self._camera.current_calibration(), self._camera.record()
+        store_picture(
+            self._store_images,
+            picture,
+            [] if one is None or calibration is None else named_bodies(one, calibration, self._camera),
+            calibration=None if current is None else current.id,
+            image_size=None if record is None else record.image_size,
+        )
 
     def _night_of(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""

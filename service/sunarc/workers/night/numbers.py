@@ -38,7 +38,10 @@ _DIGITS = 3
 
 
 class TakenImage(NamedTuple):
-    """An image of the night: its detections, which stars they are, its exposure, and the halo around stars."""
+    """An image of the night: its detections, which stars they are, its exposure, and the halo around stars.
+
+    The exposure is that which gives as many counts at a gain of 0 dB, seconds.
+    """
 
     view: StarView
     found: MatchedView
