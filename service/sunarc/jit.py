@@ -34,7 +34,7 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
         """Store a compiled kernel; after a failure, store no more of this function."""
         try:
             super().save_overload(sig, data)
-        except OSError as error:
+        except (OSError, RuntimeError) as error:  # RuntimeError: numba has no object code to store
             self.disable()
             _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
 

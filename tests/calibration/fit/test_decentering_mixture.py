@@ -13,7 +13,7 @@ from sunarc.calibration.fit import decentering_mixture as module
 from sunarc.calibration.fit.decentering_mixture import mixed_over_decentering
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
-from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
+from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, linear_system
 from sunarc.calibration.least_squares.problem import Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import Field, wave_basis
@@ -82,7 +82,7 @@ def test_the_places_hold_nearly_all_of_the_prior() -> None:
 def test_a_conditional_fit_has_p3_and_p4_where_they_are_held(
     system: LinearSystem, problem: Problem, at: FloatArray
 ) -> None:
-    found = module._conditional(problem, system, at, (1.0, -2.0), SCALES, NO_FIELD)
+    found = module._conditional(problem, system.in_field_axes(SCALES), at, (1.0, -2.0), SCALES, NO_FIELD)
     expected = np.outer([1.0 - at[15], -2.0 - at[16]], [1.0 - at[15], -2.0 - at[16]])
     np.testing.assert_allclose(found.moments[np.ix_(HIGHER, HIGHER)], expected, atol=1e-12)
 
@@ -93,12 +93,13 @@ def test_the_mean_of_the_conditional_evidences_is_about_the_free_one(
     """Where the sightings hardly depend on p3 and p4, integrating them out on the grid changes nothing."""
     small = at.copy()
     small[13:15] = 0.0  # without p1 and p2, p3 and p4 have no effect
-    here = system.moved(problem, small)
+    in_axes = system.moved(problem, small).in_field_axes(SCALES)
     places = [
-        module._conditional(problem, here, small, place, SCALES, NO_FIELD).log_evidence for place in module._NODES
+        module._conditional(problem, in_axes, small, place, SCALES, NO_FIELD).log_evidence for place in module._NODES
     ]
     total = float(np.logaddexp.reduce(places))
-    assert total == pytest.approx(module._log_evidence(here.normal(), here.basis, SCALES), abs=2.0)
+    free = converged_in_axes(problem, in_axes[0], SCALES, small, steps=0)
+    assert total == pytest.approx(free.log_evidence, abs=2.0)
 
 
 def test_the_positive_part_keeps_what_adds_and_drops_what_takes() -> None:

@@ -127,6 +127,18 @@ def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
         assert found[k] == pytest.approx(inside.mean(), abs=0.006)
 
 
+def test_products_from_both_sides_are_those_of_each_place_and_choice() -> None:
+    rng = np.random.default_rng(8)
+    left, right = rng.standard_normal((2, 5, 2, 4))
+    covariance = np.stack([random_covariance(4, seed=s) for s in range(3)])
+    found = module._both_ways(left, covariance, right)
+    assert found.shape == (3, 5, 2, 2)
+    for k in range(3):
+        for n in range(5):
+            product = left[n] @ covariance[k] @ right[n].T
+            np.testing.assert_allclose(found[k, n], 0.5 * (product + product.T), rtol=1e-12, atol=1e-12)
+
+
 def test_a_gaussian_holds_its_own_95_percent() -> None:
     one = random_covariance(2, seed=3)[None]
     assert module._coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from tests.calibration.fit.steps_reference import converged_reference
 from tests.fixtures.calibration import numerical_derivative, observed, small_camera, small_problem, sun_arc
 
-from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit, penalty
-from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
+from sunarc.calibration.fit.marginal_likelihood import Scales, log_evidences, marginal_fit, penalty
+from sunarc.calibration.fit.normal_equations import (
+    LinearSystem,
+    converged_in_axes,
+    irls_converged,
+    linear_system,
+)
 from sunarc.calibration.least_squares.priors import LENS, precisions
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
@@ -104,7 +110,8 @@ def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem
     assert penalty(system.normal(), system.basis, SCALES) - now == pytest.approx(rest.gain)
     assert rest.gain > 0.0
     assert marginal_fit(rested.normal(), system.basis, SCALES).gain < 1e-3
-    np.testing.assert_allclose(waves, marginal_fit(rested.normal(), system.basis, SCALES).coefficients, atol=1e-9)
+    expected = marginal_fit(rested.normal(), system.basis, SCALES).coefficients
+    np.testing.assert_allclose(waves, expected, atol=1e-6 * np.max(np.abs(expected)))
 
     def of_pose(change: FloatArray) -> float:
         other = found.copy()
@@ -113,6 +120,44 @@ def test_the_solve_lowers_the_penalty_to_a_stationary_point(system: LinearSystem
 
     lowest = minimize(of_pose, np.zeros(3), method="Nelder-Mead", options={"maxiter": 80})
     assert lowest.fun > now - 2e-3
+
+
+@pytest.mark.parametrize("amplitude_px", [1e-3, 0.2, 5.0])
+@pytest.mark.parametrize("off", [0.0, 0.02, 0.3])
+def test_the_compiled_steps_are_those_of_numpy(
+    system: LinearSystem, problem: Problem, at: FloatArray, amplitude_px: float, off: float
+) -> None:
+    begin = at.copy()
+    begin[17:20] += [off, 0.0, -off]
+    system, scales = system.moved(problem, begin), SCALES._replace(amplitude_px=amplitude_px)
+    unknowns, fit, gain = converged_reference(problem, system, scales)
+    rest = irls_converged(problem, system, scales)
+    moved = problem.residuals(rest.unknowns, system.observed) - problem.residuals(unknowns, system.observed)
+    assert np.max(np.abs(moved)) < 1e-6  # px
+    assert rest.gain == pytest.approx(gain, rel=1e-7, abs=1e-9)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    assert np.max(np.abs(rest.fit.covariance - fit.covariance) / np.outer(sigma, sigma)) < 1e-6
+    assert np.max(np.abs(rest.fit.unknowns - fit.unknowns) / sigma) < 1e-6
+    np.testing.assert_allclose(rest.fit.coefficients, fit.coefficients, atol=1e-5 * np.max(np.abs(fit.coefficients)))
+    np.testing.assert_allclose(rest.fit.cross, fit.cross, atol=1e-5 * np.max(np.abs(fit.cross)))
+
+
+def test_the_log_evidence_is_that_of_the_grid_but_for_a_constant(
+    system: LinearSystem, problem: Problem, at: FloatArray
+) -> None:
+    in_axes = system.in_field_axes(SCALES)[0]
+    differences = []
+    for shift in (0.0, 0.001, 0.01):
+        other = at.copy()
+        other[17] += shift
+        found = converged_in_axes(problem, in_axes, SCALES, other, steps=0)
+        assert np.array_equal(found.unknowns, other)
+        assert found.gain == 0.0
+        grid = {"amplitudes": SCALES[:1], "lengths": SCALES[1:2], "lens_scales": [SCALES[2:]]}
+        arrays = {name: np.array(values) for name, values in grid.items()}
+        expected = log_evidences(system.moved(problem, other).normal(), system.basis, **arrays)
+        differences.append(found.log_evidence - expected[0, 0, 0])
+    np.testing.assert_allclose(np.diff(differences), 0.0, atol=1e-6)
 
 
 def test_a_solve_from_its_own_answer_stays(system: LinearSystem, problem: Problem) -> None:

@@ -12,7 +12,8 @@ from tests.fixtures.calibration import ideal_camera, numerical_derivative, small
 
 from sunarc.calibration.model import backward
 from sunarc.calibration.model.backward import NO_BACKWARD, BackwardModel, back_project, camera_sees, fit_backward
-from sunarc.optics import Projection, project, unproject
+from sunarc.optics import Projection, ideal_radius, project, unproject
+from sunarc.optics.inverse import calibrated
 
 NOTHING = BackwardModel(radial=(0.0,) * 8, decentering=(0.0,) * 5, max_error_px=0.0)
 
@@ -70,7 +71,8 @@ def test_a_camera_sees_what_lies_within_its_outer_pixels_edges() -> None:
 def test_slopes_are_the_differences_of_the_point() -> None:
     camera = small_camera()
     x_hat, y_hat = np.meshgrid(np.linspace(-1.2, 1.3, 7), np.linspace(-1.1, 1.2, 6))
-    at = backward._first(camera) + np.r_[0.01, -0.02, np.full(8, 2e-3), 0.1, 0.05, -0.1]
+    at = np.r_[camera.decentering[:2], np.zeros(8), camera.decentering[2:], 0.0]
+    at += np.r_[0.01, -0.02, np.full(8, 2e-3), 0.1, 0.05, -0.1]
 
     def point(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         return backward._ideal_point(camera, coefficients, x_hat.ravel(), y_hat.ravel())
@@ -78,6 +80,20 @@ def test_slopes_are_the_differences_of_the_point() -> None:
     found = backward._slopes(camera, at, x_hat.ravel(), y_hat.ravel())
     np.testing.assert_allclose(found, numerical_derivative(point, at), atol=1e-7)
     assert found.shape == (42, 2, 13)
+
+
+def test_the_start_meets_a_lens_without_decentering_already() -> None:
+    camera = replace(small_camera(), decentering=(0.0,) * 4)
+    rays, pixels = backward._synthetic(camera)
+    x_hat, y_hat = calibrated(camera, pixels)
+    radius = ideal_radius(camera.projection, np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+    target = radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    start = backward._first(camera, x_hat, y_hat, target)
+    off = camera.focal_length_px[0] * np.linalg.norm(
+        backward._ideal_point(camera, start, x_hat, y_hat) - target, axis=-1
+    )
+    assert np.max(off) < 0.01  # px; its decentering of 1e-6 makes 0.002
 
 
 def test_a_decentering_that_nothing_determines_is_fitted_as_well() -> None:

@@ -18,11 +18,10 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Scales, log_evidences, marginal_fit
-from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged
+from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
+from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes
 from sunarc.calibration.least_squares.priors import HIGHER
 from sunarc.calibration.least_squares.problem import Problem
-from sunarc.calibration.model.residual_field import WaveBasis
 
 _SPACING = 1.0
 _NODES = tuple(itertools.product(np.arange(-2.0, 2.5, _SPACING), repeat=2))
@@ -68,9 +67,11 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     normal = system.normal()
     free = marginal_fit(normal, system.basis, scales)
     about = np.zeros_like(free.coefficients) if mean is None else mean
-    conditionals = [_conditional(problem, system, unknowns, node, scales, about) for node in _NODES]
+    in_axes = system.in_field_axes(scales)
+    conditionals = [_conditional(problem, in_axes, unknowns, node, scales, about) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
-    log_mass = np.array([_log_evidence(normal, system.basis, scales), *(node.log_evidence for node in conditionals)])
+    about_fit = converged_in_axes(problem, in_axes[0], scales, unknowns, steps=0)
+    log_mass = np.array([about_fit.log_evidence, *(node.log_evidence for node in conditionals)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
     excess = np.tensordot(share, np.stack([node.moments - free.covariance for node in conditionals]), 1)
@@ -100,13 +101,13 @@ def _positive_part(excess: FloatArray, reference: FloatArray) -> tuple[FloatArra
 
 def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     problem: Problem,
-    system: LinearSystem,
+    in_axes: tuple[LinearSystem, FloatArray],
     unknowns: FloatArray,
     node: tuple[float, ...],
     scales: Scales,
     field_mean: FloatArray,
 ) -> _Conditional:
-    """Return the fit with p3 and p4 held at a place."""
+    """Return the fit with p3 and p4 held at a place; see `LinearSystem.in_field_axes`."""
     fixed = np.array(node)
     basis = problem.prior.basis.copy()
     mean = problem.prior.mean + basis[:, HIGHER] @ fixed
@@ -114,8 +115,9 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     conditioned = replace(problem, prior=replace(problem.prior, mean=mean, basis=basis))
     start = unknowns.copy()
     start[HIGHER] = 0.0
-    rest = irls_converged(conditioned, system.moved(conditioned, start), scales)
-    found, there = rest.unknowns, rest.fit
+    system, transform = in_axes
+    rest = converged_in_axes(conditioned, system, scales, start)
+    found, there = rest.unknowns, rest.fit.with_coefficients_on(transform)
     covariance, cross = there.covariance.copy(), there.cross.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     cross[:, HIGHER] = 0.0
@@ -124,17 +126,5 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
         cross=cross + shift[:, None] * (there.coefficients - field_mean)[:, None, :],
-        log_evidence=_log_evidence(rest.normal, system.basis, scales) - 0.5 * float(fixed @ fixed) + _CELL,
+        log_evidence=rest.log_evidence - 0.5 * float(fixed @ fixed) + _CELL,
     )
-
-
-def _log_evidence(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> float:
-    """Return the log evidence about where a system was made, under one choice of scales."""
-    found = log_evidences(
-        normal,
-        basis,
-        amplitudes=np.array([scales.amplitude_px]),
-        lengths=np.array([scales.length_px]),
-        lens_scales=np.array([[scales.radial_px, scales.decentering_px]]),
-    )
-    return float(found[0, 0, 0])

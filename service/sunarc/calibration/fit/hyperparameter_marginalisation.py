@@ -164,22 +164,31 @@ def _at_probes(
     """
     rows, basis_values = sky_rows(problem, unknowns, basis)
     n, size = rows.shape[0], unknowns.size
-    pulls = np.stack([np.moveaxis(field.pull(basis_values), -1, 0) for field in choices.fields])[choices.field]
-    unknown = np.broadcast_to(choices.amplitude[:, None] ** 2, (choices.share.size, n))
     moved = (choices.shift @ rows.reshape(-1, size).T).reshape(-1, n, 2)
     if predicted:
         moved = moved + np.moveaxis(choices.field_shift @ basis_values.T, 1, -1)
-        reduction = np.stack([field.reduction(basis_values) for field in choices.fields])[choices.field]
-        unknown = np.maximum(unknown - reduction, 0.0)
-        effective = rows - pulls
-        moments = effective @ choices.covariance[:, None] @ np.swapaxes(effective, -1, -2)
-    else:
-        by_unknowns = (rows.reshape(-1, size) @ choices.covariance).reshape(-1, n, 2, size)
-        # J C J' - J C X' - X C J', made as half of J C (J - 2 X)' and its transpose
-        half = 0.5 * by_unknowns @ np.swapaxes(rows - 2.0 * pulls, -1, -2)
-        moments = half + np.swapaxes(half, -1, -2)
-    moments = moments + moved[..., :, None] * moved[..., None, :]
-    return np.asarray(moments + unknown[..., None, None] * np.eye(2))
+    moments = moved[..., :, None] * moved[..., None, :]
+    for number, field in enumerate(choices.fields):
+        inside = choices.field == number
+        pull = np.moveaxis(field.pull(basis_values), -1, 0)
+        # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
+        left, right = (rows - pull, rows - pull) if predicted else (rows, rows - 2.0 * pull)
+        reduction = field.reduction(basis_values) if predicted else np.zeros(n)
+        unknown = np.maximum(field.amplitude_px**2 - reduction, 0.0)
+        moments[inside] += _both_ways(left, choices.covariance[inside], right) + unknown[:, None, None] * np.eye(2)
+    return np.asarray(moments)
+
+
+def _both_ways(left: FloatArray, covariance: FloatArray, right: FloatArray) -> FloatArray:
+    """Return (k, n, 2, 2): L C R' made symmetric, for L and R (n, 2, p) and C (k, p, p)."""
+    n, _, size = left.shape
+    # a component of all places with all choices at once: products of 2 x 2 would cost a call each
+    through = (left.reshape(-1, size) @ covariance).reshape(-1, n, 2, size)
+    product = np.empty((covariance.shape[0], n, 2, 2))
+    for i in range(2):
+        for j in range(2):
+            product[..., i, j] = np.einsum("knp,np->kn", through[:, :, i], right[:, j])
+    return np.asarray(0.5 * (product + np.swapaxes(product, -1, -2)))
 
 
 def sky_rows(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:

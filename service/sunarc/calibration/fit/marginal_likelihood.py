@@ -9,7 +9,7 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +22,8 @@ from sunarc.calibration.model.residual_field import WaveBasis
 
 _POSE_PRECISION = 1e-8
 """Poses are unknown; 1 / 10⁴ rad² keeps the equations solvable with the poorest data."""
-_RIDGE = 1e-13
-_ROUNDING = 1e-13
+RIDGE = 1e-13
+ROUNDING = 1e-13
 """Share of the sightings' whole information that is lost to rounding where the field takes nearly all of it."""
 STRONG_EVIDENCE = math.log(20.0)
 """Log odds from which on sightings prove something: 20 to 1, the usual "strong" evidence."""
@@ -91,6 +91,10 @@ class MarginalFit:
     covariance: FloatArray
     cross: FloatArray
 
+    def with_coefficients_on(self, transform: FloatArray) -> MarginalFit:
+        """Return the fit with its field's coefficients (r) as those (m) that an (m, r) matrix makes of them."""
+        return replace(self, coefficients=self.coefficients @ transform.T, cross=self.cross @ transform.T)
+
 
 def normal_sums(
     rows: FloatArray,
@@ -107,16 +111,17 @@ def normal_sums(
     `ff` does not change with the camera: who has it already gives it.
     """
     root = np.sqrt(information)
-    j = rows * root[:, None, None]
+    # one row a component: a product with rows that lie apart in memory would be copied first
+    j = np.ascontiguousarray(np.swapaxes(rows, 0, 1)) * root[:, None]
     f = basis_values * root[:, None]
-    r = residual * root[:, None]
+    r = residual.T * root
     flat = j.reshape(-1, j.shape[-1])
     return NormalEquations(
         jj=flat.T @ flat,
-        jf=np.stack([j[:, a].T @ f for a in (0, 1)]),
+        jf=np.swapaxes(j, -1, -2) @ f,
         ff=BasisProducts(matrix=f.T @ f) if ff is None else ff,
         jr=flat.T @ r.ravel(),
-        fr=np.stack([f.T @ r[:, a] for a in (0, 1)]),
+        fr=r @ f,
         rr=float(np.sum(r**2)),
         at=at,
         n_unit=n_unit,
@@ -155,11 +160,11 @@ def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> Float
 
 def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
     """Return (k, p, p): covariances of the unknowns of one matrix of information (p, p) under precisions (k, p)."""
-    diagonal = precision + _ROUNDING * np.diag(normal.jj)
+    diagonal = precision + ROUNDING * np.diag(normal.jj)
     matrices = matrix + diagonal[:, :, None] * np.eye(normal.at.size)
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     both = scale[:, :, None] * scale[:, None, :]
-    covariance = np.linalg.inv(matrices * both + _RIDGE * np.eye(normal.at.size)) * both
+    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(normal.at.size)) * both
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
@@ -188,14 +193,14 @@ def _log_evidence(normal: NormalEquations, turned: Turned, amplitudes: FloatArra
     """Return (amplitudes, k) for one length and prior precisions (k, p)."""
     shrink = turned.axes.shrinkage(amplitudes)
     # Woodbury's identity: the inverse of noise plus field acts through the turned coefficients
-    matrices = normal.jj + _ROUNDING * np.diag(np.diag(normal.jj)) - turned.absorbed(shrink)
+    matrices = normal.jj + ROUNDING * np.diag(np.diag(normal.jj)) - turned.absorbed(shrink)
     vectors = normal.jr - turned.explained(shrink)
     square = normal.rr - shrink @ np.sum(turned.residual**2, axis=0)
     # twice: the field's two components have the same kernel and the same sightings
     determinant = 2.0 * np.sum(np.log1p(amplitudes[:, None] ** 2 * turned.axes.power), axis=1)
     terms = np.empty((amplitudes.size, precision.shape[0]))
     varied = np.ascontiguousarray(precision[:, _VARIED])
-    evidence_terms(matrices, vectors, normal.at, precision[0], varied, int(_VARIED.start), _RIDGE, terms)
+    evidence_terms(matrices, vectors, normal.at, precision[0], varied, int(_VARIED.start), RIDGE, terms)
     prior = np.sum(precision * normal.at**2, axis=1) - np.sum(np.log(precision), axis=1)
     return np.asarray(-0.5 * (square[:, None] + prior - terms + determinant[:, None]))
 

@@ -5,22 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.field_axes import BasisProducts
+from sunarc.calibration.fit.field_axes import BasisProducts, FieldAxes
 from sunarc.calibration.fit.marginal_likelihood import (
+    RIDGE,
+    ROUNDING,
     MarginalFit,
     NormalEquations,
     Scales,
-    marginal_fit,
     normal_sums,
-    penalty,
+    prior_precision,
 )
+from sunarc.calibration.fit.steps_kernel import LensBasis, Sums, Weighing, rested
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.residual_field import WaveBasis
 
 _STEPS = 8
 _HALVINGS = 6
+_TELLS_NOTHING = 1e-14
+"""Share of a coefficient's prior variance that sightings take away, below which they tell nothing of it."""
 _REST = 1e-3
 """Gain in twice the log posterior below which a solve rests: a thirtieth of a sigma."""
 
@@ -66,6 +72,19 @@ class LinearSystem:
         picked = self.rows[which], self.basis_values[which], self.residual[which], self.observed.information[which]
         return normal_sums(*picked, at=self.at, n_unit=self.n_unit)
 
+    def in_field_axes(self, scales: Scales) -> tuple[LinearSystem, FloatArray]:
+        """Return the system with the field in its axes under some scales, few as they are, and these axes (m, r).
+
+        Under these scales it says what the whole one does; coefficients (..., r) times the axes' transpose are those of
+        the basis.
+        """
+        axes = self.basis_products.axes(self.basis, scales.length_px)
+        measured = scales.amplitude_px**2 * axes.power > _TELLS_NOTHING
+        transform = np.ascontiguousarray(axes.transform[:, measured])
+        own = FieldAxes(np.eye(transform.shape[1]), axes.power[measured])
+        products = BasisProducts(matrix=np.diag(own.power), _axes={scales.length_px: own})
+        return replace(self, basis_values=self.basis_values @ transform, basis_products=products), transform
+
     def moved(self, problem: Problem, at: FloatArray) -> LinearSystem:
         """Return the system about other unknowns."""
         residual, rows = problem.linearised(at, self.observed)
@@ -103,36 +122,59 @@ def linear_system(
 
 
 class AtRest(NamedTuple):
-    """Where the steps came to rest: the equations there, their sums, the linear fit from there, and what was gained."""
+    """Where the steps came to rest: the unknowns (p,), the linear fit from there, what was gained, the log evidence.
 
-    system: LinearSystem
-    normal: NormalEquations
+    The gain is of twice the log posterior; the evidence is about the unknowns, but for a constant of the scales.
+    """
+
+    unknowns: FloatArray
     fit: MarginalFit
     gain: float
-
-    @property
-    def unknowns(self) -> FloatArray:
-        """The most probable unknowns, (p,)."""
-        return self.system.at
+    log_evidence: float
 
 
 def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> AtRest:
     """Return the most probable unknowns and field: Gauss-Newton with halved steps."""
-    normal = system.normal()
-    now = begin = penalty(normal, system.basis, scales)
-    for _ in range(_STEPS):
-        best = marginal_fit(normal, system.basis, scales)
-        if best.gain < _REST:
-            return AtRest(system, normal, best, begin - now)
-        step, gain = best.unknowns - system.at, 0.0
-        # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
-        for halving in range(_HALVINGS):
-            trial = system.moved(problem, system.at + 0.5**halving * step)
-            trial_normal = trial.normal()
-            gain = now - penalty(trial_normal, system.basis, scales)
-            if gain > 0.0:
-                system, normal, now = trial, trial_normal, now - gain
-                break
-        if gain < _REST:
-            break
-    return AtRest(system, normal, marginal_fit(normal, system.basis, scales), begin - now)
+    in_axes, transform = system.in_field_axes(scales)
+    rest = converged_in_axes(problem, in_axes, scales, system.at)
+    return rest._replace(fit=rest.fit.with_coefficients_on(transform))
+
+
+def converged_in_axes(
+    problem: Problem, system: LinearSystem, scales: Scales, start: FloatArray, *, steps: int = _STEPS
+) -> AtRest:
+    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
+    shrink = system.basis_products.axes(system.basis, scales.length_px).shrinkage(np.array([scales.amplitude_px]))[0]
+    root, spread = np.sqrt(system.observed.information), np.sqrt(shrink)
+    weighing = Weighing(
+        root=root,
+        field=np.ascontiguousarray((system.basis_values * root[:, None] * spread).T),
+        precision=prior_precision(problem.size, scales.radial_px, scales.decentering_px, n_unit=problem.n_unit),
+        rounding=ROUNDING,
+        ridge=RIDGE,
+    )
+    lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
+    shared = problem.optics(), lens, problem.sighted(system.observed), weighing
+    begin = np.array(start, dtype=np.float64)
+    at, sums, gain = rested(*shared, begin, problem.n_air, steps, _HALVINGS, _REST)
+    fit, log_evidence = _at_rest(at, sums, spread, weighing.precision)
+    return AtRest(at, fit, gain, log_evidence)
+
+
+def _at_rest(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArray) -> tuple[MarginalFit, float]:
+    """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's approximation)."""
+    scale = 1.0 / np.sqrt(np.diag(sums.matrix))
+    scaled = sums.matrix * scale[:, None] * scale + RIDGE * np.eye(at.size)
+    covariance = np.linalg.inv(scaled) * scale[:, None] * scale
+    covariance = 0.5 * (covariance + covariance.T)
+    step = covariance @ sums.vector
+    gain = float(step @ sums.vector)
+    fit = MarginalFit(
+        unknowns=at + step,
+        gain=gain,
+        coefficients=spread * (sums.left - sums.rows @ step),
+        covariance=covariance,
+        cross=-(covariance @ np.swapaxes(sums.rows, -1, -2)) * spread,
+    )
+    determinant = float(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale)) - np.sum(np.log(precision)))
+    return fit, -0.5 * (float(sums.penalty[0]) - gain + determinant)

@@ -259,6 +259,10 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
     log_weight = log_weights(system.normal(), grid)
     scales = likely_scales(normalised(log_weight), grid)
     rest = irls_converged(problem, system, scales)
+    leverage = None
+    if problem.n_systematic:
+        there = system.moved(problem, rest.unknowns)
+        leverage = night_leverage(there, there.normal(), rest.fit, scales)
     unknowns, smooth = rest.unknowns, (system.basis_values @ rest.fit.coefficients.T)[system.member]
     return State(
         unknowns=unknowns,
@@ -266,7 +270,7 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
         scales=scales,
         field_odds=log_odds_of_a_field(log_weight),
         gain=rest.gain,
-        leverage=night_leverage(rest.system, rest.normal, rest.fit, scales) if problem.n_systematic else None,
+        leverage=leverage,
     )
 
 

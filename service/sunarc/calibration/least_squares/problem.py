@@ -9,13 +9,18 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
+from sunarc.calibration.least_squares.row_kernels import (
+    Optics,
+    Sighted,
+    residuals_and_rows_of,
+    residuals_of,
+    vectors_of,
+)
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.robust_loss import finite
+from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.optics import Camera, Param, angle_limit, rotation_matrix
 from sunarc.optics.camera import POSE
 from sunarc.optics.forward import by_direction, kernel_lens
-from sunarc.optics.kernels import pixels_and_rows_of, pixels_of
-from sunarc.optics.pose import right_jacobian
 from sunarc.sky import raised, upward
 
 _RIGHT_ANGLE = math.pi / 2
@@ -146,12 +151,15 @@ class Problem:
 
     def residuals(self, unknowns: FloatArray, observed: Observations) -> FloatArray:
         """Return observed minus predicted pixels, (n, 2)."""
-        predicted, directions = np.empty(observed.pixels.shape), self.directions(unknowns, observed)
+        optics, vectors, air = self.optics(), self._vectors(unknowns), self.air(unknowns)
+        residual = np.empty(observed.pixels.shape)
         for epoch in range(self.n_epochs):
-            in_epoch = self._of(epoch, observed)
-            lens, turned = self._kernel_lens(unknowns, epoch), np.ascontiguousarray(directions[in_epoch])
-            predicted[in_epoch] = pixels_of(*lens, rotation_matrix(unknowns[self.pose_slice(epoch)]), turned)
-        return finite(observed.pixels - predicted - self.displaced(unknowns, observed))
+            in_epoch = slice(None) if self.n_epochs == 1 else observed.epoch == epoch
+            part = observed if self.n_epochs == 1 else observed.select(in_epoch)
+            residual[in_epoch] = residuals_of(optics, vectors[epoch], self.sighted(part), air)
+        if self.n_systematic == 0:
+            return residual
+        return np.where(residual == UNSEEN_PX, residual, residual - self.displaced(unknowns, observed))
 
     def displaced(self, unknowns: FloatArray, observed: Observations) -> FloatArray | float:
         """Return by how much systematic errors displace the detections, (n, 2) px; 0 where there are none."""
@@ -170,30 +178,41 @@ class Problem:
 
     def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
-        residual = np.empty(observed.pixels.shape)
-        rows, directions = np.empty((len(observed), 2, self.size)), self.directions(unknowns, observed)
-        for epoch in range(self.n_epochs):
-            in_epoch = self._of(epoch, observed)
-            pose = unknowns[self.pose_slice(epoch)]
-            lens, turned = self._kernel_lens(unknowns, epoch), np.ascontiguousarray(directions[in_epoch])
-            pixel, by_parameters = pixels_and_rows_of(*lens, rotation_matrix(pose), right_jacobian(pose), turned)
-            to_unknowns = np.zeros((len(Param), self.size))
-            to_unknowns[LENS, :N_LENS] = self.prior.basis
-            to_unknowns[POSE, self.pose_slice(epoch)] = np.eye(3)
-            rows[in_epoch] = (by_parameters.reshape(-1, len(Param)) @ to_unknowns).reshape(-1, 2, self.size)
-            if self.n_air:
-                up = by_elevation(self.camera(unknowns, epoch), directions[in_epoch], by_parameters)
-                rows[in_epoch, :, -self.n_air :] = up[..., None] * observed.refraction_sd[in_epoch, None]
-            residual[in_epoch] = observed.pixels[in_epoch] - pixel
-        if self.n_systematic:
-            rows[..., self.systematic_slice] = observed.systematic_px
-            residual -= self.displaced(unknowns, observed)
-        return finite(residual), rows
+        residual, rows = residuals_and_rows_of(
+            self.optics(),
+            self._vectors(unknowns),
+            self.sighted(observed),
+            np.ascontiguousarray(unknowns[self.systematic_slice], dtype=np.float64),
+            self.air(unknowns),
+            np.ascontiguousarray(self.prior.basis),
+        )
+        return residual, rows
 
-    def _kernel_lens(self, unknowns: FloatArray, epoch: int) -> tuple[FloatArray, int, float, float]:
-        """Return the epoch's camera as the kernels take it, see `kernel_lens`; its displacement does not count."""
+    def air(self, unknowns: FloatArray) -> FloatArray:
+        """Return (n_air,): the unknowns of the refraction."""
+        return np.ascontiguousarray(unknowns[self.size - self.n_air :], dtype=np.float64)
+
+    def sighted(self, observed: Observations) -> Sighted:
+        """Return the sightings as the kernels take them, with a 1-sigma of the refraction for each of its unknowns."""
+        refraction_sd = observed.refraction_sd
+        if self.n_air:
+            refraction_sd = np.broadcast_to(refraction_sd, (len(observed), self.n_air))
+        return Sighted(
+            directions=np.ascontiguousarray(observed.directions, dtype=np.float64),
+            pixels=np.ascontiguousarray(observed.pixels, dtype=np.float64),
+            refraction_sd=np.ascontiguousarray(refraction_sd, dtype=np.float64),
+            systematic_px=np.ascontiguousarray(observed.systematic_px[:, :, : self.n_systematic], dtype=np.float64),
+            epoch=np.ascontiguousarray(observed.epoch, dtype=np.int64),
+        )
+
+    def optics(self) -> Optics:
+        """Return the numbers of the template that the kernels take; its displacement does not count."""
         _, code, mirror, max_angle = kernel_lens(self.template)
-        return self._vector(unknowns, epoch), code, mirror, max_angle
+        return Optics(code, mirror, max_angle)
+
+    def _vectors(self, unknowns: FloatArray) -> FloatArray:
+        at, prior = np.asarray(unknowns, dtype=np.float64), self.prior
+        return np.asarray(vectors_of(prior.mean, np.ascontiguousarray(prior.basis), at, self.n_epochs))
 
     def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
         """Return which observations belong to an epoch."""

@@ -64,7 +64,9 @@ def fit_backward(camera: Camera) -> BackwardModel:
 
     # x_scale: radial coefficients are of the order of 1e-3, the ratios q3 to q5 of 0.1
     scale = np.r_[np.full(10, 1e-3), np.full(3, 0.1)]
-    fitted = least_squares(misfit, _first(camera), jac=slopes, method="lm", x_scale=scale, ftol=_GAIN)
+    fitted = least_squares(
+        misfit, _first(camera, x_hat, y_hat, target_point), jac=slopes, method="lm", x_scale=scale, ftol=_GAIN
+    )
     found = fitted.x
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
     radial = found[2:10] / _scale(camera) ** _ORDERS
@@ -101,13 +103,26 @@ def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> Flo
     )
 
 
-def _first(camera: Camera) -> FloatArray:
+def _first(camera: Camera, x_hat: FloatArray, y_hat: FloatArray, target: FloatArray) -> FloatArray:
     """Start from the forward model's own decentering, which is the backward one's to first order.
 
-    It is not let be 0: q3 to q5 have no effect where q1 = q2 = 0.
+    It is not let be 0: q3 to q5 have no effect where q1 = q2 = 0. The radial coefficients are those of linear least
+    squares beside it.
+
+    Parameters
+    ----------
+    x_hat, y_hat : (n,) calibrated points.
+    target : (n, 2) where the ideal projection puts them.
     """
     p1, p2, p3, p4 = camera.decentering
-    return np.array([p1 or 1e-6, p2 or 1e-6, *([0.0] * 8), p3, p4, 0.0])
+    decentering = np.array([p1 or 1e-6, p2 or 1e-6, p3, p4, 0.0])
+    radius = np.hypot(x_hat, y_hat)
+    safe = np.where(radius > 0.0, radius, 1.0)
+    shift = decentering_shift(decentering, radius, x_hat / safe, y_hat / safe)
+    point = np.stack([x_hat, y_hat], axis=-1) - np.stack(shift, axis=-1)
+    excess = np.linalg.norm(point, axis=-1) - np.linalg.norm(target, axis=-1)
+    radial = np.linalg.lstsq((radius / _scale(camera))[:, None] ** _ORDERS, excess)[0]
+    return np.concatenate([decentering[:2], radial, decentering[2:]])
 
 
 def _decentering(found: FloatArray) -> tuple[float, ...]:
