@@ -1,6 +1,6 @@
 """Rendered nights through the service's own worker: what is named, what is false, and what a fit gains.
 
-    OMP_NUM_THREADS=1 python docs/studies/night_images.py --lenses 6 [--fits]
+    OMP_NUM_THREADS=1 python docs/studies/night_images.py --lenses 6 [--nights "broken clouds"] [--fits]
 
 Each lens of the simulator (a coma of 0.6 px, twinkling, a town, satellites, aircraft, warm pixels; 5 s, 12 bit) is
 calibrated by one clear day of the sun (0.03 px); its nights of five kinds are rendered and given to the worker of the
@@ -145,6 +145,7 @@ def main() -> None:
     parser.add_argument("--lenses", type=int, default=6)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--frames", type=int, default=8, help="images of a night")
+    parser.add_argument("--nights", nargs="*", default=list(NIGHTS), help="the kinds of nights")
     parser.add_argument("--fits", action="store_true", help="fit the clear nights with the days")
     asked = parser.parse_args()
     found: dict[str, list[tuple[dict[str, Any], int]]] = {}
@@ -157,7 +158,8 @@ def main() -> None:
             fits.append(errors(camera.day, camera.lens) + errors(camera.fitted(), camera.lens))
             print(f"lens {seed}: {' '.join(f'{value:.4f}' for value in fits[-1])}", flush=True)
             continue
-        for number, (name, (evening, weather, options)) in enumerate(NIGHTS.items()):
+        for number, name in enumerate(asked.nights):
+            evening, weather, options = NIGHTS[name]
             begin = evening + timedelta(minutes=number)  # the archive takes no two sightings of a star at one moment
             sky: Any = {"seed": seed, "weather": (weather,), "night": NightOptions(**options)}
             scene = Scene(camera.lens, SGP, options=SceneOptions(**sky))

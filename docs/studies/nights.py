@@ -21,6 +21,9 @@ FloatArray = NDArray[np.float64]
 MIDNIGHT = pop.MAY_13 + 6.0 * 3600.0
 """At the site of the population."""
 
+_SNR_OF_ONE = 6.0 * 10.0 ** (0.4 * 6.0)
+"""Of a star of V 0: one of V 6 stands 6 times above the noise of the sky."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Night:
@@ -120,7 +123,7 @@ def _coma(camera: Camera, pixels: FloatArray, night: Night) -> FloatArray:
 def _stars(pixels: FloatArray, flux: FloatArray, sigma: FloatArray) -> Stars:
     one = np.ones(flux.size)
     return Stars(
-        pixels=pixels, sigma_px=sigma, flux=flux, snr=0.5 / sigma, peak_fraction=0.5 * one, width_px=1.2 * one,
+        pixels=pixels, sigma_px=sigma, flux=flux, snr=_SNR_OF_ONE * flux, peak_fraction=0.5 * one, width_px=1.2 * one,
         ellipticity=0.1 * one, saturated=one < 0.0,
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from tests.detection.stars.rendering import counted, expected
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
@@ -49,19 +50,21 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("night")
     rng = np.random.default_rng(1)
     hot = rng.uniform(60.0, SIZE - 60.0, (150, 2)).round() + 0.2
-    paths = []
-    for name in TIMES:
-        sky = night_sky(unix_s(name), SITE, faintest=5.5)
-        zenith, _ = angles_from_direction(sky.directions)
-        sky, zenith = sky.select(zenith < 84.0), zenith[zenith < 84.0]
-        light = 400_000.0 * 10.0 ** (-0.4 * (sky.magnitude + 0.25 * (relative_air_mass(zenith) - 1.0)))
-        places = np.concatenate([project(CAMERA, sky.directions), hot])
-        electrons = np.r_[light, np.full(150, 25_000.0)]
-        image = counted(rng, expected(places, electrons, size=SIZE, width=1.0))
-        path = folder / f"allsky_{name}.png"
-        cv2.imwrite(str(path), image)
-        paths.append(path)
+    paths = [folder / f"allsky_{name}.png" for name in TIMES]
+    for name, path in zip(TIMES, paths, strict=True):
+        cv2.imwrite(str(path), night_image(rng, name, hot))
     return paths
+
+
+def night_image(rng: np.random.Generator, name: str, hot: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """Return what the camera counts of the sky of a time, with hot pixels (n, 2)."""
+    sky = night_sky(unix_s(name), SITE, faintest=5.5)
+    zenith, _ = angles_from_direction(sky.directions)
+    sky, zenith = sky.select(zenith < 84.0), zenith[zenith < 84.0]
+    light = 400_000.0 * 10.0 ** (-0.4 * (sky.magnitude + 0.25 * (relative_air_mass(zenith) - 1.0)))
+    places = np.concatenate([project(CAMERA, sky.directions), hot])
+    electrons = np.r_[light, np.full(hot.shape[0], 25_000.0)]
+    return counted(rng, expected(places, electrons, size=SIZE, width=1.0))
 
 
 def unix_s(name: str) -> float:

@@ -48,6 +48,8 @@ def ingest(
 ) -> None:
     """Find the sun in a folder of archived images and fill the archive; images that it knows are left as they are.
 
+    Images of the night (the sun 12 degrees below the horizon) have their stars named by the served calibration.
+
     It can be stopped at any time (Ctrl-C) and goes on where it was when it is called again.
 
     Example: sunarc ingest images/ --config sunarc.toml --calibrate
@@ -99,6 +101,13 @@ def _print_summary(summary: Summary) -> None:
         f"{summary.accepted} accepted, {summary.rejected} rejected, {stacked}{summary.known} known already, "
         f"{len(summary.skipped)} skipped"
     )
+    for night in summary.nights:
+        print(
+            f"night of {night.date}: {night.verdict}, stars named in {night.accepted} of {night.images} images, "
+            f"{night.stored} new sightings"
+        )
+    if summary.nights_known:
+        print(f"{summary.nights_known} images of nights known already")
     for finding in summary.camera_findings:
         print(f"camera: {sentence_of(finding)}")
     if summary.contact_sheet is not None:

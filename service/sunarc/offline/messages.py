@@ -46,6 +46,11 @@ MESSAGES = Messages(
         _LEFT_OUT,
         "nothing, if that is so; otherwise correct --utc-offset",
     ),
+    nights_without_calibration=Message(
+        "{n} images of the night: no calibration is served that names their stars",
+        "The images are left out; a later run takes them.",
+        "calibrate by the sun first, or with sunarc stars --blind, and run this command again",
+    ),
     file_too_large=Message("{bytes} bytes, at most {most} are read", _LEFT_OUT, "give images"),
     image_failed=Message("the detector failed: {error}", _LEFT_OUT, "report it with the image"),
     image_kills_workers=Message(

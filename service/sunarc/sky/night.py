@@ -50,8 +50,7 @@ class StarTable:
     ----------
     hip : (n,) Hipparcos numbers.
     right_ascension, declination : (n,) ICRS at the epoch 2024.0, radians.
-    motion : (n, 2) proper motion, radians a year, that of the right ascension times the cosine of the declination;
-        NaN where it is not known.
+    motion : (n, 2) proper motion, radians a year, that of the right ascension times the cosine of the declination.
     magnitude : (n,) V.
     """
 
@@ -109,14 +108,10 @@ class WandererPlace:
 
 
 def star_table() -> StarTable:
-    """Return the stars to V 5.5.
-
-    Of 1020 of the 2848 (to V 4.5: 733 of 919) the proper motion is known; the others' median is below 0.06 arcseconds
-    a year, 0.26 for one in ten.
-    """
+    """Return the 2848 stars to V 5.5."""
     text = gzip.decompress(files("sunarc.sky").joinpath("stars.csv.gz").read_bytes()).decode("ascii")
     rows = [line.split(",") for line in text.splitlines() if line[0] not in "#h"]
-    columns = np.array([[float(cell) if cell else math.nan for cell in row] for row in rows])
+    columns = np.array([[float(cell) for cell in row] for row in rows])
     return StarTable(
         hip=columns[:, 0].astype(np.int64),
         right_ascension=np.radians(columns[:, 1]),
@@ -129,13 +124,13 @@ def star_table() -> StarTable:
 def star_directions(stars: StarTable, unix_s: float, site: Site) -> FloatArray:
     """Return the apparent directions of stars at one moment, (n, 3), east-north-up.
 
-    With proper motion (none where it is not known), precession, nutation, aberration and refraction, without parallax
+    With proper motion, precession, nutation, aberration and refraction, without parallax
     (0.75 arcseconds at most). Below the horizon the refraction fades to 0, as the sun's.
     """
     ephem = _ephem()
     observer = _observer(unix_s, site)
     years = 2000.0 + (unix_s - _J2000_UNIX_S) / _DAY_S / 365.25 - _EPOCH_YEAR
-    moved = np.nan_to_num(stars.motion) * years
+    moved = stars.motion * years
     right = stars.right_ascension + moved[:, 0] / np.cos(stars.declination)
     angles = np.empty((right.size, 2))
     body = ephem.FixedBody()

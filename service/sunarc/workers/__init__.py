@@ -20,7 +20,7 @@ from sunarc.workers.housekeeping import HousekeepingWorker
 from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.neighbours import cross_check_fleet
-from sunarc.workers.night.exposures import NightCapture, NightExposures
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture, NightExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.night.options import NightOptions
 from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
@@ -38,6 +38,7 @@ from sunarc.workers.timing.clock_watch import UNKNOWN_ERROR_S, ClockOptions, Clo
 from sunarc.workers.timing.frame_time import FrameTime
 
 __all__ = [
+    "DARK_ZENITH_DEG",
     "UNKNOWN_ERROR_S",
     "CaptureOptions",
     "CaptureWorker",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sunarc.detection.stars.clear_sky import on_cloud, share_where_clear
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
 from sunarc.detection.stars.values import PredictedStars, Stars
@@ -128,6 +129,52 @@ def test_half_a_sky_of_cloud_is_enough_and_three_quarters_are_not() -> None:
         assert matched.accepted is accepted
         assert accepted or codes(matched) == {"stars_one_sided"}
         assert false_matches(matched, stars, predicted) == 0
+
+
+def broken(predicted: PredictedStars, *, seed: int = 5) -> Stars:
+    """Return detections through clouds of 60 px that hide half of the sky, and their edges: bright and uncertain."""
+    rng = np.random.default_rng(seed)
+    clouds = 874.0 + rng.uniform(-RADIUS, RADIUS, (140, 2))
+    apart = np.linalg.norm(predicted.pixels[:, None] - clouds, axis=-1).min(axis=1)
+    stars = seen(predicted, seen_of=apart > 60.0)
+    stars = replace(stars, snr=6.0 * stars.flux * 10.0 ** (0.4 * 6.0))
+    angle = rng.uniform(0.0, 2.0 * np.pi, 400)
+    edges = clouds[rng.integers(0, 140, 400)] + 60.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    cloudy = with_others(stars, edges, 10.0 ** (-0.4 * rng.uniform(1.0, 4.5, 400)))
+    rough = np.isin(cloudy.pixels[:, 0], edges[:, 0])
+    return replace(cloudy, snr=np.where(rough, rng.uniform(5.0, 12.0, len(cloudy)), cloudy.snr))
+
+
+def test_broken_clouds_leave_what_is_clear_and_wrong_predictions_are_refused_through_them() -> None:
+    predicted = sky()
+    stars = broken(predicted)
+    matched = match_stars(stars, predicted)
+    assert matched.accepted
+    assert 250 < matched.star.size < 800
+    assert false_matches(matched, stars, predicted) <= 1
+    # as many bright points are cloud as are stars
+    assert np.sum(on_cloud(stars)) > 300
+    off = predicted.pixels - 874.0
+    for pixels in (off * [-1.0, 1.0], off * 1.1, off @ np.array([[0.996, 0.087], [-0.087, 0.996]])):
+        for sigma_px in (0.2, 2.0, 6.0):
+            wrong = replace(predicted, pixels=874.0 + pixels, sigma_px=np.full(len(predicted), sigma_px))
+            assert not match_stars(stars, wrong).accepted
+
+
+def test_clear_is_the_sky_about_a_star_and_not_the_star() -> None:
+    x, y = np.meshgrid(np.arange(12.0), np.arange(12.0))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
+    assert share_where_clear(pixels, np.ones(144, dtype=bool)) == 1.0
+    assert share_where_clear(pixels, np.zeros(144, dtype=bool)) == 0.0
+    # a cloud over half of it is left out, a star that alone is not seen counts
+    half = x.ravel() > 5.5
+    assert share_where_clear(pixels, half) == 1.0
+    half[pixels.tolist().index([9.0, 6.0])] = False
+    assert 0.97 < share_where_clear(pixels, half) < 1.0
+    # 15 % by chance leave nowhere clear
+    chance = np.random.default_rng(3).uniform(size=144) < 0.15
+    assert share_where_clear(pixels, chance) == 0.0
+    assert share_where_clear(pixels[:8], np.ones(8, dtype=bool)) == 0.0
 
 
 def test_an_image_of_lamps_and_noise_is_refused() -> None:

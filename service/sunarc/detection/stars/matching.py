@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.detection.stars.clear_sky import on_cloud, share_where_clear
 from sunarc.detection.stars.values import PredictedStars, Stars
 from sunarc.findings import Finding
 from sunarc.robust_statistics import MAD_TO_SIGMA, biweights, mad_sigma
@@ -29,8 +30,6 @@ _ALONE_WIDTHS, _FAINTER = 4.0, 1.5
 """A star is alone where none brighter than 1.5 magnitudes below it is as near as the search, or 4 widths."""
 _MAGNITUDE_CUT = (0.5, 1.0)
 """Least and largest difference of brightness that ends a match; magnitudes."""
-_SECTORS = 8
-_SECTOR_CLEAR, _SECTOR_FEWEST = 0.5, 3
 _LEAST_CORRELATION = 0.4
 _LEAST_SCATTER_PX, _MOST_SCATTER_PX, _CLIPPED_PX = 0.15, 0.8, 1.0
 """Scatter of star centres on real lenses (0.16 to 0.4 px were found), and by how much a clipped one's errs beside it. A
@@ -75,9 +74,9 @@ def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.
 
     First the bright ones, within 3 sigma of the prediction and the trail: down to the faintest of `LIMITS` at which
     chance would match at most 15 %. These count where 60 % of the bright detections are predicted stars and
-    60 % of the predicted ones are detected over the clear part of the sky, where they lie around the sky, their
-    brightness is that of the catalogue, and a smooth correction of the prediction unites them. Then all stars, about
-    the corrected prediction. A star with another beside it is not used.
+    60 % of the predicted ones are detected over the clear part of the sky (`clear_sky`), where they lie around
+    it, their brightness is that of the catalogue, and a smooth correction of the prediction unites them. Then all
+    stars, about the corrected prediction. A star with another beside it is not used.
 
     Parameters
     ----------
@@ -85,6 +84,12 @@ def match_stars(stars: Stars, predicted: PredictedStars, *, trail_px: float = 0.
     predicted : stars to V 5.5, so that a faint neighbour is known.
     trail_px : added to the search's radius.
     """
+    rows = np.flatnonzero(~on_cloud(stars))
+    matches = _matched(stars.select(rows), predicted, trail_px)
+    return replace(matches, detection=rows[matches.detection])
+
+
+def _matched(stars: Stars, predicted: PredictedStars, trail_px: float) -> StarMatches:
     radius = _SIGMAS * np.hypot(predicted.sigma_px, _SEEING_PX) + trail_px
     if len(stars) < _FEWEST:
         return _refused(Finding("stars_few", {"n": 0, "limit": _FEWEST, "detected": len(stars)}))
@@ -224,19 +229,14 @@ def _explained(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero
 
 
 def _found(stars: Stars, predicted: PredictedStars, radius: FloatArray, zero: FloatArray, limit: float) -> float:
-    """Return the share of the predicted bright stars that are detected, in the sectors that have detections."""
+    """Return the share of the predicted bright stars that are detected, where the sky about them is clear."""
+    bright = _magnitude_of(stars, zero) < limit + 0.5
     expected = predicted.magnitude < limit - 0.5
-    sector = np.floor(predicted.azimuth_deg % 360.0 / (360.0 / _SECTORS)).astype(int)
-    bright = _magnitude_of(stars, zero) < limit - 0.5
-    nearest = np.asarray(cKDTree(predicted.pixels).query(stars.pixels[bright])[1])
-    seen = np.bincount(sector[nearest], minlength=_SECTORS)
-    due = np.bincount(sector[expected], minlength=_SECTORS)
-    clear = (due >= _SECTOR_FEWEST) & (seen >= _SECTOR_CLEAR * due)
-    asked = expected & clear[sector]
-    if not np.any(asked):
+    if not np.any(bright):
         return 0.0
-    apart = np.asarray(cKDTree(stars.pixels).query(predicted.pixels[asked])[0])
-    return float(np.mean(apart < radius[asked]))
+    pixels = predicted.pixels[expected]
+    apart = np.asarray(cKDTree(stars.pixels[bright]).query(pixels)[0])
+    return share_where_clear(pixels, apart < radius[expected])
 
 
 def _shares(explained: float, found: float) -> list[Finding]:

@@ -17,6 +17,7 @@ from sunarc.offline.ingest.image_checks import image_size
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import RefusedImageError
 from sunarc.sky import Site, sun_angles
+from sunarc.workers import DARK_ZENITH_DEG
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2")
 _SIZES_READ = 100
@@ -54,11 +55,13 @@ class Index:
     Attributes
     ----------
     images : those taken by day.
-    skipped : those without a time, taken at night, or with the name, time and exposure of one before them.
+    nights : those taken while the sun is 12 degrees below the horizon or deeper.
+    skipped : those without a time, taken at dusk, or with the name, time and exposure of one before them.
     """
 
     folder: Path
     images: list[ImageFile] = field(default_factory=list)
+    nights: list[ImageFile] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
 
 
@@ -93,6 +96,8 @@ def index_folder(folder: Path, *, naming: Naming, site: Site, largest_zenith_deg
     for image, zenith_deg in zip(dated, _zeniths_deg(dated, site), strict=True):
         if zenith_deg <= largest_zenith_deg:
             index.images.append(image)
+        elif zenith_deg >= DARK_ZENITH_DEG:
+            index.nights.append(image)
         else:
             index.skipped.append(Skipped(image.path, Finding("file_at_night", {"zenith_deg": zenith_deg})))
     return index

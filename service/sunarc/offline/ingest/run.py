@@ -25,6 +25,7 @@ from sunarc.offline.ingest.detection_pool import detect_in_pool
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.index import ImageFile, Index, Skipped, index_folder, usual_size
 from sunarc.offline.ingest.moments import Moment, moments_of
+from sunarc.offline.ingest.nights import Nights, ingest_nights
 from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.ingest.series_mask import series_mask
 from sunarc.offline.ingest.summary import Summary, newest_verdicts
@@ -76,7 +77,7 @@ def ingest_folder(
 
     First without a prediction; then the camera that most sightings agree on predicts the sun, and images whose
     sighting is not there are looked at again: reflections, ghosts and clouds are distinguished from the sun. What
-    stands still in the images takes no part.
+    stands still in the images takes no part. Images of the night go to `ingest_nights`.
 
     An image is known by its time, exposure and file name; one that is known is left as it is unless `reprocess` is set
     or another method is asked for. Images of one time are a stack: they are looked at together, and the first one's
@@ -112,13 +113,15 @@ def ingest_folder(
         skipped = run.first_pass(moments)
         camera_findings = run.second_pass()
         found = newest_verdicts(index.images, _stored(archive, settings, index))
+        nights = ingest_nights(archive, settings, folder, index.nights, reprocess=options.reprocess, progress=progress)
     return _summary(
         settings,
         index,
         found,
         looked_at=[image for moment in moments for image in moment],
-        skipped=[*index.skipped, *skipped],
-        camera_findings=camera_findings,
+        skipped=[*index.skipped, *skipped, *nights.skipped],
+        camera_findings=(*camera_findings, *nights.findings),
+        nights=nights,
         options=options,
     )
 
@@ -313,6 +316,7 @@ def _summary(
     looked_at: Sequence[ImageFile],
     skipped: Sequence[Skipped],
     camera_findings: tuple[Finding, ...],
+    nights: Nights,
     options: IngestOptions,
 ) -> Summary:
     sheet = options.contact_sheet or settings.state / "ingest" / "contact-sheet.png"
@@ -329,4 +333,6 @@ def _summary(
         skipped=tuple(skipped),
         contact_sheet=sheet if found else None,
         camera_findings=camera_findings,
+        nights=nights.looked_at,
+        nights_known=nights.known,
     )

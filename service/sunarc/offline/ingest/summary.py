@@ -12,6 +12,7 @@ from sunarc.archive import FileSighting, ImageKey
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
 from sunarc.findings import Finding
 from sunarc.offline.ingest.index import ImageFile, Skipped
+from sunarc.offline.ingest.nights import NightOutcome
 from sunarc.offline.messages import MESSAGES
 from sunarc.workers.messages import MESSAGES as OF_WORKERS
 
@@ -31,6 +32,8 @@ class Summary:
     skipped : images that were left out, with the reason.
     contact_sheet : picture with examples of each verdict; None where there is no image.
     camera_findings : why no camera could predict the sun in some images, and what of it has to be set.
+    nights : nights whose images were looked at in this run.
+    nights_known : images of nights that were looked at before.
     """
 
     accepted: int
@@ -41,6 +44,8 @@ class Summary:
     skipped: tuple[Skipped, ...]
     contact_sheet: Path | None
     camera_findings: tuple[Finding, ...] = ()
+    nights: tuple[NightOutcome, ...] = ()
+    nights_known: int = 0
 
     @property
     def by_reason(self) -> dict[str, int]:
@@ -59,6 +64,8 @@ class Summary:
             "by_reason": self.by_reason,
             "contact_sheet": None if self.contact_sheet is None else str(self.contact_sheet),
             "camera_findings": [finding.as_json() for finding in self.camera_findings],
+            "nights": [night.as_json() for night in self.nights],
+            "nights_known": self.nights_known,
             "files_skipped": [
                 {"file": one.path, **one.finding.as_json(), "reason": MESSAGES.text_of(one.finding)}
                 for one in self.skipped

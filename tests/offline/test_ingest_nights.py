@@ -1,0 +1,92 @@
+"""Images of the night among those of the day: their stars become sightings where a calibration is served."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from tests.fixtures.calibrations import SITE, chosen_calibration
+from tests.fixtures.command_line import Sunarc
+from tests.offline.test_star_files import CAMERA, SIZE, night_image
+
+from sunarc.archive import CameraRecord, open_archive, upgrade
+from sunarc.calibration import to_document
+from sunarc.optics import project
+from sunarc.sky import body_directions
+
+NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
+
+
+def written(config: Path) -> None:
+    """Write three images of a night, as a JPEG has them, one torn file, and one of the day without a sun."""
+    rng = np.random.default_rng(1)
+    hot = rng.uniform(60.0, SIZE - 60.0, (60, 2)).round() + 0.2
+    for name in NIGHT:
+        bright = night_image(rng, name.replace("T", "_").rstrip("Z"), hot)
+        grey = np.clip(bright.astype(np.float64) / 8.0, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(config.parent / "images" / f"{name}.jpg"), np.repeat(grey[..., None], 3, axis=-1))
+    (config.parent / "images" / "20260313T080000Z.jpg").write_bytes(b"torn")
+    day = np.full((SIZE, SIZE, 3), 90, dtype=np.uint8)
+    cv2.imwrite(str(config.parent / "images" / "20260313T180000Z.png"), day)
+
+
+def serve(config: Path) -> None:
+    """Store a camera and a calibration that is served."""
+    calibration = chosen_calibration(
+        CAMERA,
+        names=("principal_point_x_px", "principal_point_y_px"),
+        covariance=0.01 * np.eye(2),
+        orders=np.array([[1, 1]]),
+    )
+    database = config.parent / "state" / "sunarc.sqlite"
+    database.parent.mkdir(exist_ok=True)
+    upgrade(database)
+    since = datetime(2026, 3, 1, tzinfo=UTC)
+    with open_archive(database) as archive:
+        archive.save_camera(CameraRecord.at(SITE, name="roof", width=SIZE, height=SIZE))
+        archive.add_calibration(
+            to_document(
+                calibration, id="c", camera="roof", state="candidate", created_at=since, valid_from=since,
+                valid_until=None, pose_epoch="roof-1", software_version="0",
+            )
+        )  # fmt: skip
+        archive.activate("c")
+
+
+def ingested(sunarc: Sunarc, config: Path, *more: str) -> dict[str, Any]:
+    done = sunarc("ingest", str(config.parent / "images"), "--config", str(config), "--workers=1", "--json", *more)
+    assert done.code == 0, done.err
+    answer: dict[str, Any] = json.loads(done.out)
+    return answer
+
+
+def test_nights_wait_for_a_calibration_and_are_looked_at_once(sunarc: Sunarc, config: Path) -> None:
+    written(config)
+    before = ingested(sunarc, config)
+    assert before["by_reason"] == {"file_at_night": 4}
+    assert [finding["code"] for finding in before["camera_findings"]][-1:] == ["nights_without_calibration"]
+    serve(config)
+    first = ingested(sunarc, config)
+    assert first["by_reason"] == {"file_not_image": 1}
+    (night,) = first["nights"]
+    assert (night["date"], night["images"], night["accepted"]) == ("2026-03-12", 3, 3)
+    assert night["verdict"] in {"clear", "partly"}
+    assert night["stored"] > 60
+    with open_archive(config.parent / "state" / "sunarc.sqlite") as archive:
+        stars = archive.sun_point_columns("roof", body=None)
+        stars = stars.select(stars.body != "sun")
+    assert stars.unix_s.size == night["stored"]
+    true = project(CAMERA, body_directions(stars.body, stars.unix_s, SITE))
+    apart = np.linalg.norm(stars.pixels - true, axis=-1)
+    assert 0.005 < np.median(apart) < 0.1
+    assert np.max(apart) < 2.0
+    again = ingested(sunarc, config)
+    assert again["nights"] == []
+    assert again["nights_known"] == 4
+    anew = ingested(sunarc, config, "--reprocess")
+    assert [one["accepted"] for one in anew["nights"]] == [3]
+    assert anew["nights"][0]["stored"] == 0
