@@ -340,3 +340,35 @@ def test_usb_goes_by_the_device_s_id_and_looks_for_nothing_on_the_network(stub: 
     )
     ours.connect()
     assert set(switched_off) == {"GigEVision", "Fake"}
+
+
+def test_the_gain_is_raised_restored_and_read_back(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    adapter_of = answering(camera, stub.Buffer(frame_id=7), stub.Buffer(frame_id=8), gain_db=3.0)
+    assert adapter_of.info.gain_raise_db == 21.0
+    adapter_of.raise_gain(12.0)
+    frame = adapter_of.expose(123.0)
+    assert (frame.gain_db, frame.raised_db) == (15.0, 12.0)
+    adapter_of.check()
+    adapter_of.restore_gain()
+    frame = adapter_of.expose(123.0)
+    assert (frame.gain_db, frame.raised_db) == (3.0, 0.0)
+    adapter_of.check()
+
+
+def test_a_gain_that_the_camera_does_not_take_back_is_an_error(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    adapter_of = opened(camera, gain_db=3.0)
+    adapter_of.raise_gain(12.0)
+    camera.set_float = lambda *_: None
+    with pytest.raises(CameraError):
+        adapter_of.restore_gain()
+    with pytest.raises(CameraError):
+        adapter_of.raise_gain(6.0)
+
+
+def test_a_camera_with_a_raw_gain_alone_raises_none(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.features["GainRaw"] = camera.features.pop("Gain")
+    camera.bounds["GainRaw"] = (0.0, 24.0)
+    assert opened(camera).info.gain_raise_db == 0.0

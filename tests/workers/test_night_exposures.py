@@ -24,11 +24,11 @@ def after(*reports: tuple[float, float], count: int = 40, bounds: ExposureBounds
     exposures = NightExposures()
     for peak, sky in reports:
         exposures.report(stars(peak, count), sky_fraction=sky)
-    return exposures.next_us(bounds)
+    return exposures.next_us(bounds).exposure_us
 
 
 def test_the_first_exposure_is_of_five_seconds() -> None:
-    assert NightExposures().next_us(BOUNDS) == 5e6
+    assert NightExposures().next_us(BOUNDS) == (5e6, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -62,3 +62,25 @@ def test_it_stays_on_the_ladder_and_within_the_camera_s_bounds() -> None:
     assert after(bounds=short) == 1e6
     long = ExposureBounds(minimum_us=0.5e6, maximum_us=3e7, step_us=1.0)
     assert after(*[(0.5, 0.9)] * 20, bounds=long) == 0.5e6
+
+
+def gain_after(*reports: tuple[float, float]) -> tuple[float, float]:
+    exposures = NightExposures()
+    for peak, sky in reports:
+        exposures.report(stars(peak), sky_fraction=sky)
+    return exposures.next_us(BOUNDS)
+
+
+def test_the_gain_is_raised_only_where_the_longest_exposure_is_too_dark() -> None:
+    dark = (0.1, 0.01)
+    assert gain_after(dark) == (10e6, 0.0)
+    assert gain_after(dark, dark) == (10e6, 6.0)
+    assert gain_after(*[dark] * 9) == (10e6, 18.0)
+    assert gain_after(dark, (0.1, 0.03)) == (10e6, 0.0)
+    assert gain_after(dark, (0.3, 0.01)) == (10e6, 0.0)
+
+
+def test_a_bright_sky_lowers_the_gain_before_the_exposure() -> None:
+    dark, bright = (0.1, 0.01), (0.1, 0.5)
+    assert gain_after(dark, dark, dark, bright) == (10e6, 6.0)
+    assert gain_after(dark, dark, dark, bright, bright, bright) == (5e6, 0.0)

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 from sunarc.extras import extra_module
-from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightOptions, NightWorker
+from sunarc.sky import Site, moon_disc
+from sunarc.workers import (
+    DropOldestQueue,
+    MoonCapture,
+    MoonExposures,
+    NightCapture,
+    NightExposures,
+    NightOptions,
+    NightWorker,
+)
 
 if TYPE_CHECKING:
     from sunarc.app.service import Service
@@ -13,7 +24,7 @@ if TYPE_CHECKING:
 _WAITING_FRAMES = 4
 
 
-def night_capture(options: NightOptions) -> NightCapture | None:
+def night_capture(options: NightOptions, site_at: Callable[[datetime], Site]) -> NightCapture | None:
     """Return what joins the night's capture and its worker; None where the night is not worked.
 
     Raises
@@ -23,7 +34,12 @@ def night_capture(options: NightOptions) -> NightCapture | None:
     if not options.enabled:
         return None
     extra_module("ephem", extra="night")
-    return NightCapture(NightExposures(), DropOldestQueue(capacity=_WAITING_FRAMES))
+    moon = MoonExposures(lambda time: moon_disc(time.timestamp(), site_at(time)))
+    return NightCapture(
+        NightExposures(),
+        DropOldestQueue(capacity=_WAITING_FRAMES),
+        MoonCapture(moon, DropOldestQueue(capacity=_WAITING_FRAMES)),
+    )
 
 
 def night_worker(service: Service, night: NightCapture) -> NightWorker:

@@ -104,7 +104,7 @@ class Service:
         self.watch = self.watch_worker()
         self.cycles: DropOldestQueue[Sequence[Frame]] = DropOldestQueue(capacity=_WAITING_CYCLES)
         self.sun_frames: DropOldestQueue[Frame] = DropOldestQueue(capacity=_WAITING_SUN_FRAMES)
-        self.night = night_capture(settings.night)
+        self.night = night_capture(settings.night, self.camera.site_at)
         self.days = DayJudge(
             camera=self.camera,
             cadence_s=settings.capture.cadence_s,

@@ -1,7 +1,7 @@
 """Camera interface, the Aravis adapter (GigE Vision, USB3 Vision), and replay of a folder of images."""
 
 from sunarc.cameras.aravis import AravisCamera, open_aravis
-from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, SkyCamera, full_scale_of
+from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, GainCamera, SkyCamera, full_scale_of
 from sunarc.cameras.options import AravisOptions, ReplayOptions
 from sunarc.cameras.packed import pack, packing_of
 from sunarc.cameras.replay import ReplayCamera, SkippedFile, exposure_of_name, open_replay
@@ -14,6 +14,7 @@ __all__ = [
     "CameraCondition",
     "CameraInfo",
     "Frame",
+    "GainCamera",
     "ReplayCamera",
     "ReplayOptions",
     "SkippedFile",

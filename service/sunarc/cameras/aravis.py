@@ -24,11 +24,13 @@ from sunarc.cameras.features import (
     Pin,
     changed_pins,
     gain_db,
+    gain_raise_db,
     has,
     pin_settings,
     serial_of,
     simulated_speed,
     temperature_c,
+    with_gain_raised,
 )
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
 from sunarc.cameras.link import PREFERRED_BUFFER_BYTES, Link, link_to
@@ -84,7 +86,7 @@ class AravisCamera:
         self._info: CameraInfo | None = None
         self._exposure: ExposureControl | None = None
         self._pins: tuple[Pin, ...] = ()
-        self._simulated = False
+        self._day_gain_db, self._simulated = 0.0, False
         self.link: Link | None = None
         self._previous_id: int | None = None
         self._is_suspect = False
@@ -108,6 +110,7 @@ class AravisCamera:
             if self._camera.is_gv_device() and not self._device.is_controller():
                 raise CameraLostError(f"the camera at {address} is controlled by another program; close that one")
             self._pins = pin_settings(self._camera, self._options)
+            self._day_gain_db = gain_db(self._pins)
             self._simulated = has(self._camera, SIMULATED_SPEED)
             self._exposure = exposure_control(self._camera)
             self._noted = NotedExposure(self._camera, self._exposure, error=self._glib.Error)
@@ -132,6 +135,16 @@ class AravisCamera:
             frame = self._pop(info, actual_us, triggered_at)
             self._is_suspect = False
         return frame
+
+    def raise_gain(self, by_db: float) -> None:
+        """Raise the gain by decibels, and read it back (see `GainCamera`)."""
+        self._require_control()
+        with self._translated("setting the gain"):
+            self._pins = with_gain_raised(self._camera, self._pins, self._day_gain_db, by_db=by_db)
+
+    def restore_gain(self) -> None:
+        """Restore the gain of the settings, and read it back (see `GainCamera`)."""
+        self.raise_gain(0.0)
 
     def distrust(self) -> None:
         """Begin the next exposure with a stopped and emptied camera."""
@@ -165,9 +178,7 @@ class AravisCamera:
         if self._device is not None and self._handler:
             self._device.disconnect(self._handler)
         self._handler = 0
-        self._stream = None
-        self._noted = None
-        self._camera = None
+        self._stream = self._noted = self._camera = None
         if self._device is not None:
             wait_for_last_reference(self._device, self._clock)
         self._device = None
@@ -199,6 +210,7 @@ class AravisCamera:
             exposure_min_us=exposure.bounds.minimum_us,
             exposure_max_us=exposure.bounds.maximum_us,
             exposure_step_us=exposure.bounds.step_us,
+            gain_raise_db=gain_raise_db(camera, self._pins),
         )
 
     def _open_stream(self) -> None:
@@ -244,13 +256,10 @@ class AravisCamera:
         else:
             self._stream.push_buffer(buffer)
 
-    def _flush(self) -> int:
-        """Give frames that nobody waits for back to the stream, and return their number."""
-        count = 0
+    def _flush(self) -> None:
+        """Give frames that nobody waits for back to the stream."""
         while (buffer := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(buffer)
-            count += 1
-        return count
 
     def _resynchronise(self) -> None:
         """Wait for a late frame, stop, and start anew: no frame is under way afterwards."""
@@ -306,6 +315,7 @@ class AravisCamera:
             frame_id=frame_id,
             host_offset_s=offset_s,
             binning=self._options.binning,
+            raised_db=gain_db(self._pins) - self._day_gain_db,
         )
 
     @contextmanager

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 from sunarc.cameras.frame import full_scale_of
 from sunarc.cameras.options import AravisOptions
-from sunarc.errors import ConfigurationError, InputError
+from sunarc.errors import CameraError, ConfigurationError, InputError
 
 _log = logging.getLogger(__name__)
 
@@ -27,6 +27,8 @@ BLACK_LEVEL = ("BlackLevel", "BlackLevelRaw")
 TEMPERATURE = "DeviceTemperature"
 SIMULATED_SPEED = "SimSpeedPermille"
 """Of the simulated imager alone: seconds of its clock in 1000 real seconds."""
+_GAIN_STEP_DB, _SAME_GAIN_DB = 1.0, 0.01
+"""Steps that cameras round a gain to, and the least that tells two gains apart."""
 _SERIAL = ("DeviceSerialNumber", "DeviceID", "DeviceSerialNumberText")
 _BINNING = ("BinningHorizontal", "BinningVertical")
 _REQUIRED: tuple[tuple[str, str], ...] = (
@@ -186,6 +188,34 @@ def simulated_speed(camera: Any) -> float:  # noqa: ANN401 - a GObject has no ty
 def gain_db(pins: tuple[Pin, ...]) -> float:
     """Return the pinned gain in decibels, 0 where the camera has only a raw one."""
     return next((float(pin.value) for pin in pins if pin.name == "Gain" and pin.kind == "float"), 0.0)
+
+
+def gain_raise_db(camera: Any, pins: tuple[Pin, ...]) -> float:  # noqa: ANN401 - a GObject has no types
+    """Return by how many decibels the pinned gain can be raised; 0 where the camera has only a raw one, or none."""
+    if not any(pin.name == "Gain" and pin.kind == "float" for pin in pins):
+        return 0.0
+    return max(float(camera.get_float_bounds("Gain")[1]) - gain_db(pins), 0.0)
+
+
+def with_gain_raised(
+    camera: Any,  # noqa: ANN401 - a GObject has no types
+    pins: tuple[Pin, ...],
+    from_db: float,
+    *,
+    by_db: float,
+) -> tuple[Pin, ...]:
+    """Set the gain, and return the settings that have to hold from now on.
+
+    Raises
+    ------
+    CameraError
+        The camera has another gain than was set.
+    """
+    pin = write(camera, "Gain", "float", from_db + by_db)
+    read_db = float(pin.value)
+    if abs(read_db - from_db - by_db) > _GAIN_STEP_DB or (by_db == 0.0 and abs(read_db - from_db) > _SAME_GAIN_DB):
+        raise CameraError(f"Gain is {read_db:g} dB, not {from_db + by_db:g}")
+    return tuple(pin if one.name == "Gain" else one for one in pins)
 
 
 def _hold(camera: Any, name: str, kind: Kind) -> Pin:  # noqa: ANN401 - a GObject has no types

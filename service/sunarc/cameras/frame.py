@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from sunarc.array_types import Image
 from sunarc.errors import InputError
@@ -30,6 +30,7 @@ class Frame:
     frame_id : the camera's own count.
     host_offset_s : `time` less the same moment by the host's clock, seconds; None where the host's clock dated it.
     binning : pixels of the sensor that each of these is the mean of, in either direction.
+    raised_db : by how much `gain_db` was raised for this exposure over the one of the settings.
     """
 
     image: Image
@@ -41,6 +42,7 @@ class Frame:
     frame_id: int
     host_offset_s: float | None = None
     binning: int = 1
+    raised_db: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,7 @@ class CameraInfo:
     pixel_format, full_scale : as in `Frame`.
     exposure_min_us, exposure_max_us : bounds of what may be asked for.
     exposure_step_us : increment of the exposure; 0 where the camera does not tell.
+    gain_raise_db : by how much the gain can be raised over that of the settings; 0 where it cannot be set in decibels.
     """
 
     address: str
@@ -68,6 +71,7 @@ class CameraInfo:
     exposure_min_us: float
     exposure_max_us: float
     exposure_step_us: float
+    gain_raise_db: float = 0.0
 
     @property
     def exposure_bounds(self) -> ExposureBounds:
@@ -134,6 +138,23 @@ class SkyCamera(Protocol):
 
     def close(self) -> None:
         """Let go of the camera; harmless when done twice."""
+
+
+@runtime_checkable
+class GainCamera(SkyCamera, Protocol):
+    """A camera whose gain can be raised for a while."""
+
+    def raise_gain(self, by_db: float) -> None:
+        """Raise the gain for the next exposures, at most by `info.gain_raise_db`, and read it back.
+
+        Raises
+        ------
+        CameraError
+            The camera has another gain than was set.
+        """
+
+    def restore_gain(self) -> None:
+        """Set the gain of the settings and read it back; CameraError where it is another one."""
 
 
 def full_scale_of(pixel_format: str, *, field: str = "pixel_format") -> int:

@@ -26,6 +26,7 @@ from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
 from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio, trend_of
 from sunarc.detection.stars.values import MOST_PEAK, PredictedStars, Stars
+from sunarc.detection.stars.warm import outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
@@ -73,12 +74,15 @@ __all__ = [
     "limiting_magnitude",
     "locate",
     "match_stars",
+    "outstanding_pixels",
     "planes_of",
     "radial_bias_px",
+    "repaired",
     "sky_motion",
     "standing_still",
     "star_halo",
     "static_mask",
     "trend_of",
+    "warm_pixels",
     "zenith_bands",
 ]

@@ -16,6 +16,7 @@ from sunarc.simulation.scene import Region, Scene
 from sunarc.utc import to_microseconds
 
 Fault = Literal["timeout", "lost", "error", "wrong_exposure"]
+_MOST_GAIN_DB = 36.0
 
 _WRONG_FACTOR = 4.0
 
@@ -32,6 +33,7 @@ class SceneCamera:
     region : x, y, width, height in px; None is the whole sensor.
     gain_db : amplification.
     exposure_bounds_us : shortest and longest exposure.
+    has_gain : whether it has a gain to be set.
     """
 
     def __init__(
@@ -44,12 +46,15 @@ class SceneCamera:
         region: Region | None = None,
         gain_db: float = 0.0,
         exposure_bounds_us: tuple[float, float] = (1.0, 10_000_000.0),
+        has_gain: bool = True,
     ) -> None:
         self._scene = scene
         self._clock = clock
         self._now = now or clock.now
         self._region = region or (0, 0, scene.camera.width, scene.camera.height)
         self._gain_db = gain_db
+        self._raised_db = 0.0
+        self.gain_stuck = False
         self._faults: deque[Fault | None] = deque()
         self._frame_id = 0
         self._open = True
@@ -65,6 +70,7 @@ class SceneCamera:
             exposure_min_us=exposure_bounds_us[0],
             exposure_max_us=exposure_bounds_us[1],
             exposure_step_us=1.0,
+            gain_raise_db=_MOST_GAIN_DB - gain_db if has_gain else 0.0,
         )
 
     @property
@@ -88,7 +94,7 @@ class SceneCamera:
         image = self._scene.render(
             to_microseconds(start),
             exposure_us=actual_us * (_WRONG_FACTOR if fault == "wrong_exposure" else 1.0),
-            gain_db=self._gain_db,
+            gain_db=self._gain_db + self._raised_db,
             full_scale=self._info.full_scale,
             region=self._region,
             bayer=bayer_of(self._info.pixel_format),
@@ -100,11 +106,24 @@ class SceneCamera:
             image=image,
             time=start + timedelta(microseconds=actual_us / 2.0),
             exposure_us=actual_us,
-            gain_db=self._gain_db,
+            gain_db=self._gain_db + self._raised_db,
             pixel_format=self._info.pixel_format,
             full_scale=self._info.full_scale,
             frame_id=self._frame_id,
+            raised_db=self._raised_db,
         )
+
+    def raise_gain(self, by_db: float) -> None:
+        """Raise the gain (see `SkyCamera`)."""
+        self._raise(None)
+        self._raised_db = by_db
+
+    def restore_gain(self) -> None:
+        """Restore the gain, unless `gain_stuck` was set: then CameraError (see `SkyCamera`)."""
+        self._raise(None)
+        if self.gain_stuck and self._raised_db:
+            raise CameraError(f"Gain is {self._gain_db + self._raised_db:g} dB, not {self._gain_db:g}")
+        self._raised_db = 0.0
 
     def distrust(self) -> None:
         """Change nothing: the next frame is another one."""

@@ -21,6 +21,8 @@ from sunarc.workers.images.compose import ComposeWorker
 from sunarc.workers.images.image_metadata import image_document
 from sunarc.workers.neighbours import cross_check_fleet
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture, NightExposures
+from sunarc.workers.night.moon import MoonCapture
+from sunarc.workers.night.moon_exposures import MoonExposures
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.night.options import NightOptions
 from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
@@ -59,6 +61,8 @@ __all__ = [
     "HubConnection",
     "HubOptions",
     "LensPriorOptions",
+    "MoonCapture",
+    "MoonExposures",
     "MqttBroker",
     "NightCapture",
     "NightExposures",

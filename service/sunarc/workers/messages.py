@@ -68,6 +68,13 @@ MESSAGES = Messages(
         "Its stars are sightings beside the sun's.",
     ),
     night_few_images=Message("{n} images, {limit} needed", "Nothing is said of this night."),
+    moon_few=Message(
+        "{n} sightings of the moon agree, {limit} needed", "The moon of this night is not used.", "none: see the others"
+    ),
+    moon_outside=Message("the moon is outside of the image, or too low or thin", "The moon is not used."),
+    night_frozen=Message(
+        "the camera delivered an image again {n} times", "Its repetitions are not used.", "power-cycle the camera"
+    ),
     night_without_calibration=Message(
         "no calibration to name the stars by", "The stars of this night are not used.", "wait for a clear day"
     ),
@@ -162,6 +169,11 @@ MESSAGES = Messages(
         f"correct the receiver, or remove it from [push]; {_NO_NOTICE}",
     ),
     # camera and exposures
+    gain_not_restored=Message(
+        "the gain that was raised for an exposure of the night is not restored: {error}",
+        "No exposure is taken until it is: the day's sightings would be spoiled.",
+        "it is tried again by itself; power-cycle the camera if it stays",
+    ),
     camera_lost=Message(
         "{error}",
         "The camera does not answer; it is opened again automatically, at most 30 s apart.",

@@ -37,11 +37,12 @@ class SensorOptions:
 def sensor_of(frame: Frame, options: SensorOptions) -> Sensor:
     """Return the sensor's properties for the detector and the merge, by a frame's pixel format and binning.
 
-    The mean of n² pixels has the noise of n² times the electrons per count.
+    The mean of n² pixels has the noise of n² times the electrons per count; a raised gain has fewer.
     """
+    raised = 10.0 ** (frame.raised_db / 20.0)
     return Sensor(
         full_scale=frame.full_scale,
-        gain_e_per_count=frame.binning**2 * options.full_well_e / frame.full_scale,
+        gain_e_per_count=frame.binning**2 * options.full_well_e / frame.full_scale / raised,
         read_noise_e=frame.binning * options.read_noise_e,
         black_level=options.black_level_fraction * frame.full_scale,
         bayer=bayer_of(frame.pixel_format),

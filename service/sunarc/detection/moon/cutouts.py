@@ -41,7 +41,9 @@ def brightest_cutouts(image: Image, *, full_scale: int) -> tuple[Cutout, ...]:
     InputError : the array is no image.
     """
     require_photo(image, full_scale=full_scale)
-    smooth = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX), dtype=np.float32)
+    # a median first: pixels that are stuck at full scale are no lights
+    calm = np.asarray(cv2.medianBlur(image, 3), dtype=np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(calm, (0, 0), _BLUR_PX), dtype=np.float32)
     smooth -= np.float32(np.median(image[::4, ::4]))
     near = _HALF_PX // 2
     found: list[Cutout] = []

@@ -33,7 +33,7 @@ _HAZY, _MOST_HAZE = 0.015, 0.12
 _MOST_SIGMA_PX = 0.5
 _MOST_SHAPE_MISFIT = 3.0
 """Mean square of the seas' coefficients over their prior: a lamp is no disc."""
-_RESOLVED_PX = 4.0
+_RESOLVED_PX = 3.0
 """Radius beyond which seas show that the polynomials do not have."""
 _FLOOR_PX = 0.015
 """1-sigma that is added: no point spread is the Gaussian of the fit."""

@@ -20,6 +20,7 @@ from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.capture.cycle_consistency import Cycle, CycleConsistencyFilter
 from sunarc.workers.capture.exposure_sequence import ExposureSequence
+from sunarc.workers.capture.night_gain import NightGain
 from sunarc.workers.capture.status import CaptureReport
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
@@ -122,6 +123,7 @@ class CaptureWorker:
         self._cycles = cycles
         self._sun_frames = sun_frames
         self._report = CaptureReport(board, name=name)
+        self._night_gain = NightGain(board)
         self._consistency = CycleConsistencyFilter(cadence_s=options.cadence_s)
         self._refused_us: frozenset[float] = frozenset()
         self._last_slot_at_s: float | None = None
@@ -135,6 +137,7 @@ class CaptureWorker:
             try:
                 with closing(self._open_camera()) as camera:
                     self._require_exposures(camera)
+                    self._night_gain.restore(camera)
                     self._report.opened(camera.info)
                     for _ in self._slots(camera, stop, heartbeat):
                         # Only a slot that succeeded ends the back-off: a camera may open and then fail at once.
@@ -241,14 +244,20 @@ class CaptureWorker:
         return taken
 
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
-        """Take an exposure of the stars once it is dark, before that and without `night` a sign of life."""
+        """Take the stars and the moon once it is dark, before that and without `night` a sign of life."""
         if self._night is None or self._apparent_zenith() < DARK_ZENITH_DEG:
             self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
             return
-        frame = exposer.take(self._night.exposures.next_us(camera.info.exposure_bounds))
+        exposure_us, raised_db = self._night.exposures.next_us(camera.info.exposure_bounds)
+        frame = self._night_gain.take(camera, raised_db, lambda: exposer.take(exposure_us))
         self._report.sign_of_life(succeeded=frame is not None)
         if frame is not None:
             self._night.frames.put(frame)
+        if self._night.moon is not None:
+            wanted = self._night.moon.exposures.next_us(self._frame_time.now(), camera.info.exposure_bounds)
+            taken = tuple(one for us in wanted if (one := exposer.take(us)) is not None)
+            if taken:
+                self._night.moon.frames.put(taken)
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that shows only that the camera answers, and its time."""

@@ -11,6 +11,7 @@ from sunarc.cameras import Frame
 from sunarc.detection import MOST_PEAK, Stars
 from sunarc.imaging import ExposureBounds
 from sunarc.workers.bounded_queue import DropOldestQueue
+from sunarc.workers.night.moon import MoonCapture
 
 DARK_ZENITH_DEG = 102.0
 """The sun's zenith angle from which on it is night: -12 degrees."""
@@ -23,6 +24,17 @@ _BRIGHTEST = 30
 _MOST_CLIPPED, _FEW_CLIPPED = 0.5, 0.1
 _BRIGHT_SKY, _DARK_SKY = 0.35, 0.12
 """Share of full scale: a sky above leaves no room for stars; of one below twice the exposure leaves it."""
+_TOO_DARK, _DIM = 0.02, 0.2
+"""Of full scale at the longest exposure: sky and bright stars that the read noise and the steps of counts drown."""
+_GAIN_STEP_DB, _MOST_RAISED_DB = 6.0, 18.0
+"""A factor of 2 a step, 8 at most: the read noise of sensors falls no further."""
+
+
+class NightExposure(NamedTuple):
+    """Length in µs, and by how many decibels the gain is raised."""
+
+    exposure_us: float
+    raised_db: float
 
 
 class NightExposures:
@@ -30,13 +42,14 @@ class NightExposures:
 
     def __init__(self) -> None:
         self._rung = _FIRST
+        self._raised_db = 0.0
         self._lock = threading.Lock()
 
-    def next_us(self, bounds: ExposureBounds) -> float:
-        """Return the next exposure, µs, within the camera's bounds."""
+    def next_us(self, bounds: ExposureBounds) -> NightExposure:
+        """Return the next exposure within the camera's bounds, and by how much its gain is raised."""
         with self._lock:
-            wanted = LADDER_US[self._rung]
-        return min(max(wanted, bounds.minimum_us), bounds.maximum_us)
+            rung = min(max(LADDER_US[self._rung], bounds.minimum_us), bounds.maximum_us)
+            return NightExposure(rung, self._raised_db)
 
     def report(self, stars: Stars, *, sky_fraction: float) -> None:
         """Take note of an image: its detections, and the level of its sky over full scale."""
@@ -47,12 +60,19 @@ class NightExposures:
             step = 1
         elif sky_fraction < _DARK_SKY and clipped < _FEW_CLIPPED:
             step = -1
+        dim = sky_fraction < _TOO_DARK and not np.any(brightest > _DIM)
         with self._lock:
-            self._rung = min(max(self._rung + step, 0), len(LADDER_US) - 1)
+            if step > 0 and self._raised_db > 0.0:
+                self._raised_db -= _GAIN_STEP_DB
+            elif dim and self._rung == 0:
+                self._raised_db = min(self._raised_db + _GAIN_STEP_DB, _MOST_RAISED_DB)
+            else:
+                self._rung = min(max(self._rung + step, 0), len(LADDER_US) - 1)
 
 
 class NightCapture(NamedTuple):
-    """How the night's exposures are chosen, and where their frames go."""
+    """How the night's exposures are chosen, and where their frames go; `moon` likewise, in slots with a moon."""
 
     exposures: NightExposures
     frames: DropOldestQueue[Frame]
+    moon: MoonCapture | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, datetime
@@ -29,11 +30,13 @@ from sunarc.sky import night_sky, solar_date, wanderer_place
 from sunarc.utc import DAY_S
 from sunarc.workers.messages import MESSAGES, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.moon import MoonImages
 from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
 from sunarc.workers.night.numbers import FAINTEST_V, NightNumbers, TakenImage, numbers_of
 from sunarc.workers.night.offset import RadialOffset, radial_offset
 from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
 from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
+from sunarc.workers.night.warm import WarmPixelMap
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _log = logging.getLogger(__name__)
@@ -109,6 +112,12 @@ class NightWorker:
         self._store_images = store
         self._images: list[_Image] = []
         self._picture: NightPicture | None = None
+        self._warm = WarmPixelMap()
+        self._digest: int | None = None
+        self._repeated = 0
+        self._moon_frames = None if capture.moon is None else capture.moon.frames
+        exposures = None if capture.moon is None else capture.moon.exposures
+        self._moon = MoonImages(camera, options=options, exposures=exposures)
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped."""
@@ -116,6 +125,8 @@ class NightWorker:
         while not stop.is_set():
             heartbeat()
             frame = self._frames.get(timeout_s=_POLL_S)
+            if self._moon_frames is not None and (moon := self._moon_frames.get(timeout_s=0.0)) is not None:
+                self.look_at_moon(moon)
             if frame is not None:
                 self.look_at(frame)
             elif self._images and self._apparent_zenith() < DARK_ZENITH_DEG:
@@ -123,9 +134,14 @@ class NightWorker:
 
     def look_at(self, frame: Frame) -> None:
         """Detect the stars of a frame, and remember them."""
+        if self._is_repeated(frame):
+            return
         sensor = sensor_of(frame, self._options)
         stars = detect_stars(
-            frame.image, full_scale=frame.full_scale, bayer=sensor.bayer, gain_e_per_count=sensor.gain_e_per_count
+            self._warm.repair(frame, sensor.bayer),
+            full_scale=frame.full_scale,
+            bayer=sensor.bayer,
+            gain_e_per_count=sensor.gain_e_per_count,
         )
         level = float(np.median(frame.image[::8, ::8])) - sensor.black_level
         self._exposures.report(stars, sky_fraction=level / frame.full_scale)
@@ -138,15 +154,29 @@ class NightWorker:
         self._images = [*self._images, taken]
         self._images = self._images[-_MOST_IMAGES:]
 
+    def _is_repeated(self, frame: Frame) -> bool:
+        """Return whether a frame is the one before once more, to the last count: no sensor's noise does that."""
+        digest = zlib.crc32(frame.image.tobytes())
+        repeated, self._digest = digest == self._digest, digest
+        self._repeated += int(repeated)
+        return repeated
+
+    def look_at_moon(self, frames: Sequence[Frame]) -> None:
+        """Keep the brightest places of a slot's short exposures until the night is over."""
+        self._moon.add(frames)
+
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         images, self._images = self._images, []
         picture, self._picture = self._picture, None
+        repeated, self._repeated = self._repeated, 0
+        frozen = (Finding("night_frozen", {"n": repeated}),) if repeated else ()
         night = self._night_of(images[0].time)
         calibration = self._camera.current_model()
         if calibration is None or not self._trusted():
             self._keep(picture, None, calibration)
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
+            self._moon.forget()
             return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)})
         views = []
         for image in images:
@@ -163,6 +193,9 @@ class NightWorker:
         self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = _offset_of(views, matched, calibration)
         stored = self._store(images, views, matched)
+        moon = self._moon.finish(calibration, within_px=_BENT_PX, clock_error_s=self._clock_error_s)
+        heartbeat()
+        stored_moon = self._camera.archive.add_sun_points(moon.points)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
         numbers: dict[str, float] = {
@@ -170,10 +203,14 @@ class NightWorker:
             **measured.of_night,
             "n_stored": stored,
             "star_offset_px": offset.largest_px,
+            "n_moon_images": moon.images,
+            "n_moon_stored": stored_moon,
+            "n_warm_pixels": len(self._warm),
         }
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self._request_refit(f"after the night of {night} ({verdict})")
-        return self._remember(night, verdict, (*findings, *refused[:1]), numbers, measured)
+        reasons = (*findings, *refused[:1], *moon.refused[:1], *frozen)
+        return self._remember(night, verdict, reasons, numbers, measured)
 
     def _keep(
         self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
@@ -199,7 +236,7 @@ class NightWorker:
         unix_s = image.time.timestamp()
         sky = night_sky(unix_s, self._camera.site_at(image.time), faintest=FAINTEST_V)
         predicted = predict_stars(calibration, sky, within_px=_BENT_PX)
-        return StarView(unix_s=unix_s, sky=sky, stars=image.stars, predicted=predicted)
+        return StarView(unix_s=unix_s, sky=sky, stars=self._warm.without_warm(image.stars), predicted=predicted)
 
     def _store(
         self,

@@ -1,0 +1,80 @@
+"""What the night's worker costs: processor time of a slot with stars and moon, and bytes that a night keeps.
+
+    OMP_NUM_THREADS=1 python docs/studies/night_cost.py
+
+A slot has one exposure of 5 s and two of the moon on the whole simulated sensor; a night has 72 slots (12 h).
+"""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from sunarc.archive import CameraArchive, CameraRecord, Refit, open_archive, upgrade
+from sunarc.cameras import Frame
+from sunarc.runtime.status import StatusRegistry
+from sunarc.simulation import SGP, NightOptions, Scene, SceneOptions, true_camera
+from sunarc.sky import moon_disc
+from sunarc.utc import utc_time
+from sunarc.workers import (
+    DropOldestQueue,
+    MoonCapture,
+    MoonExposures,
+    NightCapture,
+    NightExposures,
+    NightWorker,
+    SensorOptions,
+)
+
+BEGIN = datetime(2013, 5, 18, 3, 20, tzinfo=UTC)
+SLOT_S, SLOTS = 600.0, 72
+ROUNDS = 2
+
+
+def main() -> None:
+    """Print the figures."""
+    camera = true_camera()
+    scene = Scene(camera, SGP, options=SceneOptions(night=NightOptions()))
+    folder = Path(tempfile.mkdtemp())
+    upgrade(folder / "sunarc.sqlite")
+    archive = open_archive(folder / "sunarc.sqlite")
+    archive.save_camera(CameraRecord.at(SGP, name="roof", width=camera.width, height=camera.height))
+    exposures = MoonExposures(lambda at: moon_disc(at.timestamp(), SGP))
+    worker = NightWorker(
+        NightCapture(
+            NightExposures(), DropOldestQueue(capacity=4), MoonCapture(exposures, DropOldestQueue(capacity=4))
+        ),
+        camera=CameraArchive(archive, name="roof", site=SGP),
+        options=SensorOptions(),
+        apparent_zenith=lambda: 120.0,
+        clock_error_s=lambda _: 0.01,
+        trusted=lambda: True,
+        now=lambda: BEGIN + timedelta(hours=8),
+        request_refit=lambda reason: Refit(id="r", camera="roof", requested_at=BEGIN, reason=reason),
+        board=StatusRegistry(version="0", started_at=BEGIN, monotonic=lambda: 0.0),
+    )
+
+    def frame(slot: int, exposure_us: float) -> Frame:
+        start_us = round((BEGIN.timestamp() + SLOT_S * slot) * 1e6)
+        return Frame(
+            image=scene.render(start_us, exposure_us=exposure_us), time=utc_time(start_us * 1e-6 + exposure_us * 5e-7),
+            exposure_us=exposure_us, gain_db=0.0, pixel_format="Mono12", full_scale=4095, frame_id=slot,
+        )  # fmt: skip
+
+    costs = []
+    for slot in range(ROUNDS):
+        stars, moon = frame(slot, 5e6), [frame(slot, us) for us in (60.0, 180.0)]
+        begin = time.process_time()
+        worker.look_at(stars)
+        worker.look_at_moon(moon)
+        costs.append(time.process_time() - begin)
+    kept = len(pickle.dumps((worker._images, worker._moon._images, list(worker._warm._seen)))) / ROUNDS  # noqa: SLF001
+    print(f"{camera.width} x {camera.height} px: {min(costs):.2f} s a slot, {min(costs) / SLOT_S:.2%} of a core")
+    print(f"in memory {kept / 1e6:.2f} MB a slot, {kept * SLOTS / 1e6:.0f} MB a night")
+
+
+if __name__ == "__main__":
+    main()
