@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.detection.moon.limb import PointSpread, Surface, surface_images
@@ -66,6 +65,8 @@ def fit_moon(pixels: Pixels, surface: Surface, edges_px: FloatArray, start: Floa
     surface, edges_px : the lit part.
     start : (2,) px to begin at.
     """
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the command line loads without it
+
     problem = _Problem(pixels, surface, edges_px)
     found = least_squares(
         problem.residuals, problem.start(start), jac=problem.jacobian, method="trf", x_scale="jac", max_nfev=_ROUNDS
