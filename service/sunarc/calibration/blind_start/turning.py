@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from sunarc.array_types import FloatArray, IntArray
@@ -195,6 +194,8 @@ def _refined(
     focal_within: float = 0.1,
 ) -> Turning:
     """Return a hypothesis by least squares of the distances from the nearest detections, ever closer ones."""
+    from scipy.optimize import least_squares  # noqa: PLC0415 - the command line loads without it
+
     some = [Pair(one.first[:_REFINED_BY], one.second, one.turn) for one in pairs]
     start = np.array([math.log(rough[0]), *centre, 0.0, 0.0, rough[1]])
     spread = np.array([focal_within, 0.05 * rough[0], 0.05 * rough[0], 0.1, 0.1, 0.4])
