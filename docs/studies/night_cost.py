@@ -7,6 +7,7 @@ A slot has one exposure of 5 s and two of the moon on the whole simulated sensor
 
 from __future__ import annotations
 
+import argparse
 import pickle
 import tempfile
 import time
@@ -36,6 +37,7 @@ ROUNDS = 2
 
 def main() -> None:
     """Print the figures."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     camera = true_camera()
     scene = Scene(camera, SGP, options=SceneOptions(night=NightOptions()))
     folder = Path(tempfile.mkdtemp())
