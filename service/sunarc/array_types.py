@@ -20,6 +20,11 @@ Rows = slice | BoolArray | IntArray
 _Table = TypeVar("_Table")
 
 
+def evenly_spread(size: int, *, most: int) -> IntArray:
+    """Return the rows of at most so many of a sequence, spread evenly over it, the first and the last with them."""
+    return np.linspace(0, size - 1, min(size, most)).round().astype(np.int64)
+
+
 def picked(table: _Table, which: Rows) -> _Table:
     """Return a frozen dataclass of columns, each (n, ...), with some of its rows."""
     columns: Any = table

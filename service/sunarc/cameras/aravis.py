@@ -257,7 +257,7 @@ class AravisCamera:
             self._stream.push_buffer(buffer)
 
     def _flush(self) -> None:
-        """Give frames that nobody waits for back to the stream."""
+        """Return unclaimed frames to the stream."""
         while (buffer := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(buffer)
 

@@ -25,12 +25,13 @@ from sunarc.detection.stars.halo import star_halo
 from sunarc.detection.stars.matching import StarMatches, match_stars
 from sunarc.detection.stars.still import sky_motion, standing_still
 from sunarc.detection.stars.trend import NightLimits, NightTrend, dew_suspected, focus_ratio, trend_of
-from sunarc.detection.stars.values import MOST_PEAK, PredictedStars, Stars
+from sunarc.detection.stars.values import FWHM, MOST_PEAK, PredictedStars, Stars
 from sunarc.detection.stars.warm import outstanding_pixels, repaired, warm_pixels
 from sunarc.detection.values import BAYERS, Bayer, Detection, Expectation, Method, Sensor, Verdict, bayer_of
 
 __all__ = [
     "BAYERS",
+    "FWHM",
     "MOST_PEAK",
     "ZENITH_BANDS_DEG",
     "Bayer",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import sunarc
+from sunarc.array_types import evenly_spread
 from sunarc.calibration import (
     BlindOptions,
     BlindStart,
@@ -27,7 +28,7 @@ from sunarc.calibration import (
 from sunarc.calibration.messages import text_of
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.offline.star_files import StarImage, StarOptions, named_stars, read_stars, require_size
+from sunarc.offline.star_files import StarImage, StarOptions, named_stars, read_stars
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 from sunarc.utc import utc_time
@@ -108,13 +109,13 @@ def find_stars_blind(
     ------
     InputError : the images are not of one size, or ephem is not installed.
     """
-    seen = [read_stars(path, site, options) for path in paths]
-    size = next((one.size for one in seen if one.size is not None), None)
+    seen, size = list[StarImage](), None
+    for path in paths:
+        seen.append(read_stars(path, site, options, size=size))
+        size = size or seen[-1].size
     if size is None:
         few = Finding("blind_few_images", {"n": 0, "turn_deg": 0.0, "limit": 10.0})
         return BlindResult(start=BlindStart(accepted=False, findings=(few,)), images=seen)
-    for one in seen:
-        require_size(one, size)
     night = _one_night(seen)
     images = [
         NightImage(unix_s=one.time.timestamp(), stars=one.stars, sky=one.sky)
@@ -138,8 +139,7 @@ def _one_night(seen: Sequence[StarImage]) -> list[StarImage]:
     times = np.array([one.time.timestamp() for one in timed if one.time is not None])
     night = np.cumsum(np.diff(times, prepend=times[0]) > _GAP_S)
     rows = np.flatnonzero(night == np.argmax(np.bincount(night)))
-    wanted = np.linspace(0, rows.size - 1, min(rows.size, _MOST_IMAGES)).round().astype(int)
-    return [timed[row] for row in rows[wanted].tolist()]
+    return [timed[row] for row in rows[evenly_spread(rows.size, most=_MOST_IMAGES)].tolist()]
 
 
 def _points(start: BlindStart, images: Sequence[NightImage], size: tuple[int, int]) -> SunPoints:

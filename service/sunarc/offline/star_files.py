@@ -22,6 +22,7 @@ from sunarc.calibration import (
     surest_of_parts,
 )
 from sunarc.detection import (
+    FWHM,
     Bayer,
     PredictedStars,
     StarMatches,
@@ -40,7 +41,6 @@ from sunarc.utc import rfc3339, utc_time
 
 FAINTEST = 5.5
 """V of the faintest stars of the table; fainter neighbours are not known."""
-_FWHM = 2.355
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ class StarImage:
             "explained": None if matches is None else _finite_or_none(matches.explained),
             "found": None if matches is None else _finite_or_none(matches.found),
             "scatter_px": None if matches is None else _finite_or_none(matches.scatter_px),
-            "star_fwhm_px": None if stars is None or len(stars) == 0 else _FWHM * float(np.median(stars.width_px)),
+            "star_fwhm_px": None if stars is None or len(stars) == 0 else FWHM * float(np.median(stars.width_px)),
         }
 
     def rows(self) -> IntArray:
@@ -119,9 +119,8 @@ def find_stars(paths: Sequence[Path], calibration: Calibration, options: StarOpt
     InputError : an image has not the calibration's size, or ephem is not installed.
     """
     camera = calibration.camera
-    seen = [read_stars(path, calibration.site, options) for path in paths]
-    for one in seen:
-        require_size(one, (camera.width, camera.height))
+    size = (camera.width, camera.height)
+    seen = [read_stars(path, calibration.site, options, size=size) for path in paths]
     return named_stars(seen, calibration, within_px=options.within_px)
 
 
@@ -192,8 +191,11 @@ def _sightings(image: StarImage) -> tuple[list[tuple[datetime, float, float, flo
     return rows, sky.directions[sky.rows_of(named)]
 
 
-def read_stars(path: Path, site: Site, options: StarOptions) -> StarImage:
-    """Return the detections of a file, and the sky at its moment; a file that is no image gets its reason."""
+def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int, int] | None = None) -> StarImage:
+    """Return the detections of a file, and the sky at its moment; a file that is no image gets its reason.
+
+    InputError where the image has not the size (width, height) that is wanted.
+    """
     try:
         stated, _ = taken(path, options.naming)
         image = read_image(path)
@@ -202,6 +204,8 @@ def read_stars(path: Path, site: Site, options: StarOptions) -> StarImage:
     except InputError as error:
         unreadable = Finding("file_unreadable", {"error": str(error)})
         return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
+    found = (image.shape[1], image.shape[0])
+    _require_size(path, found, size)
     time = stated + timedelta(seconds=options.to_middle_s)
     stars = detect_stars(
         image,
@@ -210,16 +214,14 @@ def read_stars(path: Path, site: Site, options: StarOptions) -> StarImage:
         gain_e_per_count=options.gain_e_per_count,
     )
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST)
-    size = (image.shape[1], image.shape[0])
-    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=size)
+    return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
 
 
-def require_size(image: StarImage, size: tuple[int, int]) -> None:
-    """Raise InputError where an image that could be read is not of a size (width, height)."""
-    if image.size is not None and image.size != size:
+def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:
+    if size is not None and found != size:
         raise InputError(
-            field=image.file,
-            problem=f"is {image.size[0]}x{image.size[1]}, the calibration of {size[0]}x{size[1]} images",
+            field=str(path),
+            problem=f"is {found[0]}x{found[1]}, the calibration of {size[0]}x{size[1]} images",
             remedy="give images of the calibrated camera",
         )
 

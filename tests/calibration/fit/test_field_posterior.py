@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions, sun_arc
 
-from sunarc.calibration.fit.field_posterior import seen_field
+from sunarc.calibration.fit.field_posterior import prediction_variance, seen_field
 from sunarc.calibration.fit.marginal_likelihood import Scales, field_at, marginal_fit
 from sunarc.calibration.fit.normal_equations import LinearSystem, linear_system
 from sunarc.calibration.least_squares.problem import Problem
@@ -116,6 +116,23 @@ def test_the_covariance_of_a_prediction_is_that_of_the_joint_posterior(
         found = np.sqrt(0.5 * np.trace(stated, axis1=1, axis2=2))
         assert np.all(found > 0.97 * root)
         assert np.median(found / root) < 1.1
+
+
+def test_the_variance_of_a_prediction_is_the_trace_of_its_covariance(
+    system: LinearSystem, problem: Problem, field: Field
+) -> None:
+    """With the field's mean in the prediction, and without it, where the whole field is an error."""
+    fit = marginal_fit(system.normal(), system.basis, SCALES)
+    unseen = Field(amplitude_px=SCALES.amplitude_px, length_px=SCALES.length_px, basis=system.basis, cross=fit.cross)
+    seen = observed(small_camera(), spread_directions(40, seed=8), sigma_px=0.0)
+    residual, rows = problem.linearised(system.at, seen)
+    values = system.basis.values(seen.pixels - residual)
+    for normal, of in ((system.normal(), field), (None, unseen)):
+        covariance = rows @ fit.covariance @ np.swapaxes(rows, 1, 2) + of.covariance(rows, values)
+        expected = covariance[:, 0, 0] + covariance[:, 1, 1]
+        found = prediction_variance(fit, SCALES, system.basis, rows=rows, basis_values=values, normal=normal)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        assert np.all(found > 0.0)
 
 
 def test_far_from_all_sightings_the_field_is_unknown(field: Field) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.blind_start.lens_family import nearest_projection, radial_for
 from sunarc.calibration.blind_start.sky_turn import MAX_ANGLE, pole_enu
-from sunarc.calibration.blind_start.turning import Turning
+from sunarc.calibration.blind_start.turning import Turning, unmirrored
 from sunarc.calibration.blind_start.turning_kernel import Turns, count_on_detections
 from sunarc.calibration.blind_start.values import NightImage
 from sunarc.optics import Camera, rotation_matrix, rotation_vector
@@ -57,16 +57,11 @@ def _shares(turning: Turning, image: NightImage, first: FloatArray, angles: Floa
     pixels = image.stars.pixels[: _PER_STAR * stars.shape[0]]
     if min(stars.shape[0], pixels.shape[0]) < 3:
         return np.zeros(angles.size)
-    if turning.mirrored:
-        pixels = _flipped(pixels, turning)
+    pixels = unmirrored(pixels, turning.width, mirrored=turning.mirrored)
     poles = np.broadcast_to(turning.pole, (angles.size, 3))
     onto = (pixels - centre) / focal
     rays, turns = stars @ first.T, Turns(poles, angles)
     return count_on_detections(rays, onto, turns, shape=turning.shape, reach=_REACH, largest=MAX_ANGLE)
-
-
-def _flipped(pixels: FloatArray, turning: Turning) -> FloatArray:
-    return np.stack([turning.width - 1.0 - pixels[:, 0], pixels[:, 1]], axis=-1)
 
 
 def _any_rotation(pole: FloatArray, pole_camera: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.blind_start.lens_family import angle_of_radius, radius_of_angle
 from sunarc.calibration.blind_start.sky_turn import MAX_ANGLE, SIDEREAL_RATE, turned
 from sunarc.calibration.blind_start.turning_kernel import Turns, count_on_detections
+from sunarc.optics.stretch import tangent_basis
 
 _REACH = 0.02
 """Tolerance of the search, focal lengths: 1.1 degrees."""
@@ -110,8 +111,13 @@ def turnings(pairs: Sequence[Pair], field: Field) -> list[Turning]:
 
 
 def _of_hand(pairs: Sequence[Pair], field: Field, *, mirrored: bool) -> list[Turning]:
-    flipped = [one._replace(first=_flip(one.first, field, mirrored=mirrored)) for one in pairs]
-    flipped = [one._replace(second=_flip(one.second, field, mirrored=mirrored)) for one in flipped]
+    flipped = [
+        one._replace(
+            first=unmirrored(one.first, field.width, mirrored=mirrored),
+            second=unmirrored(one.second, field.width, mirrored=mirrored),
+        )
+        for one in pairs
+    ]
     centre = np.array([field.width - 1.0 - field.centre[0] if mirrored else field.centre[0], field.centre[1]])
     poles = _poles(field, step=min(0.5 * _REACH / math.sin(0.5 * min(one.turn for one in pairs)), math.radians(5.0)))
     grid = [(focal, shape) for shape in _SHAPES for focal in _focal_lengths(field, shape)]
@@ -135,8 +141,9 @@ def _of_hand(pairs: Sequence[Pair], field: Field, *, mirrored: bool) -> list[Tur
     return found
 
 
-def _flip(pixels: FloatArray, field: Field, *, mirrored: bool) -> FloatArray:
-    return np.stack([field.width - 1.0 - pixels[:, 0], pixels[:, 1]], axis=-1) if mirrored else pixels
+def unmirrored(pixels: FloatArray, width: int, *, mirrored: bool) -> FloatArray:
+    """Return pixels (n, 2) of an image as a camera that is not mirrored has them."""
+    return np.stack([width - 1.0 - pixels[:, 0], pixels[:, 1]], axis=-1) if mirrored else pixels
 
 
 def _focal_lengths(field: Field, shape: float) -> list[float]:
@@ -250,14 +257,6 @@ def _lens(unknowns: FloatArray) -> tuple[FloatArray, float, float]:
     return unknowns[1:3], math.exp(unknowns[0]), float(unknowns[5])
 
 
-def _tangents(pole: FloatArray) -> FloatArray:
-    """Return (2, 3) unit vectors across a pole."""
-    other = np.eye(3)[int(np.argmin(np.abs(pole)))]
-    first = np.cross(pole, other)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(pole, first)])
-
-
 def _pole_at(pole: FloatArray, unknowns: FloatArray) -> FloatArray:
-    moved = pole + unknowns[3:5] @ _tangents(pole)
+    moved = pole + tangent_basis(pole) @ unknowns[3:5]
     return np.asarray(moved / np.linalg.norm(moved))

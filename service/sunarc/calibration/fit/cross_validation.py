@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.field_posterior import seen_field
-from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, marginal_fit
+from sunarc.calibration.fit.field_posterior import prediction_variance
+from sunarc.calibration.fit.marginal_likelihood import marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
-from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
 
 _FOLDS = 5
@@ -52,19 +50,14 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
         found += float(np.sum(prediction_error**2))
         # two axes
         noise = 2.0 * (fit.noise_px * usable.sigma_px)[counted] ** 2
-        expected += float(np.sum(_variance(fit, without, normal)[bin_of] + noise))
+        variance = prediction_variance(
+            without,
+            fit.scales,
+            fit.grid.basis,
+            rows=system.rows,
+            basis_values=system.basis_values,
+            normal=None if fit.field_mean is None else normal,
+        )
+        expected += float(np.sum(variance[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
-
-
-def _variance(fit: RobustFit, without: MarginalFit, normal: NormalEquations) -> FloatArray:
-    """Return (bins,): trace of the covariance of the prediction by a fit without some days, px²."""
-    rows = fit.system.rows
-    field = Field(
-        amplitude_px=fit.scales.amplitude_px, length_px=fit.scales.length_px, basis=fit.grid.basis, cross=without.cross
-    )
-    if fit.field_mean is not None:
-        field = seen_field(field, normal, without.covariance)
-    by_parameters = np.einsum("nap,pq,naq->n", rows, without.covariance, rows, optimize=True)
-    by_field = np.trace(field.covariance(rows, fit.system.basis_values), axis1=-2, axis2=-1)
-    return np.asarray(np.maximum(by_parameters + by_field, 0.0))

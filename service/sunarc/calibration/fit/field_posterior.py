@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.marginal_likelihood import NormalEquations
-from sunarc.calibration.model.residual_field import Field
+from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
+from sunarc.calibration.model.residual_field import Field, WaveBasis
 
 _LEAST_KNOWN = 0.01
 """Share of a coefficient's variance that sightings take away, below which it counts as unknown."""
@@ -27,6 +27,31 @@ def seen_field(unseen: Field, normal: NormalEquations, covariance: FloatArray) -
     covariance : C of the unknowns, (p, p).
     """
     return replace(unseen, known=_known(unseen, normal), coupling=_coupling(covariance, unseen.cross))
+
+
+def prediction_variance(
+    fit: MarginalFit,
+    scales: Scales,
+    basis: WaveBasis,
+    *,
+    rows: FloatArray,
+    basis_values: FloatArray,
+    normal: NormalEquations | None = None,
+) -> FloatArray:
+    """Return (n,): trace of the covariance of the predicted pixel under some scales, px².
+
+    Parameters
+    ----------
+    fit, scales, basis : the fit under the scales, and the basis of the field.
+    rows, basis_values : slopes of the pixels to the unknowns, (n, 2, p), and of the field there, (n, m).
+    normal : sums over the sightings; None for a field whose mean is not part of the prediction.
+    """
+    field = Field(amplitude_px=scales.amplitude_px, length_px=scales.length_px, basis=basis, cross=fit.cross)
+    if normal is not None:
+        field = seen_field(field, normal, fit.covariance)
+    by_parameters = np.einsum("nap,pq,naq->n", rows, fit.covariance, rows, optimize=True)
+    by_field = np.trace(field.covariance(rows, basis_values), axis1=-2, axis2=-1)
+    return np.asarray(np.maximum(by_parameters + by_field, 0.0))
 
 
 def _known(field: Field, normal: NormalEquations) -> FloatArray:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sunarc.array_types import FloatArray
-from sunarc.calibration.fit.field_posterior import seen_field
+from sunarc.calibration.fit.field_posterior import prediction_variance
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
 from sunarc.calibration.fit.normal_equations import LinearSystem
-from sunarc.calibration.model.residual_field import Field
 
 _LARGEST = 0.8
 """Of a star that stands alone; beyond it the residual says nothing of the noise."""
@@ -25,14 +24,9 @@ def night_leverage(system: LinearSystem, normal: NormalEquations, fit: MarginalF
     fit : the fit under the scales.
     """
     night = np.any(system.observed.systematic_px != 0.0, axis=(1, 2))
-    rows, basis_values = system.rows[night], system.basis_values[night]
-    field = seen_field(
-        Field(amplitude_px=scales.amplitude_px, length_px=scales.length_px, basis=system.basis, cross=fit.cross),
-        normal,
-        fit.covariance,
+    variance = prediction_variance(
+        fit, scales, system.basis, rows=system.rows[night], basis_values=system.basis_values[night], normal=normal
     )
-    variance = np.einsum("nap,pq,naq->n", rows, fit.covariance, rows, optimize=True)
-    variance = variance + np.trace(field.covariance(rows, basis_values), axis1=-2, axis2=-1)
     leverage = np.zeros(night.size)
     # the trace is of two axes
     leverage[night] = np.clip(0.5 * variance * system.observed.information[night], 0.0, _LARGEST)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from sunarc.calibration.fit.field_posterior import prediction_variance
 from sunarc.calibration.fit.hyperparameter_marginalisation import sky_rows
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, field_at, marginal_fit
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.fit.systematic_errors import N_OFFSET
-from sunarc.calibration.model.residual_field import Field
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
@@ -86,9 +86,6 @@ def _sun_scatter(fit: RobustFit, alone: MarginalFit, usable: FilteredSightings) 
 def _change_over_the_sky(fit: RobustFit, alone: MarginalFit) -> float:
     """Return how far the two fits are apart over the sky, in units of what the day's states."""
     rows, basis_values = sky_rows(fit.problem, fit.unknowns, fit.grid.basis)
-    scales = fit.scales
-    field = Field(amplitude_px=scales.amplitude_px, length_px=scales.length_px, basis=fit.grid.basis, cross=alone.cross)
     change = rows @ (alone.unknowns - fit.system.at)
-    stated = np.einsum("nap,pq,naq->n", rows, alone.covariance, rows, optimize=True)
-    stated = stated + np.trace(field.covariance(rows, basis_values), axis1=-2, axis2=-1)
+    stated = prediction_variance(alone, fit.scales, fit.grid.basis, rows=rows, basis_values=basis_values)
     return float(np.sqrt(np.sum(change**2) / np.sum(np.maximum(stated, 1e-12))))

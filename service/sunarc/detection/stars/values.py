@@ -8,6 +8,8 @@ import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray, picked
 
+FWHM = 2.355
+"""Full width at half maximum of a Gaussian, in its sigmas: 2 sqrt(2 ln 2)."""
 MOST_PEAK = 0.9
 """Share of full scale: a star with a brighter peak may be clipped in part, and many sensors are not linear there."""
 

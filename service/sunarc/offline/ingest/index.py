@@ -93,7 +93,7 @@ def index_folder(folder: Path, *, naming: Naming, site: Site, largest_zenith_deg
         else:
             known.add(key)
             dated.append(ImageFile(path, key))
-    for image, zenith_deg in zip(dated, _zeniths_deg(dated, site), strict=True):
+    for image, zenith_deg in zip(dated, zeniths_deg(dated, site), strict=True):
         if zenith_deg <= largest_zenith_deg:
             index.images.append(image)
         elif zenith_deg >= DARK_ZENITH_DEG:
@@ -113,7 +113,8 @@ def _image_paths(folder: Path) -> list[str]:
     return found
 
 
-def _zeniths_deg(images: Sequence[ImageFile], site: Site) -> list[float]:
+def zeniths_deg(images: Sequence[ImageFile], site: Site) -> list[float]:
+    """Return the apparent zenith angle of the sun at the time of each image."""
     times = np.array([image.unix_s for image in images])
     return np.asarray(sun_angles(times, site).apparent_zenith).tolist() if images else []
 

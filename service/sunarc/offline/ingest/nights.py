@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from sunarc.archive import Archive, CameraArchive, Refit
+from sunarc.array_types import evenly_spread
 from sunarc.cameras import Frame
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import full_scale_of
 from sunarc.offline.ingest.image_checks import read_checked_image
-from sunarc.offline.ingest.index import ImageFile, Skipped
+from sunarc.offline.ingest.index import ImageFile, Skipped, zeniths_deg
 from sunarc.offline.messages import RefusedImageError
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings import Settings
-from sunarc.sky import solar_date, sun_angles
+from sunarc.sky import solar_date
 from sunarc.utc import DAY_S, utc_time
 from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker
 
@@ -110,7 +111,7 @@ def ingest_nights(
     seen = {} if reprocess else _nights_seen(camera)
     found, known, skipped, done = list[NightOutcome](), 0, list[Skipped](), 0
     for night, every in sorted(_by_night(images, settings).items()):
-        some = _evenly(every)
+        some = [every[row] for row in evenly_spread(len(every), most=_MOST_IMAGES).tolist()]
         if seen.get(str(night), -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)
             continue
@@ -136,11 +137,6 @@ def _by_night(images: Sequence[ImageFile], settings: Settings) -> Mapping[date, 
     for image in sorted(images, key=lambda one: one.unix_s):
         nights[solar_date(image.unix_s - 0.5 * DAY_S, longitude=settings.site.longitude)].append(image)
     return nights
-
-
-def _evenly(images: Sequence[ImageFile]) -> list[ImageFile]:
-    rows = np.linspace(0, len(images) - 1, min(len(images), _MOST_IMAGES)).round().astype(int)
-    return [images[row] for row in rows.tolist()]
 
 
 def _nights_seen(camera: CameraArchive) -> dict[str, int]:
@@ -204,6 +200,5 @@ def _outcome(camera: CameraArchive, judged_at: datetime) -> NightOutcome:
 
 
 def _left_out(images: Sequence[ImageFile], settings: Settings) -> tuple[Skipped, ...]:
-    zeniths = sun_angles(np.array([image.unix_s for image in images]), settings.site).apparent_zenith
-    pairs = zip(images, np.asarray(zeniths).tolist(), strict=True)
+    pairs = zip(images, zeniths_deg(images, settings.site), strict=True)
     return tuple(Skipped(image.path, Finding("file_at_night", {"zenith_deg": zenith})) for image, zenith in pairs)

@@ -25,11 +25,10 @@ from sunarc.findings import Finding
 from sunarc.sky import MoonDisc, moon_disc
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.messages import text_of
-from sunarc.workers.night.moon_exposures import LEAST_LIT, LOWEST_DEG, MoonExposures
+from sunarc.workers.night.moon_exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVEL, MoonExposures
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _MOST_IMAGES = 200
-_CLIPPED = 0.9
 _STUCK = 2
 _FEWEST = 2
 """Of a night: one alone is not compared with any other."""
@@ -95,7 +94,7 @@ class MoonImages:
         levels = [(frame, cutouts, _level(frame, near(frame, cutouts))) for frame, cutouts in looked]
         if self._exposures is not None and frames:
             self._exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
-        good = [one for one in levels if 0.0 < one[2] < _CLIPPED]
+        good = [one for one in levels if 0.0 < one[2] < MOST_LEVEL]
         frame, cutouts, _ = max(good, key=lambda one: one[0].exposure_us) if good else levels[0]
         sensor = sensor_of(frame, self._options)
         image = _Image(time=frame.time, exposure_us=frame.exposure_us, sensor=sensor, cutouts=cutouts)

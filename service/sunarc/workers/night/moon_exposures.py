@@ -18,7 +18,8 @@ _FIRST_US = (20.0, 160.0, 1_280.0, 10_240.0, 81_920.0)
 """While the light of the lens is not known: a factor of 8 lies within the range of a sensor."""
 _TARGET, _BESIDE = 0.5, 3.0
 """Share of full scale of the second exposure; the first is a third of it, against a thin cloud that has gone."""
-_MOST_CLIPPED = 0.9
+MOST_LEVEL = 0.9
+"""Share of full scale of the brightest pixels of the disc; beyond it some of them may be clipped."""
 _DIMMER = 0.5
 """By at most so much a slot the sensitivity falls: a moon behind cloud says little of the lens."""
 _FORGOTTEN_AFTER = 3
@@ -77,7 +78,7 @@ class MoonExposures:
         brightness = self.brightness(time)
         if brightness is None or not levels:
             return
-        good = [(us, level) for us, level in levels if 0.0 < level < _MOST_CLIPPED]
+        good = [(us, level) for us, level in levels if 0.0 < level < MOST_LEVEL]
         with self._lock:
             if good:
                 us, level = max(good)
@@ -85,7 +86,7 @@ class MoonExposures:
                 before = self._level_per_us
                 self._level_per_us = measured if before is None else max(measured, _DIMMER * before)
                 self._missed = 0
-            elif all(level >= _MOST_CLIPPED for _, level in levels) and self._level_per_us is not None:
+            elif all(level >= MOST_LEVEL for _, level in levels) and self._level_per_us is not None:
                 self._level_per_us *= _BESIDE**2
             else:
                 self._missed += 1

@@ -12,6 +12,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration import MatchedView, StarView
 from sunarc.detection import (
+    FWHM,
     ZENITH_BANDS_DEG,
     Extinction,
     NightTrend,
@@ -31,7 +32,6 @@ COUNTED_TO_V = 4.0
 FAINTEST_V = 5.5
 """Where the table of stars ends."""
 _OWN_SHAPE_SNR = 20.0
-_FWHM = 2.355
 _MOST_IMAGES = 72
 """Images of a night whose numbers are stored, spread over it."""
 _DIGITS = 3
@@ -102,7 +102,7 @@ def _image_numbers(one: TakenImage, zero_point: float) -> dict[str, float]:
     return {
         "cloud_fraction": cloud_fraction(one.view) if named else 1.0,
         "limiting_magnitude": limit_of(one.view) if named else math.nan,
-        "star_fwhm_px": _FWHM * _median(stars.width_px),
+        "star_fwhm_px": FWHM * _median(stars.width_px),
         "star_ellipticity": _median(stars.ellipticity),
         "halo": one.halo,
         "zero_point": zero_point,

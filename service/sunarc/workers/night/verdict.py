@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from sunarc.calibration import MatchedView, StarView
+from sunarc.detection import FWHM
 from sunarc.findings import Finding
 from sunarc.workers.night.numbers import cloud_fraction, limit_of
 
@@ -18,7 +19,6 @@ _FEWEST_IMAGES = 3
 _CLEAR_SHARE, _CLEAR_CLOUDS = 0.8, 0.25
 _PARTLY_SHARE = 0.1
 _MOONLIT_SHARE = 0.5
-_FWHM = 2.355
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ def summary_of(views: Sequence[StarView], matched: Sequence[MatchedView]) -> Nig
         n_stars=round(_median([len(found.stars) for _, found in pairs], otherwise=0.0)),
         n_matched=round(_median([found.matches.star.size for _, found in pairs], otherwise=0.0)),
         limiting_magnitude=_median([limit_of(view) for view, _ in pairs]),
-        star_fwhm_px=_FWHM * _median(widths.tolist()),
+        star_fwhm_px=FWHM * _median(widths.tolist()),
         cloud_fraction=float(np.mean(clouds)) if clouds else math.nan,
     )
 
