@@ -114,8 +114,9 @@ def test_a_draw_back_projects_what_it_projects(ensemble: Ensemble) -> None:
 def test_the_first_draws_of_a_larger_ensemble_are_those_of_a_smaller(calibration: Calibration) -> None:
     small, large = (draw_ensemble(calibration, draws=n, seed=3, calibration_id="a") for n in (2, 5))
     assert (len(small), len(large), list(small)) == (2, 5, [0, 1])
-    np.testing.assert_array_equal(small.sheets_px, large.sheets_px[:2])
-    np.testing.assert_array_equal(small.common, large.common[:2])
+    # a product of larger matrices adds in another order
+    np.testing.assert_allclose(small.sheets_px, large.sheets_px[:2], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(small.common, large.common[:2], rtol=0.0, atol=1e-12)
     for other in (
         draw_ensemble(calibration, draws=2, seed=4, calibration_id="a"),
         draw_ensemble(calibration, draws=2, seed=3, calibration_id="b"),

@@ -1,14 +1,12 @@
 """Fits of five small scenarios, compared with the answers stored in stored_fits.json.
 
-With the arithmetic of the machine that stored them (`_arithmetic`) they agree to 1e-9 of themselves: not bitwise, for
-a product written in another order changes the last digit. Another processor or library adds in another order, and a fit
-stops anywhere within a thousandth of the cost at its minimum: there they agree to a small share of their sigma.
+They agree to a small share of their sigma, not to the digit: another processor, library or order of terms adds in
+another order, and a fit stops anywhere within a thousandth of the cost at its minimum.
 `SUNARC_WRITE_FITS=1 pytest tests/calibration/test_stored_fits.py` stores the present answers.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -16,11 +14,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import llvmlite.binding  # type: ignore[import-untyped]
-import numba
 import numpy as np
 import pytest
-import scipy
 from numpy.typing import NDArray
 from tests.calibration.conftest import NOON_13_MAY_2013, SGP, TRUTH
 
@@ -40,10 +35,8 @@ from sunarc.sky import sun_directions
 FloatArray = NDArray[np.float64]
 
 _STORED = Path(__file__).parent / "stored_fits.json"
-_SAME_ARITHMETIC = 1e-9
-"""Relative tolerance with the same libraries and processor."""
 _SIGMAS, _RELATIVE = 0.05, 0.02
-"""Tolerances elsewhere: of parameters in their sigmas, of all else relative; five processor types differ by a third."""
+"""Tolerances: of parameters in their sigmas, of all else relative; five processor types differ by a third."""
 
 
 def _times(days: tuple[float, ...], *, hours: tuple[float, float], cadence_s: float) -> FloatArray:
@@ -136,14 +129,6 @@ def _solved(name: str) -> Calibration:
     return _SCENARIOS[name]()
 
 
-def _arithmetic() -> str:
-    """Return a digest of what the last digits depend on: processor, library versions, sums of the linear algebra."""
-    numbers = np.random.default_rng(0).normal(size=(200, 200))
-    sums = np.concatenate([numbers @ numbers, np.linalg.inv(numbers), scipy.linalg.inv(numbers)]).tobytes()
-    versions = (llvmlite.binding.get_host_cpu_name(), np.__version__, scipy.__version__, numba.__version__)
-    return hashlib.sha256(repr(versions).encode() + sums).hexdigest()
-
-
 def _answer(solved: Calibration) -> dict[str, list[float]]:
     """Return what a fit came to, by name; the moves are their times and angles."""
     return {
@@ -161,20 +146,15 @@ def _answer(solved: Calibration) -> dict[str, list[float]]:
 
 @pytest.mark.skipif("SUNARC_WRITE_FITS" not in os.environ, reason="stores the answers, on demand only")
 def test_store_answers() -> None:
-    answers = {"arithmetic": _arithmetic()} | {name: _answer(_solved(name)) for name in _SCENARIOS}
+    answers = {name: _answer(_solved(name)) for name in _SCENARIOS}
     _STORED.write_text(json.dumps(answers, indent=1) + "\n", encoding="ascii")
 
 
 @pytest.mark.parametrize("name", _SCENARIOS)
 def test_fit_is_the_stored_one(name: str) -> None:
-    document = json.loads(_STORED.read_text(encoding="ascii"))
-    stored, solved = document[name], _solved(name)
+    stored, solved = json.loads(_STORED.read_text(encoding="ascii"))[name], _solved(name)
     found = _answer(solved)
     assert found.keys() == stored.keys()
-    if document["arithmetic"] == _arithmetic():
-        for key, values in stored.items():
-            np.testing.assert_allclose(found[key], values, rtol=_SAME_ARITHMETIC, atol=1e-13, err_msg=f"{name}: {key}")
-        return
     sigma = np.zeros(len(PARAMETER_NAMES))
     sigma[[PARAMETER_NAMES.index(one) for one in solved.parameter_names]] = stored["sigma"]
     assert np.all(np.abs(np.subtract(found["camera"], stored["camera"])) <= _SIGMAS * sigma)
