@@ -19,14 +19,14 @@ from functools import partial
 
 import numpy as np
 import population as pop
-from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, squared_sigmas
+from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, degrees_from_track, every_so_many, squared_sigmas
 from numpy.typing import NDArray
 from ranks import FIELD_LENGTHS
 from ranks import amplitude_px as drawn_amplitude_px
 
 from sunarc.calibration import CalibrationOptions, calibrate, camera_sees, hemisphere, project_with_covariance
-from sunarc.optics import Camera, PoseAngles, Projection, ideal_radius, project, rotation_from_pose_angles
-from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.optics import Camera, PoseAngles, Projection, ideal_radius, rotation_from_pose_angles
+from sunarc.sky import Site
 
 FloatArray = NDArray[np.float64]
 Noise = Callable[[np.random.Generator, FloatArray, float], FloatArray]
@@ -60,12 +60,13 @@ def heavy_tailed(rng: np.random.Generator, zenith: FloatArray, sigma_px: float) 
 class Case:
     """What is simulated.
 
-    days: offsets from 13 May 2013. field_px: None draws it from the fit's prior, with its length. rounded: to whole
-    pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle off the axis that the
-    image's shorter side ends at; NaN: 90, or 60 with a perspective lens.
+    days: offsets from 13 May 2013, a sighting every `cadence_s`. field_px: None draws it from the fit's prior, with its
+    length. rounded: to whole pixels. tilt_deg: None draws it (2.5 degrees). size: of the image, px. edge_deg: the angle
+    off the axis that the image's shorter side ends at; NaN: 90, or 60 with a perspective lens.
     """
 
     days: tuple[int, ...] = (0,)
+    cadence_s: float = 30.0
     sigma_px: float = 0.5
     field_px: float | None = None
     field_length_px: float = 425.0
@@ -91,6 +92,7 @@ CASES = {
     "4 days": Case(days=(0, 1, 20, 29)),
     "7 days in a row": Case(days=tuple(range(7))),
     "14 days in a row": Case(days=tuple(range(14))),
+    "60 days of a year, every 2 minutes": Case(days=tuple(range(0, 360, 6)), cadence_s=120.0),
     "tilt 15°": Case(tilt_deg=15.0),
     "tilt 40°": Case(tilt_deg=40.0),
     "120° lens": Case(edge_deg=60.0),
@@ -151,26 +153,19 @@ def one_lens(seed: int, case: Case) -> tuple[float, float, float, float, bool]:
     rng = np.random.default_rng([seed, 20])
     truth = lens_of(case, rng)
     field = field_of(case, rng)
-
-    def seen_at(directions: FloatArray) -> FloatArray:
-        pixels = project(truth, directions)
-        return pixels if field is None else np.asarray(pixels + field(pixels))
-
-    times = pop.sun_track(np.array(case.days, dtype=float), site=case.site)
-    times = times[camera_sees(truth, project(truth, sun_directions(times, case.site)))]
-    zenith = sun_angles(times, case.site).apparent_zenith
-    points = pop.sightings(truth, times, case.noise(rng, zenith, case.sigma_px), site=case.site, field=field)
+    sun = pop.track(case.days, site=case.site, cadence_s=case.cadence_s).shown_by(truth)
+    noise = case.noise(rng, sun.zenith_deg, case.sigma_px)
+    points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
     if case.rounded:
         points = replace(points, pixels=np.rint(points.pixels))
     options = CalibrationOptions(projection=case.projection)
     fit = calibrate(points, site=case.site, image_size=case.size, options=options)
-    expected = seen_at(_SKY)
+    expected = pop.seen_at(truth, _SKY, field)
     found, covariance = project_with_covariance(fit, _SKY)
     shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
     error, covariance = (found - expected)[shown], covariance[shown]
     covered = squared_sigmas(error, covariance) < CHI_SQUARE_95
-    track = sun_directions(times[:: max(times.size // 400, 1)], case.site)
-    away = np.degrees(np.arccos(np.clip(np.max(_SKY[shown] @ track.T, axis=1), -1.0, 1.0)))
+    away = degrees_from_track(_SKY[shown], every_so_many(sun.directions))
     rms = math.sqrt(float(np.mean(np.sum(error**2, axis=-1))))
     near, far = away < 20.0, away > 40.0
     shares = [float(covered[where].mean()) if np.any(where) else math.nan for where in (near, far)]

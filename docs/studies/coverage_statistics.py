@@ -10,6 +10,7 @@ FloatArray = NDArray[np.float64]
 CHI_SQUARE_95 = 5.991
 """The 95 % quantile of chi-square with two degrees of freedom."""
 _DRAWS = 2000
+_PLACES = 400
 
 
 def squared_sigmas(error: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -22,3 +23,13 @@ def bootstrap_interval(values: FloatArray) -> tuple[float, float]:
     picks = np.random.default_rng(1).integers(0, values.size, (_DRAWS, values.size))
     low, high = np.quantile(values[picks].mean(axis=1), [0.025, 0.975])
     return float(low), float(high)
+
+
+def every_so_many(track: FloatArray) -> FloatArray:
+    """Return some 400 places (k, 3) of a track (n, 3), evenly in time."""
+    return track[:: max(track.shape[0] // _PLACES, 1)]
+
+
+def degrees_from_track(directions: FloatArray, track: FloatArray) -> FloatArray:
+    """Return (n,): angles, degrees, of directions (n, 3) to the nearest place of a track (m, 3)."""
+    return np.asarray(np.degrees(np.arccos(np.clip(np.max(directions @ track.T, axis=1), -1.0, 1.0))))

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from sunarc.calibration import SunPoints
+from sunarc.calibration import SunPoints, camera_sees
 from sunarc.optics import Camera, PoseAngles, ideal_radius, project, rotation_from_pose_angles
 from sunarc.sky import Site, sun_angles, sun_directions
 
@@ -92,6 +94,28 @@ def sun_track(days: FloatArray, *, site: Site = SGP, cadence_s: float = 30.0) ->
     return times[sun_angles(times, site).apparent_zenith < 89.6]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Where the sun is: times (n,), s; apparent directions (n, 3); apparent zenith angles (n,), degrees."""
+
+    unix_s: FloatArray
+    directions: FloatArray
+    zenith_deg: FloatArray
+
+    def shown_by(self, camera: Camera) -> Track:
+        """Return the part that lands in a camera's image."""
+        shown = camera_sees(camera, project(camera, self.directions))
+        return Track(unix_s=self.unix_s[shown], directions=self.directions[shown], zenith_deg=self.zenith_deg[shown])
+
+
+@lru_cache(maxsize=8)
+def track(days: tuple[int, ...], *, site: Site = SGP, cadence_s: float = 30.0) -> Track:
+    """Return the sun of a `sun_track`; that of the same days is computed once."""
+    times = sun_track(np.array(days, dtype=float), site=site, cadence_s=cadence_s)
+    zenith = sun_angles(times, site).apparent_zenith
+    return Track(unix_s=times, directions=sun_directions(times, site), zenith_deg=zenith)
+
+
 def smooth_field(rng: np.random.Generator, *, amplitude_px: float, length_px: float, waves: int = 400) -> Field:
     """Draw a smooth random displacement field over the image, as a function of pixels."""
     frequency = rng.standard_normal((2, waves, 2)) / length_px
@@ -112,9 +136,8 @@ def white_noise(rng: np.random.Generator, n: int, sigma_px: float) -> FloatArray
 def correlated_noise(rng: np.random.Generator, n: int, sigma_px: float, rho: float) -> FloatArray:
     """Draw first-order autoregressive noise, (n, 2)."""
     drawn = rng.normal(0.0, sigma_px, (n, 2))
-    for i in range(1, n):
-        drawn[i] = rho * drawn[i - 1] + math.sqrt(1.0 - rho**2) * drawn[i]
-    return drawn
+    drawn[1:] *= math.sqrt(1.0 - rho**2)
+    return np.asarray(lfilter([1.0], [1.0, -rho], drawn, axis=0))
 
 
 def cloud_noise(rng: np.random.Generator, n: int, *, core_px: float, sd_px: float, share: float) -> FloatArray:
@@ -144,7 +167,17 @@ def sightings(
     camera: Camera, times: FloatArray, noise: FloatArray, *, site: Site = SGP, field: Field | None = None
 ) -> SunPoints:
     """Return what a detector would have seen."""
-    pixels = project(camera, sun_directions(times, site))
-    if field is not None:
-        pixels = pixels + field(pixels)
-    return SunPoints(unix_s=times, pixels=pixels + noise)
+    return sightings_of(camera, times, sun_directions(times, site), noise, field=field)
+
+
+def sightings_of(
+    camera: Camera, times: FloatArray, directions: FloatArray, noise: FloatArray, *, field: Field | None = None
+) -> SunPoints:
+    """Return what a detector would have seen of the sun in directions that are known."""
+    return SunPoints(unix_s=times, pixels=seen_at(camera, directions, field) + noise)
+
+
+def seen_at(camera: Camera, directions: FloatArray, field: Field | None) -> FloatArray:
+    """Return the pixels (n, 2) of directions by the true camera and its field."""
+    pixels = project(camera, directions)
+    return pixels if field is None else np.asarray(pixels + field(pixels))

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from sunarc.calibration import calibrate, hemisphere, project_with_covariance
 from sunarc.calibration.model.options import CalibrationOptions
-from sunarc.optics import project
 
 FloatArray = NDArray[np.float64]
 
@@ -67,14 +66,13 @@ def ranks(seed: int, case: Case) -> FloatArray:
     rng = np.random.default_rng([seed, 2026])
     amplitude, length = amplitude_px(rng), pop.SIZE * math.exp(rng.uniform(*np.log(FIELD_LENGTHS)))
     truth = pop.random_camera(rng)
-    times = pop.sun_track(np.array(case.days, dtype=float))
+    sun = pop.track(case.days)
     field = pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude else None
-    points = pop.sightings(truth, times, pop.white_noise(rng, times.size, case.sigma_px), field=field)
+    noise = pop.white_noise(rng, sun.unix_s.size, case.sigma_px)
+    points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
     fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=CalibrationOptions())
-    seen, covariance = project_with_covariance(fit, _SKY)
-    pixels = project(truth, _SKY)
-    error = seen - (pixels if field is None else pixels + field(pixels))
-    square = squared_sigmas(error, covariance)
+    found, covariance = project_with_covariance(fit, _SKY)
+    square = squared_sigmas(found - pop.seen_at(truth, _SKY, field), covariance)
     return np.asarray(1.0 - np.exp(-0.5 * square))
 
 

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import population as pop
-from coverage_statistics import CHI_SQUARE_95, squared_sigmas
+from coverage_statistics import CHI_SQUARE_95, degrees_from_track, every_so_many, squared_sigmas
 from numpy.typing import NDArray
 
 from sunarc.calibration import CalibrationOptions, calibrate, hemisphere, project_with_covariance
-from sunarc.optics import Camera, project
-from sunarc.sky import sun_directions
+from sunarc.optics import project
 
 FloatArray = NDArray[np.float64]
 
@@ -57,6 +56,7 @@ CASES = {
     "fine, 4 days": Case(sigma_px=0.03, days=_FOUR),
     "fine, 1 day, field": Case(sigma_px=0.03, field_px=0.3),
     "fine, 4 days, field": Case(sigma_px=0.03, days=_FOUR, field_px=0.3),
+    "fine, 60 days, field": Case(sigma_px=0.03, days=_YEAR, field_px=0.3),
     "clouds, case 5": Case(sigma_px=0.43, cloud_sd_px=5.2, cloud_share=0.22, days=(25,)),
     "clouds, case 4": Case(sigma_px=0.43, cloud_sd_px=2.5, cloud_share=0.12, days=_TEN),
     "biased 40 %": Case(sigma_px=0.43, biased_share=0.4),
@@ -80,19 +80,20 @@ def one_lens(case: Case, seed: int, options: CalibrationOptions, verbose: bool) 
     """Return sky error, track error, coverage (sky, near, far) and the stated sky error of one lens."""
     rng = np.random.default_rng(seed)
     truth = pop.random_camera(rng)
-    times = pop.sun_track(np.array(case.days, dtype=float), cadence_s=case.cadence_s)
+    sun = pop.track(case.days, cadence_s=case.cadence_s)
     field = pop.smooth_field(rng, amplitude_px=case.field_px, length_px=425.0) if case.field_px > 0.0 else None
-    points = pop.sightings(truth, times, noise_of(case, rng, times.size), field=field)
+    noise = noise_of(case, rng, sun.unix_s.size)
+    points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)
     begin = time.perf_counter()
     fit = calibrate(points, site=pop.SGP, image_size=(pop.SIZE, pop.SIZE), options=options)
     took = time.perf_counter() - begin
-    sky, track = hemisphere(1000), sun_directions(times[:: max(times.size // 400, 1)], pop.SGP)
-    seen, covariance = project_with_covariance(fit, sky)
-    error = seen - _true_pixels(truth, sky, field)
+    sky, places = hemisphere(1000), every_so_many(sun.directions)
+    found, covariance = project_with_covariance(fit, sky)
+    error = found - pop.seen_at(truth, sky, field)
     square = squared_sigmas(error, covariance)
     covered = square < CHI_SQUARE_95
-    away = np.degrees(np.arccos(np.clip(np.max(sky @ track.T, axis=1), -1.0, 1.0)))
-    on_track = project(fit.camera, track) - _true_pixels(truth, track, field)
+    away = degrees_from_track(sky, places)
+    on_track = project(fit.camera, places) - pop.seen_at(truth, places, field)
     stated = float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
     result = np.array(
         [
@@ -102,14 +103,9 @@ def one_lens(case: Case, seed: int, options: CalibrationOptions, verbose: bool) 
     )  # fmt: skip
     if verbose:
         said = f"A {fit.field.amplitude_px:.4f} L {fit.field.length_px:.0f} radial {fit.evidence.radial_px:.2f}"
-        noise = f"sigma {fit.evidence.sigma_px:.4f} inflation {fit.evidence.inflation:.2f}"
-        print("   ", seed, np.round(result[:7], 4), said, noise, fit.verdict.accepted, flush=True)
+        sigma = f"sigma {fit.evidence.sigma_px:.4f} inflation {fit.evidence.inflation:.2f}"
+        print("   ", seed, np.round(result[:7], 4), said, sigma, fit.verdict.accepted, flush=True)
     return result
-
-
-def _true_pixels(truth: Camera, directions: FloatArray, field: pop.Field | None) -> FloatArray:
-    pixels = project(truth, directions)
-    return pixels if field is None else pixels + field(pixels)
 
 
 def _rms(error: FloatArray) -> float:
