@@ -14,7 +14,7 @@ NUMBERS: dict[str, Any] = {
     "n_images": 48, "n_accepted": 46, "n_stored": 1380, "n_stars": 1700, "n_matched": 620, "limiting_magnitude": 5.5,
     "star_fwhm_px": 2.4, "cloud_fraction": 0.1, "transparency": 0.83, "extinction": 0.2, "extinction_sigma": 0.01,
     "zero_point": 10.9, "star_ellipticity": 0.1, "halo": 0.01, "width_growth": 1.02, "halo_growth": 0.0,
-    "fading_mag": 0.05,
+    "fading_mag": 0.05, "n_moon_images": 12, "n_moon_stored": 11, "n_warm_pixels": 310, "star_offset_px": 0.12,
 }  # fmt: skip
 
 
@@ -50,6 +50,7 @@ def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> No
         **NUMBERS,
         **PARTS,
         "images": None,
+        "picture": False,
     }
     assert made.client.get("/v1/nights?images=true").json()["nights"][0]["images"] == PARTS["images"]
     assert (oldest["zenith_bands"], oldest["images"]) == ([], None)
@@ -64,4 +65,31 @@ def test_nights_are_listed_the_newest_first_with_what_is_known(made: Made) -> No
 
 
 def test_without_nights_the_list_is_empty(empty: Made) -> None:
-    assert empty.client.get("/v1/nights").json() == {"nights": [], "next": None}
+    assert empty.client.get("/v1/nights").json() == {"nights": [], "pose": None, "next": None}
+
+
+def test_a_night_that_was_judged_again_is_listed_once(made: Made) -> None:
+    for verdict, n_images in (("partly", 40), ("clear", 48)):
+        found = Finding("night", {"date": "2013-05-12", "reasons": "", "verdict": verdict, "n_images": n_images})
+        event = Event.of(found, MESSAGES, time=made.noon, severity="info", camera="roof", details={"findings": []})
+        made.archive.add_event(event)
+    page = made.client.get("/v1/nights", params={"limit": 1}).json()
+    assert [(night["verdict"], night["n_images"]) for night in page["nights"]] == [("clear", 48)]
+    assert page["next"] is None
+    assert "sunarc_night_n_images 48.0" in made.client.get("/metrics").text
+
+
+def test_the_turn_between_day_and_night_is_that_of_the_served_calibration(made: Made) -> None:
+    served = made.archive.current_calibration("roof")
+    assert served is not None
+    assert made.client.get("/v1/nights").json()["pose"] is None
+    night = {
+        "n": 150, "pose_difference_deg": [0.004, -0.011, 0.002], "pose_sigma_deg": [0.002, 0.002, 0.003],
+        "star_offset_px": 0.1, "star_offset_sigma_px": 0.02,
+    }  # fmt: skip
+    made.archive.add_calibration({**served.document, "id": "of-nights", "state": "candidate", "night": night})
+    made.archive.activate("of-nights")
+    assert made.client.get("/v1/nights").json()["pose"] == {
+        "calibration": "of-nights", "n": 150, "pose_difference_deg": [0.004, -0.011, 0.002],
+        "pose_sigma_deg": [0.002, 0.002, 0.003],
+    }  # fmt: skip

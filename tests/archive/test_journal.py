@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from typing import Any
 
 import pytest
 
@@ -86,3 +87,39 @@ def test_events_are_told_the_newest_first(archive: Archive) -> None:
     assert [event.kind for event in archive.events("roof")] == ["disk", "bump", "start"]
     assert archive.events("attic", severity="alarm") == ()
     assert archive.events(since=NOW, until=NOW + timedelta(seconds=1)) == (stored,)
+
+
+def night(date: str, verdict: str, *, judged: datetime) -> Event:
+    details = {"date": date, "verdict": verdict}
+    return Event(camera="roof", time=judged, kind="night", severity="info", text="a night", details=details)
+
+
+def listed(archive: Archive, **limits: Any) -> list[tuple[str, str]]:  # noqa: ANN401 - arguments of any kind
+    return [(event.details["date"], event.details["verdict"]) for event in archive.nights("roof", **limits)]
+
+
+def test_a_night_that_is_judged_again_is_one_night_as_it_was_judged_last(archive: Archive) -> None:
+    for day in range(20):
+        archive.add_event(night(f"2013-05-{day + 1:02d}", "partly", judged=NOW + timedelta(days=day)))
+    # of the last image of the night: before the service judged it, and stored after that
+    archive.add_event(night("2013-05-03", "clear", judged=NOW + timedelta(days=2, minutes=-20)))
+    archive.add_event(night("2013-05-20", "cloudy", judged=NOW + timedelta(days=19, minutes=-20)))
+    every = listed(archive)
+    assert [date for date, _ in every] == [f"2013-05-{day:02d}" for day in range(20, 0, -1)]
+    assert (every[0][1], every[17][1], every[1][1]) == ("cloudy", "clear", "partly")
+    for limit in range(1, 21):
+        assert listed(archive, limit=limit) == every[:limit]
+    third = NOW + timedelta(days=2)
+    assert listed(archive, since=third, until=third + timedelta(minutes=1)) == []  # it was judged again at another time
+    assert listed(archive, since=third - timedelta(hours=1), until=third) == [("2013-05-03", "clear")]
+    assert listed(archive, until=datetime.max.replace(tzinfo=UTC), limit=1) == every[:1]
+    assert archive.nights("mast") == ()
+
+
+def test_of_a_night_that_was_judged_a_hundred_times_the_nights_before_are_found(archive: Archive) -> None:
+    for _ in range(100):
+        archive.add_event(night("2013-05-04", "clear", judged=NOW + timedelta(days=3)))
+    archive.add_event(night("2013-05-01", "clear", judged=NOW))
+    damaged = replace(night("", "clear", judged=NOW), details={})
+    archive.add_event(damaged)
+    assert listed(archive, limit=2) == [("2013-05-04", "clear"), ("2013-05-01", "clear")]

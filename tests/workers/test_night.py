@@ -81,6 +81,7 @@ class Bench:
     trusted: bool = True
     refits: list[str] = field(default_factory=list)
     store: ImageStore | None = None
+    warm_pixels: Path | None = None
 
     def __post_init__(self) -> None:
         self.capture = NightCapture(NightExposures(), DropOldestQueue(capacity=9))
@@ -97,6 +98,7 @@ class Bench:
             request_refit=self.ask,
             board=self.board,
             store=self.store,
+            warm_pixels=self.warm_pixels,
         )
 
     def ask(self, reason: str) -> Refit:

@@ -55,4 +55,5 @@ def night_worker(service: Service, night: NightCapture) -> NightWorker:
         request_refit=service.request_refit,
         board=service.board,
         store=service.images,
+        warm_pixels=service.settings.warm_pixels,
     )

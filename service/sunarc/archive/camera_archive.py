@@ -41,6 +41,7 @@ class CameraArchive:
         self.expire_housekeeping = partial(archive.expire_housekeeping, name)
         self.last_served = partial(archive.last_served, name)
         self.newest_sighting_time = partial(archive.newest_sighting_time, name)
+        self.nights = partial(archive.nights, name)
         self.observation_times = partial(archive.observation_times, name)
         self.open_epoch = partial(archive.open_epoch, name)
         self.readmit = partial(archive.readmit, name)

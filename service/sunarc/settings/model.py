@@ -133,6 +133,11 @@ class Settings(_WithStore):
         return self.state / "reserve"
 
     @property
+    def warm_pixels(self) -> Path:
+        """The file of the warm pixels that the images of the night showed."""
+        return self.state / "warm-pixels.json"
+
+    @property
     def images(self) -> Path:
         """The root of the dated image folders."""
         return self.state / "images"

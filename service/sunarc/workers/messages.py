@@ -92,6 +92,21 @@ MESSAGES = Messages(
         "Images of that night's end are less sharp; its sightings carry their own uncertainty.",
         "look at the dome's heating and its seal; where the sky was hazy there is nothing to do",
     ),
+    warm_pixels_unread=Message(
+        "the list of warm pixels cannot be read, {file}: {error}",
+        "Fewer stars are named in the first hour and a half of the next night.",
+        "none: the list is made and written anew in the next night",
+    ),
+    warm_pixels_other_sensor=Message(
+        "the list of warm pixels is of another sensor, {file}: {stored}; the images are {present}",
+        "It is not used; fewer stars are named in the first hour and a half of the next night.",
+        "none: the list is made and written anew in the next night",
+    ),
+    warm_pixels_unwritten=Message(
+        "the list of warm pixels could not be written, {file}: {error}",
+        "After a restart the former list is used.",
+        "free disk space; it is written again after the next night",
+    ),
     refit_accepted=Message("{message}", "A refit made a calibration that may be served."),
     refit_marginal=Message(
         "{message}",

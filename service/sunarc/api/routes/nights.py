@@ -15,7 +15,7 @@ from fastapi.responses import FileResponse, Response
 from sunarc.api.context import ApiContext
 from sunarc.api.problems import answers
 from sunarc.api.routes.calibrations import matches
-from sunarc.api.schemas.nights import Night, NightBodies, Nights
+from sunarc.api.schemas.nights import Night, NightBodies, NightPose, Nights
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import IfNoneMatch, Since, Until, row_limit
 from sunarc.archive import Event
@@ -24,7 +24,6 @@ from sunarc.json_fields import SolarDate
 from sunarc.sky import day_bounds_unix_s
 from sunarc.utc import DAY_S, rfc3339, utc_time
 
-_KIND = "night"
 _PICTURE, _NAMES = "night.jpg", "night.json"
 """Kinds of files of the store of images, as the worker of the night writes them."""
 _CACHED = "private, max-age=300"
@@ -54,13 +53,12 @@ def night_routes(context: ApiContext) -> APIRouter:
         limit: Annotated[int, row_limit()] = 366,
         cursor: Cursor = None,
     ) -> Nights:
-        """Tell the verdicts of the nights that were judged at since <= time < until, the newest first."""
+        """Tell the verdicts of the nights that were judged at since <= time < until, the newest first, each once."""
         selected, page = context.of(request), page_at(cursor, limit)
-        found = selected.archive.events(
-            selected.camera, since=since, until=page.until(until), kind=_KIND, limit=page.rows
-        )
+        found = selected.archive.nights(selected.camera, since=since, until=page.until(until), limit=page.rows)
         rows, next_ = page.cut(found, request, time=lambda event: event.time)
-        return Nights(nights=[_night(event, images=images) for event in rows], next=next_)
+        nights = [_night(event, images=images, picture=_has_picture(selected, event)) for event in rows]
+        return Nights(nights=nights, pose=_pose(selected), next=next_)
 
     @routes.get("/nights/{night}/image", response_class=Response, responses=_IMAGE | answers(404, 422))
     def night_image(request: Request, night: Evening, if_none_match: IfNoneMatch = None) -> Response:
@@ -84,17 +82,43 @@ def night_routes(context: ApiContext) -> APIRouter:
     return routes
 
 
-def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path]:
-    """Return the time and the file of a kind that belongs to a night: from noon to noon, local mean solar time."""
+def _pose(context: ApiContext) -> NightPose | None:
+    """Return how the camera stands at night against the day, as the calibration that is served has it."""
+    record = context.record_or_none(None)
+    night = None if record is None else record.document.get("night")
+    return None if record is None or night is None else NightPose.model_validate({**night, "calibration": record.id})
+
+
+def _has_picture(context: ApiContext, event: Event) -> bool:
+    """Return whether the picture of a night is there: where its event says, or else where its time would put it."""
+    if context.images is None:
+        return False
+    time = event.details.get("picture_time")
+    try:
+        if time is not None:
+            return context.images.path(datetime.fromisoformat(str(time)), kind=_PICTURE).is_file()
+        night = date.fromisoformat(str(event.details["date"]))
+    except ValueError:
+        return False
+    return bool(_pictures(context, night, _PICTURE))
+
+
+def _pictures(context: ApiContext, night: date, kind: str) -> list[tuple[datetime, Path]]:
+    """Return the newest file of a kind that belongs to a night, with its time: from noon to noon, local mean time."""
     begin = day_bounds_unix_s(night, longitude=context.site.longitude)[0] + 0.5 * DAY_S
     since, until = utc_time(begin), utc_time(begin + DAY_S)
-    found = [] if context.images is None else context.images.between(kind=kind, since=since, until=until, limit=1)
+    return [] if context.images is None else context.images.between(kind=kind, since=since, until=until, limit=1)
+
+
+def _newest(context: ApiContext, night: date, kind: str) -> tuple[datetime, Path]:
+    """Return the time and the file of a kind that belongs to a night."""
+    found = _pictures(context, night, kind)
     if not found:
         raise NotFoundError(field="night", problem=f"no picture of the night {night}", remedy="see /v1/nights")
     return found[0]
 
 
-def _night(event: Event, *, images: bool) -> Night:
+def _night(event: Event, *, images: bool, picture: bool) -> Night:
     """Return the verdict that the event of a night carries."""
     left_out = {} if images else {"images": None}
-    return Night.model_validate({**event.details, **left_out, "decided_at": event.time})
+    return Night.model_validate({**event.details, **left_out, "picture": picture, "decided_at": event.time})

@@ -30,7 +30,7 @@ def record_metrics(archive: Archive, camera: str, *, now: datetime) -> Iterator[
     refits = dict.fromkeys(get_args(RefitState), 0) | dict(archive.count_refits(camera))
     yield _counts("sunarc_refits", "Refits by state.", "state", refits)
     yield from _of_last_day(next(iter(archive.days(camera, limit=1)), None))
-    yield from _of_last_night(next(iter(archive.events(camera, kind="night", limit=1)), None))
+    yield from _of_last_night(next(iter(archive.nights(camera, limit=1)), None))
 
 
 def _of_last_day(day: Day | None) -> Iterator[Metric]:

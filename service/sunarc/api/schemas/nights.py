@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from sunarc.api.schemas.parameters import Next, Pair, Size
+from sunarc.api.schemas.parameters import Next, Pair, Size, Unit
 from sunarc.json_fields import EXAMPLE_TIME, SolarDate, Time, described
 
 
@@ -61,6 +61,12 @@ class Night(BaseModel):
     n_images: Annotated[int, described("Exposures of the night, a count.", 48)]
     n_accepted: Annotated[int, described("Of them those whose stars were named, a count.", 46)] = 0
     n_stored: Annotated[int, described("Sightings of stars and planets that were stored, a count.", 1380)] = 0
+    n_moon_images: Annotated[int, described("Slots with exposures of the moon, a count.", 12)] = 0
+    n_moon_stored: Annotated[int, described("Sightings of the moon that were stored, a count.", 12)] = 0
+    n_warm_pixels: Annotated[int, described("Warm pixels that were repaired in its images, a count.", 310)] = 0
+    star_offset_px: Annotated[
+        float | None, described("By how much the stars' centres lie outside of their prediction, at most, px.", 0.1)
+    ] = None
     n_stars: Annotated[int, described("Detections in an accepted image, median.", 1730)] = 0
     n_matched: Annotated[int, described("Named stars in an accepted image, median.", 620)] = 0
     limiting_magnitude: Annotated[float | None, described("V to which half of the stars are detected.", 5.5)] = None
@@ -94,6 +100,7 @@ class Night(BaseModel):
     fading_mag: Annotated[
         float | None, described("Loss of brightness from the first to the last third, magnitudes.", 0.05)
     ] = None
+    picture: Annotated[bool, described("Whether /v1/nights/{night}/image has a picture of it.", True)] = False
     zenith_bands: Annotated[list[ZenithBandOut], described("Stars by zenith angle; empty where none were named.")] = []
     images: Annotated[
         NightImages | None, described("Numbers of its images; null where not asked for, or not known.")
@@ -127,8 +134,23 @@ class NightBodies(BaseModel):
     bodies: list[NightBody] = Field(description="The moon first, then the brightest; empty without a calibration.")
 
 
+class NightPose(BaseModel):
+    """How the camera stands at night against the day, by the sightings of all nights of a calibration."""
+
+    calibration: str = Field(description="Id of the calibration.", examples=["20130514T150508Z"])
+    n: int = Field(description="Sightings of nights that it used, a count.", examples=[150])
+    pose_difference_deg: Unit = Field(
+        description="Turn against the day about east, north and up, degrees.", examples=[[0.004, -0.011, 0.002]]
+    )
+    pose_sigma_deg: Unit = Field(description="1-sigma of each, degrees.", examples=[[0.002, 0.002, 0.003]])
+
+
 class Nights(BaseModel):
-    """Nights, the newest first."""
+    """Nights, the newest first; a night that was judged again is listed once, as it was judged last."""
 
     nights: Annotated[list[Night], described("On this page, the newest first.")]
+    pose: Annotated[
+        NightPose | None,
+        described("By the calibration that is served; null without one, or where it used no sightings of a night."),
+    ] = None
     next: Next

@@ -8,12 +8,12 @@ const RING = "M1.6 0A1.6 1.6 0 1 1-1.6 0A1.6 1.6 0 1 1 1.6 0"; // detected
 const CROSS = "M-1.5-1.5L-0.5-0.5M1.5 1.5L0.5 0.5M1.5-1.5L0.5-0.5M-1.5 1.5L-0.5 0.5"; // predicted, and not detected
 const SQUARE = "M-1.8-1.8H1.8V1.8H-1.8Z"; // the moon, or an image in which no star was named
 const NEAR = 0.06; // of the picture's width: how far from a body a pointer may be
-const known = { nights: [], night: null, bodies: null, body: null, picture: "", drawn: "" };
+const known = { nights: [], pose: null, night: null, bodies: null, body: null, picture: "", drawn: "" };
 
 export const nightOf = (date) => known.nights.find((night) => night.night === date);
 
 export async function readNights() {
-  known.nights = (await ask("/v1/nights?limit=366")).nights;
+  ({ nights: known.nights, pose: known.pose } = await ask("/v1/nights?limit=366"));
   $("night").hidden = !known.nights.length;
   if (!known.nights.length) return known.nights;
   drawCourse();
@@ -34,7 +34,8 @@ export async function showNight(date) {
   known.bodies = null;
   known.body = null;
   drawBodies();
-  const found = await Promise.all([askImage(`/v1/nights/${date}/image`), ask(`/v1/nights/${date}/bodies`), imagesOf(night)]);
+  const pictured = night.picture ? [askImage(`/v1/nights/${date}/image`), ask(`/v1/nights/${date}/bodies`)] : [null, null];
+  const found = await Promise.all([...pictured, imagesOf(night)]);
   if (known.drawn !== stamp) return;
   await showPicture(found[0]);
   known.bodies = found[1];
@@ -58,8 +59,11 @@ function factsOf(night) {
     "Through the air": night.zenith_bands.filter((band) => band.transparency !== null).map((band) => `${band.from_deg.toFixed(0)}–${band.to_deg.toFixed(0)}°: ${percent(band.transparency)}`).join(", ") || "not known",
     Lens: `stars ${fixed(night.star_fwhm_px, 2, " px")} wide, ellipticity ${telling(night.star_ellipticity)}; over the night ${telling(night.width_growth)} times as wide, ${telling(night.fading_mag)} mag fainter`,
   };
+  if (known.pose) facts["Pose at night"] = `turned by ${axes(known.pose.pose_difference_deg)}° about east, north and up against the day, 1-sigma ${axes(known.pose.pose_sigma_deg)}° (all nights of the calibration)`;
   return facts;
 }
+
+const axes = (values) => values.map((value) => value.toFixed(4)).join(", ");
 
 const percent = (share) => (share === null || share === undefined ? "–" : `${(100 * share).toFixed(0)} %`);
 

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -17,35 +18,30 @@ from sunarc.calibration import (
     Calibration,
     MatchedView,
     StarView,
-    image_parts,
     match_views,
-    predict_stars,
-    surest_of_parts,
 )
 from sunarc.cameras import Frame
 from sunarc.detection import NightLimits, Stars, detect_stars, star_halo
 from sunarc.findings import Finding
 from sunarc.runtime.status import StatusRegistry
-from sunarc.sky import night_sky, solar_date, wanderer_place
-from sunarc.utc import DAY_S
+from sunarc.sky import solar_date, wanderer_place
+from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
 from sunarc.workers.night.moon import MoonImages
+from sunarc.workers.night.named_stars import BENT_PX, star_view, surest_named
 from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
-from sunarc.workers.night.numbers import FAINTEST_V, NightNumbers, TakenImage, numbers_of
+from sunarc.workers.night.numbers import TakenImage, numbers_of
 from sunarc.workers.night.offset import RadialOffset, radial_offset
 from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
 from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
 from sunarc.workers.night.warm import WarmPixelMap
+from sunarc.workers.night.warm_file import WarmPixelFile
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _log = logging.getLogger(__name__)
 
 _POLL_S = 0.5
-_BENT_PX = 1.0
-"""1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""
-_MOST_A_FRAME = 30
-"""Sightings stored of an image: the surest of each part. A night of 50 images has as many as a day of the sun."""
 _MOST_IMAGES = 200
 _WORTH_A_REFIT: frozenset[NightVerdict] = frozenset({"clear", "partly"})
 _ENOUGH_STARS = 50
@@ -82,6 +78,7 @@ class NightWorker:
     board : where a focus that got worse, or dew, degrades the service.
     limits : what is suspected.
     store : where the picture of the night goes; None: nowhere.
+    warm_pixels : file of the camera's warm pixels; None: they are forgotten with a restart.
     """
 
     def __init__(
@@ -98,6 +95,7 @@ class NightWorker:
         board: StatusRegistry,
         limits: NightLimits | None = None,
         store: ImageStore | None = None,
+        warm_pixels: Path | None = None,
     ) -> None:
         self._frames, self._exposures = capture.frames, capture.exposures
         self._camera = camera
@@ -112,7 +110,8 @@ class NightWorker:
         self._store_images = store
         self._images: list[_Image] = []
         self._picture: NightPicture | None = None
-        self._warm = WarmPixelMap()
+        self._warm = WarmPixelMap(None if warm_pixels is None else WarmPixelFile(warm_pixels, self._report))
+        self._serial: str | None = None
         self._digest: int | None = None
         self._repeated = 0
         self._moon_frames = None if capture.moon is None else capture.moon.frames
@@ -138,7 +137,7 @@ class NightWorker:
             return
         sensor = sensor_of(frame, self._options)
         stars = detect_stars(
-            self._warm.repair(frame, sensor.bayer),
+            self._warm.repair(frame, sensor.bayer, serial=self._camera_serial()),
             full_scale=frame.full_scale,
             bayer=sensor.bayer,
             gain_e_per_count=sensor.gain_e_per_count,
@@ -161,12 +160,23 @@ class NightWorker:
         self._repeated += int(repeated)
         return repeated
 
+    def _camera_serial(self) -> str:
+        """Return the camera's serial number, as it was at the first image: another camera needs a restart."""
+        if self._serial is None:
+            record = self._camera.record()
+            self._serial = "" if record is None else record.serial
+        return self._serial
+
+    def _report(self, found: Finding) -> None:
+        self._camera.add_event(found, MESSAGES, time=self._now(), severity="warning")
+
     def look_at_moon(self, frames: Sequence[Frame]) -> None:
         """Keep the brightest places of a slot's short exposures until the night is over."""
         self._moon.add(frames)
 
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
+        self._warm.save()
         images, self._images = self._images, []
         picture, self._picture = self._picture, None
         repeated, self._repeated = self._repeated, 0
@@ -174,10 +184,10 @@ class NightWorker:
         night = self._night_of(images[0].time)
         calibration = self._camera.current_model()
         if calibration is None or not self._trusted():
-            self._keep(picture, None, calibration)
+            kept = self._keep(picture, None, calibration)
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
             self._moon.forget()
-            return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)})
+            return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)}, kept)
         views = []
         for image in images:
             views.append(self._view(image, calibration))
@@ -190,10 +200,10 @@ class NightWorker:
             for image, view, found in zip(images, views, matched, strict=True)
         ]
         measured = numbers_of(taken)
-        self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
+        kept = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = _offset_of(views, matched, calibration)
         stored = self._store(images, views, matched)
-        moon = self._moon.finish(calibration, within_px=_BENT_PX, clock_error_s=self._clock_error_s)
+        moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
         heartbeat()
         stored_moon = self._camera.archive.add_sun_points(moon.points)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
@@ -210,33 +220,38 @@ class NightWorker:
         if verdict in _WORTH_A_REFIT and stored >= _ENOUGH_STARS:
             self._request_refit(f"after the night of {night} ({verdict})")
         reasons = (*findings, *refused[:1], *moon.refused[:1], *frozen)
-        return self._remember(night, verdict, reasons, numbers, measured)
+        parts: dict[str, object] = {"zenith_bands": measured.bands, "images": measured.images}
+        return self._remember(night, verdict, reasons, numbers, kept | parts)
 
     def _keep(
         self, picture: NightPicture | None, taken: dict[datetime, TakenImage] | None, calibration: Calibration | None
-    ) -> None:
-        """Write the picture of the night, with the names of what is in it where a calibration predicts that."""
+    ) -> dict[str, object]:
+        """Write the picture of the night, with the names of what is in it where a calibration predicts that.
+
+        Returns
+        -------
+        What the event says of it: when it was taken; nothing where there is none.
+        """
         if self._store_images is None or picture is None:
-            return
+            return {}
         one = None if taken is None else taken.get(picture.time)
         current, record = self._camera.current_calibration(), self._camera.record()
-        store_picture(
+        written = store_picture(
             self._store_images,
             picture,
             [] if one is None or calibration is None else named_bodies(one, calibration, self._camera),
             calibration=None if current is None else current.id,
             image_size=None if record is None else record.image_size,
         )
+        return {"picture_time": rfc3339(picture.time)} if written else {}
 
     def _night_of(self, time: datetime) -> date:
         """Return the solar date of the evening that a night began with."""
         return solar_date(time.timestamp() - 0.5 * DAY_S, longitude=self._camera.site.longitude)
 
     def _view(self, image: _Image, calibration: Calibration) -> StarView:
-        unix_s = image.time.timestamp()
-        sky = night_sky(unix_s, self._camera.site_at(image.time), faintest=FAINTEST_V)
-        predicted = predict_stars(calibration, sky, within_px=_BENT_PX)
-        return StarView(unix_s=unix_s, sky=sky, stars=self._warm.without_warm(image.stars), predicted=predicted)
+        stars, site = self._warm.without_warm(image.stars), self._camera.site_at(image.time)
+        return star_view(stars, image.time.timestamp(), site=site, calibration=calibration)
 
     def _store(
         self,
@@ -255,12 +270,8 @@ class NightWorker:
 
     def _points(self, image: _Image, view: StarView, found: MatchedView) -> list[SunPoint]:
         """Return the surest stars of each part of an image as sightings."""
-        names, stars = np.array(found.names(view), dtype=np.str_), found.stars.select(found.matches.detection)
-        sound = stars.sound
-        names, stars = names[sound], stars.select(sound)
         record = self._camera.record()
-        parts = image_parts(stars.pixels, (0, 0) if record is None else record.image_size)
-        chosen = surest_of_parts(parts, stars.sigma_px, _MOST_A_FRAME)
+        names, stars = surest_named(view, found, (0, 0) if record is None else record.image_size)
         epoch = self._camera.archive.epoch_at(self._camera.name, image.time, reason="first sighting")
         return [
             SunPoint(
@@ -282,7 +293,7 @@ class NightWorker:
                 saturated_px=0,
                 clock_error_s=self._clock_error_s(image.time),
             )
-            for row in chosen.tolist()
+            for row in range(len(stars))
         ]
 
     def _moonlit_share(self, images: Sequence[_Image]) -> float:
@@ -295,15 +306,13 @@ class NightWorker:
         verdict: NightVerdict,
         findings: tuple[Finding, ...],
         numbers: dict[str, float],
-        measured: NightNumbers | None = None,
+        parts: dict[str, object],
     ) -> NightVerdict:
         """Store the verdict as an event, and set the conditions that the last nights give rise to."""
         known = {key: value for key, value in numbers.items() if math.isfinite(value)}
         why = "; ".join(map(text_of, findings))
         found = Finding("night", {"date": f"{night}", "verdict": verdict, "reasons": why, **known})
-        details: dict[str, object] = {"findings": [finding.as_json() for finding in findings]}
-        if measured is not None:
-            details |= {"zenith_bands": measured.bands, "images": measured.images}
+        details = {"findings": [finding.as_json() for finding in findings], **parts}
         self._camera.add_event(found, MESSAGES, time=self._now(), severity="info", details=details)
         _log.info("%s", text_of(found))
         self.publish_conditions()
@@ -311,7 +320,7 @@ class NightWorker:
 
     def publish_conditions(self) -> None:
         """Set or clear the conditions of the last nights, as the archive has them."""
-        nights = [event.details for event in self._camera.events(kind="night", limit=NIGHTS_COMPARED)]
+        nights = [event.details for event in self._camera.nights(limit=NIGHTS_COMPARED)]
         for code, reason in night_conditions(nights, self._limits).items():
             self._board.set_condition(code, reason)
 
@@ -324,7 +333,7 @@ def _offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibr
         sound = stars.sound
         pixels.append(stars.pixels[sound])
         predicted.append(view.predicted.pixels[star][sound])
-        own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - _BENT_PX**2, 0.0)
+        own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - BENT_PX**2, 0.0)
         sigma.append(np.sqrt(own))
     return radial_offset(
         np.concatenate(pixels),

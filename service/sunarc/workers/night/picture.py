@@ -112,8 +112,11 @@ def store_picture(
     *,
     calibration: str | None,
     image_size: tuple[int, int] | None,
-) -> None:
-    """Write the picture and its names beside the composites; they are removed with those of their age."""
+) -> bool:
+    """Write the picture and its names beside the composites, and return whether they were written.
+
+    They are removed with those of their age.
+    """
     document = {
         "time": rfc3339(picture.time),
         "calibration": calibration,
@@ -125,3 +128,5 @@ def store_picture(
         store.write(picture.time, picture.jpeg, kind=PICTURE)
     except OutsideError as error:
         _log.warning("picture of the night not written: %s", error)
+        return False
+    return True

@@ -10,6 +10,7 @@ import numpy as np
 from sunarc.array_types import BoolArray, Image, IntArray
 from sunarc.cameras import Frame
 from sunarc.detection import Bayer, Stars, outstanding_pixels, repaired, warm_pixels
+from sunarc.workers.night.warm_file import SensorFormat, WarmPixelFile
 
 _MOST_IMAGES = 36
 """Six hours of slots of ten minutes; 6 MB at most."""
@@ -19,32 +20,57 @@ _FEWEST, _SHORTEST = 6, timedelta(minutes=90)
 class WarmPixelMap:
     """Learns which pixels stand out in every image, and repairs them in those that follow.
 
-    From an hour and a half after the first image on there is a list; it is made anew with each image, stays over the
-    day, and is empty after a restart.
+    From an hour and a half after the first image on there is a list; it is made anew with each image and stays over
+    the day. With a file it is read before the first image, and written by `save`.
+
+    Parameters
+    ----------
+    file : where the list is kept over a restart; None: nowhere.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, file: WarmPixelFile | None = None) -> None:
+        self._file = file
         self._seen: deque[tuple[datetime, IntArray]] = deque(maxlen=_MOST_IMAGES)
-        self._shape: tuple[int, ...] = ()
+        self._sensor: SensorFormat | None = None
         self._warm: IntArray = np.zeros(0, dtype=np.int64)
+        self._saved = self._warm
 
     def __len__(self) -> int:
         return int(self._warm.size)
 
-    def repair(self, frame: Frame, bayer: Bayer | None) -> Image:
-        """Learn from a frame, and return its image without the warm pixels that are known."""
-        if frame.image.shape != self._shape:
-            self._seen.clear()  # another region or binning
-            self._shape, self._warm = frame.image.shape, np.zeros(0, dtype=np.int64)
+    def repair(self, frame: Frame, bayer: Bayer | None, *, serial: str = "") -> Image:
+        """Learn from a frame, and return its image without the warm pixels that are known.
+
+        Parameters
+        ----------
+        frame : of the night.
+        bayer : colours of a raw mosaic.
+        serial : of the camera.
+        """
+        rows, columns = frame.image.shape[:2]
+        sensor = SensorFormat(rows, columns, frame.pixel_format, frame.binning, serial)
+        if sensor != self._sensor:  # at the start, with another camera, region or binning
+            self._begin(sensor)
         self._seen.append((frame.time, outstanding_pixels(frame.image, bayer=bayer)))
         if len(self._seen) >= _FEWEST and self._seen[-1][0] - self._seen[0][0] >= _SHORTEST:
             self._warm = warm_pixels([pixels for _, pixels in self._seen])
         return repaired(frame.image, self._warm, bayer=bayer) if len(self) else frame.image
 
+    def _begin(self, sensor: SensorFormat) -> None:
+        self._seen.clear()
+        self._sensor = sensor
+        self._warm = self._saved = np.zeros(0, dtype=np.int64) if self._file is None else self._file.read(sensor)
+
+    def save(self) -> None:
+        """Write the list where it is not the one that was read or written last."""
+        if self._file is not None and self._sensor is not None and not np.array_equal(self._warm, self._saved):
+            self._file.write(self._sensor, self._warm)
+            self._saved = self._warm
+
     def without_warm(self, stars: Stars) -> Stars:
         """Return detections without those on a warm pixel: of images from before there was a list."""
-        if len(self) == 0 or len(stars) == 0:
+        if self._sensor is None or len(self) == 0 or len(stars) == 0:
             return stars
         column, row = np.round(stars.pixels).astype(np.int64).T
-        on_warm: BoolArray = np.isin(row * self._shape[1] + column, self._warm)
+        on_warm: BoolArray = np.isin(row * self._sensor.columns + column, self._warm)
         return stars.select(~on_warm)
