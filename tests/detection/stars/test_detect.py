@@ -175,3 +175,23 @@ def test_a_mask_hides_and_what_is_no_image_is_refused() -> None:
     assert len(detect_stars(np.full((64, 64), FULL_SCALE, dtype=np.uint16), full_scale=FULL_SCALE)) == 0
     with pytest.raises(InputError):
         detect_stars(np.zeros((8, 8), dtype=np.float64), full_scale=255)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("lights", "found"),
+    [
+        pytest.param([(1.1, 700.0)], 1, id="one faint star"),
+        pytest.param([(1.1, 700.0), (1.1, 900.0)], 2, id="two"),
+        pytest.param([(0.3, 20_000.0), (3.5, 60_000.0)], 0, id="a hot pixel and a cloud's edge"),
+    ],
+)
+def test_the_shape_of_one_or_two_lights(lights: list[tuple[float, float]], found: int) -> None:
+    rng = np.random.default_rng(1)
+    places = np.array([[60.0, 50.0], [30.7, 90.1]])[: len(lights)]
+    light = np.zeros((128, 128))
+    for place, (width, electrons) in zip(places, lights, strict=True):
+        light += expected(place[None], np.array([electrons]), size=128, width=width)
+    stars = detect_stars(counted(rng, light), full_scale=FULL_SCALE, gain_e_per_count=GAIN_E)
+    assert len(stars) == found
+    if found:
+        assert nearest(stars, places)[0].max() < 0.5

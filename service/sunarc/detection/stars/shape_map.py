@@ -68,9 +68,12 @@ def shapes_of_bright(
         good = ~cut_off & (minor > 0.25) & (major < 8.0) & (major < 3.0 * minor) & (snr > FAINTEST_SNR)
         if not np.any(good):
             return None
-        bright = good & (snr > min(SHAPE_SNR, float(np.quantile(snr[good], 0.5))))
+        # at least one: the brighter half of them
+        bright = good & (snr >= min(SHAPE_SNR, float(np.quantile(snr[good], 0.5))))
         width = float(np.median(np.sqrt(minor * major)[bright]))
         typical = bright & (np.abs(np.log(np.sqrt(minor * major) / width)) < math.log(ALIKE[1]))
+        if not np.any(typical):
+            return None  # two of widths that have nothing in common
     return wanted[typical][:_SHAPES], shape[typical][:_SHAPES]
 
 
