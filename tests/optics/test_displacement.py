@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
@@ -102,6 +103,29 @@ def test_taken_out_is_the_inverse() -> None:
     before = field.taken_out(pixels)
     assert np.max(np.abs(before - pixels)) > 1.0
     np.testing.assert_allclose(before + field.at(before), pixels, atol=1e-10)
+
+
+def test_taken_out_beyond_the_box_is_the_pixel_itself_and_nan_stays_nan() -> None:
+    """In a block with pixels that have an inverse, and in one that is not full."""
+    field, inside = smooth(), np.random.default_rng(6).uniform(0.0, SIZE, (300, 2))
+    expected = field.taken_out(inside)
+    pixels = inside.copy()
+    pixels[5], pixels[140], pixels[299] = [np.nan, 5.0], [CENTER, -1e9], [CENTER + field.half_px[0] + 1.0, CENTER]
+    found = field.taken_out(pixels)
+    assert np.isnan(found[5]).all()
+    np.testing.assert_array_equal(found[[140, 299]], pixels[[140, 299]])
+    others = np.setdiff1d(np.arange(300), [5, 140, 299])
+    np.testing.assert_allclose(found[others], expected[others], atol=1e-12)
+
+
+def test_taken_out_is_what_a_general_solver_finds() -> None:
+    field, pixels = smooth(), np.random.default_rng(7).uniform(0.0, SIZE, (10, 2))
+    for pixel, found in zip(pixels, field.taken_out(pixels), strict=True):
+
+        def off(place: FloatArray, given: FloatArray = pixel) -> FloatArray:
+            return np.asarray(place + field.at(place[None])[0] - given)
+
+        np.testing.assert_allclose(found, fsolve(off, pixel, xtol=1e-14), atol=1e-9)
 
 
 def test_a_field_that_folds_the_image_has_no_inverse() -> None:

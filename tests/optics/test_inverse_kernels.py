@@ -13,7 +13,8 @@ from tests.fixtures.calibration import small_camera
 
 from sunarc.optics import Projection, unproject
 from sunarc.optics.forward import decentering_shift, distorted_radius
-from sunarc.optics.inverse_kernels import _sine_and_cosine_of_half, take_out_decentering
+from sunarc.optics.half_angle import sine_and_cosine_of_half
+from sunarc.optics.inverse_kernels import take_out_decentering
 
 _BARE: dict[str, Any] = {
     "decentering": (0.0,) * 4,
@@ -75,7 +76,7 @@ def test_one_pixel_and_a_sheet_of_pixels_give_the_same_directions() -> None:
 
 def test_half_angles_are_those_of_the_library() -> None:
     for theta in np.linspace(0.0, math.pi, 301):
-        sine, cosine = _sine_and_cosine_of_half(theta)
+        sine, cosine = sine_and_cosine_of_half(theta)
         assert sine == pytest.approx(math.sin(0.5 * theta), abs=4e-16)
         assert cosine == pytest.approx(math.cos(0.5 * theta), abs=4e-16)
 

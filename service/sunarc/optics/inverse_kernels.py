@@ -12,6 +12,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.jit import njit
+from sunarc.optics.half_angle import sine_and_cosine_of_half
 from sunarc.optics.kernels import distortion_and_slope, radius_and_slope
 
 _ITERATIONS = 30
@@ -20,10 +21,6 @@ _LAST_STEP = 1e-8
 _KNOTS = 257
 """Of the table that the angle's steps begin at: cubic pieces of 1/256 of the field leave 1e-11 of an angle."""
 _BLOCK = 256
-_QUARTER, _ROOT_HALF = math.pi / 4, math.sqrt(0.5)
-_SINE = np.array([(-1.0) ** n / math.factorial(2 * n + 1) for n in range(9)])
-_COSINE = np.array([(-1.0) ** n / math.factorial(2 * n) for n in range(9)])
-"""Taylor's series: to pi / 4 what they leave out is 5e-17."""
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -86,19 +83,6 @@ def _first_angle(table: FloatArray, share: float) -> float:
     return float(angle) if low <= angle <= high else float(low + s * rise)
 
 
-@njit(nogil=True, inline="always")
-def _sine_and_cosine_of_half(theta: float) -> tuple[float, float]:
-    """Return the sine and cosine of half an angle from 0 to π, to 2e-16, by series about its quarter."""
-    a = 0.5 * theta - _QUARTER
-    square = a * a
-    sine, cosine = 0.0, 0.0
-    for n in range(8, -1, -1):
-        sine = sine * square + _SINE[n]
-        cosine = cosine * square + _COSINE[n]
-    sine *= a
-    return _ROOT_HALF * (cosine + sine), _ROOT_HALF * (cosine - sine)
-
-
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _step_angles(  # noqa: PLR0917 - compiled functions take positions
     code: int,
@@ -112,7 +96,7 @@ def _step_angles(  # noqa: PLR0917 - compiled functions take positions
     """Make one step of Newton's method for angles (n,), write their sines and cosines, and return how many moved."""
     moving = 0
     for i in range(theta.size):
-        s, c = _sine_and_cosine_of_half(theta[i])
+        s, c = sine_and_cosine_of_half(theta[i])
         sine_whole, cosine_whole = 2.0 * s * c, 1.0 - 2.0 * s * s
         if code == 0:
             ideal, slope = sine_whole / cosine_whole, 1.0 / (cosine_whole * cosine_whole)
