@@ -17,6 +17,7 @@ from sunarc.optics import (
     Camera,
     Projection,
     angle_limit,
+    block_kernels,
     ideal_angle,
     ideal_radius,
     kernels,
@@ -157,20 +158,31 @@ def test_the_kernels_interpreted_are_the_kernels_compiled_and_the_numpy_model() 
     assert (radius, slope) == pytest.approx((math.tan(0.5), 1.0 / math.cos(0.5) ** 2))
 
 
-def test_each_kernel_s_step_interpreted_gives_the_derivatives_of_the_numpy_model() -> None:
+def test_each_kernel_s_step_interpreted_gives_the_derivatives_of_the_numpy_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps = ("write_pixels", "_place", "_write_angles", "_write_ideal", "_distort", "_write_lens", "_write_vector")
+    for step in (*steps, "_write_pose", "_blank"):
+        monkeypatch.setattr(block_kernels, step, getattr(block_kernels, step).py_func)
     for camera in STRANGE:
         vector, code, mirror, max_angle, rotation = kernel_arguments(camera)
-        for direction in (field_of(camera, 2, seed=5)[1], rotation.T @ (AXIS[0] - np.array(camera.translation))):
-            shape, pixel, rows = np.empty(11), np.empty(2), np.zeros((2, 23))
-            x, y, z = rotation @ direction + np.array(camera.translation)
-            assert kernels._shape_at.py_func(vector, code, max_angle, x, y, z, shape)
-            kernels._lens_rows.py_func(vector, mirror, shape, pixel, rows)
-            kernels._vector_rows.py_func(vector, mirror, shape, x, y, z, rows)
-            kernels._pose_rows.py_func(rotation, right_jacobian(camera.rotation_cam_enu), direction, rows)
-            expected, by_parameters, _ = project_with_jacobian(camera, direction)
+        turn = right_jacobian(camera.rotation_cam_enu)
+        on_axis = rotation.T @ (AXIS[0] - np.array(camera.translation))
+        within = field_of(camera, 2, seed=5)[1]
+        directions = np.stack([within, on_axis, -within])
+        room = np.empty(block_kernels.ROOM)
+        block_kernels.write_block.py_func(vector, code, mirror, max_angle, rotation, turn, directions, 0, 3, room)
+        columns = room[: 2 * block_kernels.N_COLUMNS * block_kernels.BLOCK].reshape(-1, 2, block_kernels.BLOCK)
+        rows = np.zeros((3, 2, 23))
+        named = block_kernels.PARAMETERS >= 0
+        assert sorted(block_kernels.PARAMETERS[named]) == list(range(23))
+        rows[..., block_kernels.PARAMETERS[named]] = columns[named, :, :3].T
+        for k in range(2):
+            expected, by_parameters, _ = project_with_jacobian(camera, directions[k])
+            pixel = room[[block_kernels.PIXEL_X + k, block_kernels.PIXEL_Y + k]]
             np.testing.assert_allclose(pixel, expected, atol=1e-8)
-            np.testing.assert_allclose(rows, by_parameters, rtol=1e-8, atol=1e-7)
-        assert not kernels._shape_at.py_func(vector, code, max_angle, 1.0, 0.0, 0.0, shape)
+            np.testing.assert_allclose(rows[k], by_parameters, rtol=1e-8, atol=1e-7)
+        assert not np.any(rows[2])
 
 
 def test_the_radius_of_every_code_and_its_slope_are_those_of_the_projection() -> None:

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.block_sums import add_products, block_size, reach_of, weigh
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
-from sunarc.calibration.robust_loss import CUT, UNSEEN_PX
 from sunarc.cholesky import solved
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.kernels import write_pixel_and_rows, write_rotation
+from sunarc.optics.block_kernels import N_NATIVE, RESIDUAL, ROOM, write_block
+from sunarc.optics.kernels import write_rotation
 
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e8
@@ -30,9 +31,8 @@ RIDGE = 1e-14
 """Share of the diagonal that is always added: below the rounding of the sums."""
 _SIZE = len(Param)
 _LENS = np.ascontiguousarray(LENS)
-_POSE = int(Param.ROTATION_X)
-_NATIVE = N_LENS + 3
-_COLUMNS = np.concatenate([_LENS, np.arange(_POSE, _POSE + 3)])
+_SUMS = N_NATIVE + 2
+"""Columns whose products are added: derivatives, residual and, for an even number, one that is not looked at."""
 
 
 class Lens(NamedTuple):
@@ -141,9 +141,9 @@ def equations(  # noqa: PLR0917 - compiled functions take positions
     rotation, jacobian = np.empty((epochs, 3, 3)), np.empty((epochs, 3, 3))
     for e in range(epochs):
         write_rotation(at[N_LENS + 3 * e : N_LENS + 3 * e + 3], rotation[e], jacobian[e])
-    native, pull = np.zeros((epochs, _NATIVE, _NATIVE)), np.zeros((epochs, _NATIVE))
-    cost = _data_sums(lens, seen, goal.sigma, vector, rotation, jacobian, native, pull)
-    _in_unknowns(lens.basis, native, pull, normal, gradient)
+    products = np.zeros((epochs, _SUMS, _SUMS))
+    cost = _data_sums(lens, seen, goal.sigma, vector, rotation, jacobian, products)
+    _in_unknowns(lens.basis, products, normal, gradient)
     for i in range(at.size):
         cost += 0.5 * goal.precision[i] * at[i] * at[i]
         normal[i, i] += goal.precision[i]
@@ -160,90 +160,64 @@ def _data_sums(  # noqa: PLR0917 - compiled functions take positions
     vector: FloatArray,
     rotation: FloatArray,
     jacobian: FloatArray,
-    native: FloatArray,
-    pull: FloatArray,
+    products: FloatArray,
 ) -> float:
-    """Add, for each epoch, the products of the derivatives by lens and pose (20, 20) and with the residuals (20,)."""
-    shape, pixel, row = np.empty(11), np.empty(2), np.zeros((2, _SIZE))
-    along, across = np.empty(_NATIVE), np.empty(_NATIVE)
-    cost, e = 0.0, 0
-    pose, turn = rotation[e], jacobian[e]
-    for n in range(seen.directions.shape[0]):
-        if seen.epoch[n] != e:
-            e = seen.epoch[n]
-            pose, turn = rotation[e], jacobian[e]
-        shown = write_pixel_and_rows(
-            vector, lens.code, lens.mirror, lens.max_angle, pose, turn, seen.directions[n], shape, pixel, row
+    """Add, for each epoch, the products of the derivatives by lens and pose and of the residuals, and return the loss.
+
+    `products` (epochs, 22, 22): lower halves, in the order of a block's columns.
+    """
+    room = np.empty(ROOM)
+    begin, cost = 0, 0.0
+    while begin < seen.epoch.size:
+        e, size = seen.epoch[begin], block_size(seen.epoch, begin)
+        write_block(
+            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions, begin, size, room
         )
-        dx, dy = seen.pixels[n, 0] - pixel[0], seen.pixels[n, 1] - pixel[1]
-        shown = shown and math.isfinite(dx) and math.isfinite(dy)
-        if not shown:
-            dx, dy = UNSEEN_PX, UNSEEN_PX
-        weight, loss = _weight_and_loss((dx * dx + dy * dy) * seen.information[n], sigma)
-        cost += loss
-        weight *= seen.information[n]
-        if not shown or weight == 0.0:
-            continue
-        for i in range(_NATIVE):
-            along[i], across[i] = row[0, _COLUMNS[i]], row[1, _COLUMNS[i]]
-        for i in range(_NATIVE):
-            wa, wc = weight * along[i], weight * across[i]
-            pull[e, i] += wa * dx + wc * dy
-            for j in range(i + 1):
-                native[e, i, j] += wa * along[j] + wc * across[j]
+        cost += weigh(room, seen.pixels, seen.information, begin, size, sigma)
+        add_products(room, products[e])
+        begin += size
     return cost
 
 
 @njit(nogil=True)
-def _weight_and_loss(square: float, sigma: float) -> tuple[float, float]:
-    """Return the weight per information and the loss of a squared distance; `sigma` 0 takes plain squares."""
-    if sigma <= 0.0:
-        return 1.0, 0.5 * square
-    left = 1.0 - min(square / (CUT * sigma) ** 2, 1.0)
-    return left * left / sigma**2, CUT**2 / 6.0 * (1.0 - left**3)
-
-
-@njit(nogil=True)
-def _in_unknowns(
-    basis: FloatArray, native: FloatArray, pull: FloatArray, normal: FloatArray, gradient: FloatArray
-) -> None:
+def _in_unknowns(basis: FloatArray, products: FloatArray, normal: FloatArray, gradient: FloatArray) -> None:
     """Write the sums by the whitened unknowns of the lens and the poses of all epochs; lower triangles come in."""
     normal[:] = 0.0
     gradient[:] = 0.0
-    half = np.empty((_NATIVE, N_LENS))
-    for e in range(native.shape[0]):
-        _fill_upper(native[e])
-        _add_lens(basis, native[e], pull[e], half, normal, gradient)
+    half, reach = np.empty((N_NATIVE, N_LENS)), reach_of(basis)
+    for e in range(products.shape[0]):
+        native, pull = products[e], products[e, RESIDUAL]
+        _fill_upper(native)
+        _add_lens(basis, reach, native, half, normal, gradient)
         pose = N_LENS + 3 * e
         for a in range(3):
-            gradient[pose + a] = pull[e, N_LENS + a]
+            gradient[pose + a] = pull[N_LENS + a]
             for j in range(N_LENS):
                 normal[pose + a, j] = half[N_LENS + a, j]
             for b in range(a + 1):
-                normal[pose + a, pose + b] = native[e, N_LENS + a, N_LENS + b]
+                normal[pose + a, pose + b] = native[N_LENS + a, N_LENS + b]
     _fill_upper(normal)
 
 
 @njit(nogil=True)
 def _add_lens(  # noqa: PLR0917 - compiled functions take positions
     basis: FloatArray,
+    reach: IntArray,
     native: FloatArray,
-    pull: FloatArray,
     half: FloatArray,
     normal: FloatArray,
     gradient: FloatArray,
 ) -> None:
     """Write one epoch's sums (20, 20) times the basis to `half` (20, 17), and add those of the lens."""
-    for i in range(_NATIVE):
-        for j in range(N_LENS):
-            total = 0.0
-            for k in range(N_LENS):
-                total += native[i, k] * basis[k, j]
-            half[i, j] = total
-    for i in range(N_LENS):
+    half[:] = 0.0
+    for i in range(N_NATIVE):
         for k in range(N_LENS):
+            for j in range(reach[k, 0], reach[k, 1]):
+                half[i, j] += native[i, k] * basis[k, j]
+    for k in range(N_LENS):
+        for i in range(reach[k, 0], reach[k, 1]):
             share = basis[k, i]
-            gradient[i] += share * pull[k]
+            gradient[i] += share * native[RESIDUAL, k]
             for j in range(i + 1):
                 normal[i, j] += share * half[k, j]
 

@@ -11,15 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.block_sums import block_size, reach_of
 from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.kernels import pixels_of, write_pixel_and_rows, write_rotation
+from sunarc.optics.block_kernels import BLOCK, PIXEL_X, RESIDUAL, ROOM, write_block
+from sunarc.optics.kernels import pixels_of, write_rotation
 
 _SIZE = len(Param)
 _LENS = np.ascontiguousarray(LENS)
-_POSE, _TRANSLATION = int(Param.ROTATION_X), int(Param.TRANSLATION_X)
+_POSE = int(Param.ROTATION_X)
 
 
 class Optics(NamedTuple):
@@ -54,11 +56,7 @@ def residuals_of(optics: Optics, vector: FloatArray, seen: Sighted, air: FloatAr
     """
     rotation, jacobian = np.empty((3, 3)), np.empty((3, 3))
     write_rotation(vector[_POSE : _POSE + 3], rotation, jacobian)
-    directions = seen.directions
-    if air.size:
-        directions, up = np.empty_like(seen.directions), np.empty(3)
-        for n in range(directions.shape[0]):
-            _write_raised(seen.directions[n], _departure(seen.refraction_sd[n], air), directions[n], up)
+    directions, _ = _in_air(seen, air)
     result: FloatArray = pixels_of(vector, optics.code, optics.mirror, optics.max_angle, rotation, directions)
     for n in range(result.shape[0]):
         for c in range(2):
@@ -86,38 +84,69 @@ def residuals_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     rotation, jacobian = np.empty((epochs, 3, 3)), np.empty((epochs, 3, 3))
     for e in range(epochs):
         write_rotation(vectors[e, _POSE : _POSE + 3], rotation[e], jacobian[e])
-    shape, pixel, row = np.empty(11), np.empty(2), np.zeros((2, _SIZE))
-    direction, up, reach = np.empty(3), np.empty(3), _reach_of(basis)
-    for n in range(count):
-        e = seen.epoch[n]
-        _write_raised(seen.directions[n], _departure(seen.refraction_sd[n], air), direction, up)
-        shown = write_pixel_and_rows(
-            vectors[e], optics.code, optics.mirror, optics.max_angle, rotation[e], jacobian[e], direction,
-            shape, pixel, row,
+    directions, up = _in_air(seen, air)
+    room, own, reach = np.empty(ROOM), np.empty((N_LENS, 2 * BLOCK)), reach_of(basis)
+    begin = 0
+    while begin < count:
+        e, n = seen.epoch[begin], block_size(seen.epoch, begin)
+        write_block(
+            vectors[e], optics.code, optics.mirror, optics.max_angle, rotation[e], jacobian[e], directions, begin, n,
+            room,
         )  # fmt: skip
-        for c in range(2):
-            difference = seen.pixels[n, c] - pixel[c] - np.dot(seen.systematic_px[n, c], sizes)
-            residual[n, c] = difference if shown and math.isfinite(difference) else UNSEEN_PX
-        if not shown:
-            continue
-        for c in range(2):
-            _add_unknowns(row[c], basis, reach, N_LENS + 3 * e, rows[n, c])
-            rows[n, c, size - k - s : size - k] = seen.systematic_px[n, c]
-            if k:
-                _write_air(row[c], rotation[e], up, seen.refraction_sd[n], rows[n, c, size - k :])
+        _write_lens_unknowns(room, basis, reach, own)
+        for i in range(begin, begin + n):
+            if not math.isfinite(room[PIXEL_X + i - begin]):
+                residual[i] = UNSEEN_PX
+                continue
+            for c in range(2):
+                difference = seen.pixels[i, c] - room[PIXEL_X + c * BLOCK + i - begin]
+                difference -= np.dot(seen.systematic_px[i, c], sizes)
+                residual[i, c] = difference if math.isfinite(difference) else UNSEEN_PX
+                place, row = c * BLOCK + i - begin, rows[i, c]
+                for j in range(N_LENS):
+                    row[j] = own[j, place]
+                for a in range(3):
+                    row[N_LENS + 3 * e + a] = room[(N_LENS + a) * 2 * BLOCK + place]
+                row[size - k - s : size - k] = seen.systematic_px[i, c]
+                if k:
+                    by_air = _along(room, place, rotation[e], up[i])
+                    for a in range(k):
+                        row[size - k + a] = by_air * seen.refraction_sd[i, a]
+        begin += n
     return residual, rows
 
 
-@njit(nogil=True)
-def _add_unknowns(row: FloatArray, basis: FloatArray, reach: IntArray, pose: int, target: FloatArray) -> None:
-    """Add the derivatives of one coordinate by the lens's unknowns and by a pose to a row of zeros."""
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _write_lens_unknowns(room: FloatArray, basis: FloatArray, reach: IntArray, own: FloatArray) -> None:
+    """Write the derivatives of a block by the lens's unknowns (17, 2 BLOCK)."""
+    own[:] = 0.0
     for i in range(N_LENS):
-        share = row[_LENS[i]]
-        if share != 0.0:
-            for j in range(reach[i, 0], reach[i, 1]):
-                target[j] += share * basis[i, j]
-    for a in range(3):
-        target[pose + a] = row[_POSE + a]
+        column = room[i * 2 * BLOCK : (i + 1) * 2 * BLOCK]
+        for j in range(reach[i, 0], reach[i, 1]):
+            share = basis[i, j]
+            for n in range(2 * BLOCK):
+                own[j, n] += share * column[n]
+
+
+@njit(nogil=True)
+def _along(room: FloatArray, place: int, rotation: FloatArray, up: FloatArray) -> float:
+    """Return the derivative of one coordinate by the elevation of its direction; `up` (3,) is the tangent there."""
+    total = 0.0
+    for i in range(3):
+        turned = rotation[i, 0] * up[0] + rotation[i, 1] * up[1] + rotation[i, 2] * up[2]
+        total += room[(RESIDUAL + 1 + i) * 2 * BLOCK + place] * turned
+    return total
+
+
+@njit(nogil=True)
+def _in_air(seen: Sighted, air: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the directions in air that departs from the assumed one, and the tangents to the zenith there (n, 3)."""
+    if air.size == 0:
+        return seen.directions, seen.directions
+    directions, up = np.empty_like(seen.directions), np.empty_like(seen.directions)
+    for n in range(directions.shape[0]):
+        _write_raised(seen.directions[n], _departure(seen.refraction_sd[n], air), directions[n], up[n])
+    return directions, up
 
 
 @njit(nogil=True)
@@ -133,19 +162,6 @@ def vectors_of(mean: FloatArray, basis: FloatArray, unknowns: FloatArray, epochs
         for a in range(3):
             vectors[e, _POSE + a] = unknowns[N_LENS + 3 * e + a]
     return vectors
-
-
-@njit(nogil=True)
-def _reach_of(basis: FloatArray) -> IntArray:
-    """Return (p, 2): the first column of each row that is not 0, and the one after the last: most of a basis is 0."""
-    reach = np.zeros((basis.shape[0], 2), dtype=np.int64)
-    for i in range(basis.shape[0]):
-        for j in range(basis.shape[1]):
-            if basis[i, j] != 0.0:
-                reach[i, 1] = j + 1
-        while reach[i, 0] < reach[i, 1] and basis[i, reach[i, 0]] == 0.0:
-            reach[i, 0] += 1
-    return reach
 
 
 @njit(nogil=True)
@@ -175,16 +191,3 @@ def _write_upward(direction: FloatArray, up: FloatArray) -> None:
     up[0] = -direction[2] * direction[0] / length if length > 0.0 else 0.0
     up[1] = -direction[2] * direction[1] / length if length > 0.0 else 0.0
     up[2] = across * across / length if length > 0.0 else 0.0
-
-
-@njit(nogil=True)
-def _write_air(
-    row: FloatArray, rotation: FloatArray, up: FloatArray, refraction_sd: FloatArray, target: FloatArray
-) -> None:
-    """Write the derivatives of one coordinate by the departures of the refraction (k,)."""
-    along = 0.0
-    for i in range(3):
-        turned = rotation[i, 0] * up[0] + rotation[i, 1] * up[1] + rotation[i, 2] * up[2]
-        along += row[_TRANSLATION + i] * turned
-    for i in range(target.size):
-        target[i] = along * refraction_sd[i]

@@ -12,16 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.least_squares.block_sums import add_products, weigh
 from sunarc.calibration.least_squares.kernels import (
     LARGEST_DAMPING,
     SMALLEST_DAMPING,
     Seen,
     damped_step_of,
 )
-from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.kernels import decentering_bracket, write_pixel_and_rows, write_rotation
+from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PARAMETERS, ROOM, write_block
+from sunarc.optics.kernels import decentering_bracket, write_rotation
 
 _SIZE = len(Param)
 _FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
@@ -106,30 +107,34 @@ def equations(  # noqa: PLR0917 - compiled functions take positions
     gradient[:] = 0.0
     rotation, jacobian = np.empty((3, 3)), np.empty((3, 3))
     write_rotation(vector[_POSE : _POSE + 3], rotation, jacobian)
-    shape, pixel, row = np.empty(11), np.empty(2), np.zeros((2, _SIZE))
-    cost = 0.0
-    for n in range(seen.directions.shape[0]):
-        shown = write_pixel_and_rows(
-            vector, optics.code, optics.mirror, optics.max_angle, rotation, jacobian, seen.directions[n],
-            shape, pixel, row,
-        )  # fmt: skip
-        weight = seen.information[n]
-        dx, dy = pixel[0] - seen.pixels[n, 0], pixel[1] - seen.pixels[n, 1]
-        if not (shown and math.isfinite(dx) and math.isfinite(dy)):
-            cost += 2.0 * weight * UNSEEN_PX * UNSEEN_PX
-            continue
-        cost += weight * (dx * dx + dy * dy)
-        for i in range(_SIZE):
-            wx, wy = weight * row[0, i], weight * row[1, i]
-            gradient[i] -= wx * dx + wy * dy
-            for j in range(i + 1):
-                normal[i, j] += wx * row[0, j] + wy * row[1, j]
+    room, products = np.empty(ROOM), np.zeros((N_COLUMNS, N_COLUMNS))
+    cost, n = 0.0, seen.directions.shape[0]
+    for begin in range(0, n, BLOCK):
+        size = min(BLOCK, n - begin)
+        write_block(
+            vector, optics.code, optics.mirror, optics.max_angle, rotation, jacobian, seen.directions, begin, size, room
+        )
+        cost += 2.0 * weigh(room, seen.pixels, seen.information, begin, size, 0.0)
+        add_products(room, products)
+    _by_parameters(products, normal, gradient)
     cost += _orthogonality(weighed, vector, normal, gradient) + _circularity(weighed, vector, normal, gradient)
     cost += _monotony(weighed, vector, normal, gradient)
     for i in range(_SIZE):
         for j in range(i):
             normal[j, i] = normal[i, j]
     return cost if math.isfinite(cost) else math.inf
+
+
+@njit(nogil=True)
+def _by_parameters(products: FloatArray, normal: FloatArray, gradient: FloatArray) -> None:
+    """Write the products (24, 24; lower half) of a block's columns in the order of the parameters."""
+    for a in range(N_COLUMNS):
+        for b in range(a + 1):
+            i, j = max(PARAMETERS[a], PARAMETERS[b]), min(PARAMETERS[a], PARAMETERS[b])
+            if j >= 0:
+                normal[i, j] = products[a, b]
+            elif i >= 0:
+                gradient[i] = products[a, b]
 
 
 @njit(nogil=True)
