@@ -120,29 +120,35 @@ def test_the_share_within_an_ellipse_is_that_of_draws() -> None:
     moments = np.stack([random_covariance(2, seed=s) for s in range(3)])[:, None]
     stated = random_covariance(2, seed=9)[None]
     rng = np.random.default_rng(4)
-    found = module._coverage(moments, stated)
+    found = module._coverage(_triples(moments), _triples(stated))
     for k in range(3):
         draws = rng.multivariate_normal(np.zeros(2), moments[k, 0], 40_000)
         inside = np.einsum("ni,ij,nj->n", draws, np.linalg.inv(stated[0]), draws) < -2.0 * math.log(0.05)
         assert found[k] == pytest.approx(inside.mean(), abs=0.006)
 
 
-def test_products_from_both_sides_are_those_of_each_place_and_choice() -> None:
-    rng = np.random.default_rng(8)
-    left, right = rng.standard_normal((2, 5, 2, 4))
-    covariance = np.stack([random_covariance(4, seed=s) for s in range(3)])
-    found = module._both_ways(left, covariance, right)
-    assert found.shape == (3, 5, 2, 2)
-    for k in range(3):
-        for n in range(5):
-            product = left[n] @ covariance[k] @ right[n].T
-            np.testing.assert_allclose(found[k, n], 0.5 * (product + product.T), rtol=1e-12, atol=1e-12)
+def _triples(matrices: FloatArray) -> FloatArray:
+    """Return xx, xy, yy (..., 3, n) of symmetric matrices (..., n, 2, 2)."""
+    return np.stack([matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]], axis=-2)
 
 
 def test_a_gaussian_holds_its_own_95_percent() -> None:
-    one = random_covariance(2, seed=3)[None]
+    one = _triples(random_covariance(2, seed=3)[None])
     assert module._coverage(one[None], one)[0] == pytest.approx(0.95, abs=1e-9)
     assert module._coverage(4.0 * one[None], one)[0] == pytest.approx(1.0 - 0.05**0.25, abs=1e-9)
+
+
+def test_the_coverage_is_that_of_numpy_for_all_shapes_and_sizes() -> None:
+    rng = np.random.default_rng(5)
+    moments = np.stack([[random_covariance(2, seed=9 * k + n) for n in range(7)] for k in range(6)])
+    moments = moments * np.geomspace(1e-9, 1e9, 6)[:, None, None, None]
+    moments[0] = 0.0
+    stated = np.stack([random_covariance(2, seed=100 + n) for n in range(7)]) * rng.uniform(0.5, 2.0, (7, 1, 1))
+    values = np.linalg.eigvals(np.linalg.solve(stated, moments)).real
+    half, gap = values.mean(axis=-1), 0.5 * np.abs(values[..., 0] - values[..., 1])
+    square = half[..., None] + gap[..., None] * module._COS_DOUBLED
+    outside = np.exp(-0.5 * module._ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2))
+    np.testing.assert_allclose(module._coverage(_triples(moments), _triples(stated)), 1.0 - outside, atol=1e-9)
 
 
 def test_the_stated_95_percent_hold_95_percent_of_the_mixture(
@@ -167,7 +173,7 @@ def test_a_tilt_is_a_power_of_the_amplitude(system: LinearSystem, grid: Hyperpar
 
 def test_without_a_probe_there_is_no_tilt(system: LinearSystem, grid: HyperparameterGrid, at: FloatArray) -> None:
     choices = module._plausible(system.normal(), grid, at)
-    assert module._honest_tilt(choices, np.zeros((len(choices.shift), 0, 2, 2))) == 0.0
+    assert module._honest_tilt(choices, np.zeros((len(choices.shift), 3, 0))) == 0.0
 
 
 def test_the_plausible_choices_hold_nearly_all_probability(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.fit.choices_kernel import add_moments, write_coverage
 from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, log_weights, normalised
 from sunarc.calibration.fit.marginal_likelihood import NormalEquations, Turned, posterior_covariances
@@ -62,7 +63,8 @@ class _Choices:
     """The plausible scales, those of one field together.
 
     share (k,): probabilities. amplitude, length (k,): px. fields: one for each `field` (k,) of them. covariance
-    (k, p, p); shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean.
+    (k, p, p); shift (k, p): from the fit that is doubted; field_shift (k, 2, m): that of the field's mean, where it is
+    predicted.
     """
 
     share: FloatArray
@@ -72,7 +74,7 @@ class _Choices:
     field: IntArray
     covariance: FloatArray
     shift: FloatArray
-    field_shift: FloatArray
+    field_shift: FloatArray | None
 
     def tilted(self, tilt: float) -> FloatArray:
         """Return the shares, each times a power of its amplitude."""
@@ -102,7 +104,7 @@ def marginalised_covariance(
     errors are those before any sighting.
     """
     choices = _plausible(normal, grid, unknowns, mean)
-    moments = _at_probes(choices, grid.basis, problem, unknowns, predicted=mean is not None)
+    moments = _at_probes(choices, grid.basis, problem, unknowns)
     weight = choices.tilted(_honest_tilt(choices, moments))
     power = weight * choices.amplitude**2
     amplitude = math.sqrt(float(power.sum()))
@@ -110,7 +112,7 @@ def marginalised_covariance(
     covariance = (choices.shift.T * weight) @ choices.shift + np.tensordot(weight, choices.covariance, 1)
     cross = choices.mean_cross(weight)
     unseen = Field(amplitude_px=amplitude, length_px=length, basis=grid.basis, cross=cross)
-    if mean is None:
+    if choices.field_shift is None:
         return PosteriorCovariance(covariance, unseen)
     cross = cross + np.einsum("k,kp,kam->apm", weight, choices.shift, choices.field_shift, optimize=True)
     return PosteriorCovariance(covariance, seen_field(replace(unseen, cross=cross), normal, covariance))
@@ -139,7 +141,8 @@ def _plausible(
         pull = normal.jr - turned.explained(shrink) - here * normal.at
         step = np.einsum("kpq,kq->kp", covariance[-1], pull)
         fitted.append(normal.at + step)
-        coefficients.append(turned.coefficients(shrink, step))
+        if mean is not None:
+            coefficients.append(turned.coefficients(shrink, step) - mean)
         fields.append(_Field(turned, shrink, float(grid.amplitudes[amplitude])))
     share = weight.ravel()[retained]
     return _Choices(
@@ -150,45 +153,36 @@ def _plausible(
         field=field.ravel(),
         covariance=np.concatenate(covariance),
         shift=np.concatenate(fitted) - unknowns,
-        field_shift=np.concatenate(coefficients) - (0.0 if mean is None else mean),
+        field_shift=np.concatenate(coefficients) if coefficients else None,
     )
 
 
-def _at_probes(
-    choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray, *, predicted: bool = False
-) -> FloatArray:
-    """Return (k, n, 2, 2): the error's second moments under each choice, at places spread over the sky.
+def _at_probes(choices: _Choices, basis: WaveBasis, problem: Problem, unknowns: FloatArray) -> FloatArray:
+    """Return (k, 3, n): the error's second moments xx, xy, yy under each choice, at places spread over the sky.
 
     Camera and field together, see `covariance`, and how far the choice's fit is from the one that is doubted. Without a
     mean of the field in the prediction its own block is that before any sighting.
     """
     rows, basis_values = sky_rows(problem, unknowns, basis)
-    n, size = rows.shape[0], unknowns.size
-    moved = (choices.shift @ rows.reshape(-1, size).T).reshape(-1, n, 2)
-    if predicted:
-        moved = moved + np.moveaxis(choices.field_shift @ basis_values.T, 1, -1)
-    moments = moved[..., :, None] * moved[..., None, :]
+    # a component of all places after the other: (p, 2 n)
+    by_unknowns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(unknowns.size, -1)
+    moved = (choices.shift @ by_unknowns).reshape(-1, 2, rows.shape[0])
+    predicted = choices.field_shift is not None
+    if choices.field_shift is not None:
+        moved = moved + choices.field_shift @ basis_values.T
+    x, y = np.moveaxis(moved, 1, 0)
+    moments = np.stack([x * x, x * y, y * y], axis=1)
     for number, field in enumerate(choices.fields):
         inside = choices.field == number
-        pull = np.moveaxis(field.pull(basis_values), -1, 0)
+        pull = np.concatenate(list(field.pull(basis_values)), axis=-1)
         # camera and field: J C J' - J C X' - X C J', and with the field's mean in the prediction X C X' beside it
-        left, right = (rows - pull, rows - pull) if predicted else (rows, rows - 2.0 * pull)
-        reduction = field.reduction(basis_values) if predicted else np.zeros(n)
-        unknown = np.maximum(field.amplitude_px**2 - reduction, 0.0)
-        moments[inside] += _both_ways(left, choices.covariance[inside], right) + unknown[:, None, None] * np.eye(2)
-    return np.asarray(moments)
-
-
-def _both_ways(left: FloatArray, covariance: FloatArray, right: FloatArray) -> FloatArray:
-    """Return (k, n, 2, 2): L C R' made symmetric, for L and R (n, 2, p) and C (k, p, p)."""
-    n, _, size = left.shape
-    # a component of all places with all choices at once: products of 2 x 2 would cost a call each
-    through = (left.reshape(-1, size) @ covariance).reshape(-1, n, 2, size)
-    product = np.empty((covariance.shape[0], n, 2, 2))
-    for i in range(2):
-        for j in range(2):
-            product[..., i, j] = np.einsum("knp,np->kn", through[:, :, i], right[:, j])
-    return np.asarray(0.5 * (product + np.swapaxes(product, -1, -2)))
+        left, right = (by_unknowns - pull,) * 2 if predicted else (by_unknowns, by_unknowns - 2.0 * pull)
+        own = np.zeros((np.count_nonzero(inside), *moments.shape[1:]))
+        add_moments(left, right, choices.covariance[inside], own)
+        reduction = field.reduction(basis_values) if predicted else 0.0
+        own[:, ::2] += np.maximum(field.amplitude_px**2 - reduction, 0.0)
+        moments[inside] += own
+    return moments
 
 
 def sky_rows(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[FloatArray, FloatArray]:
@@ -212,7 +206,7 @@ def sky_rows(problem: Problem, unknowns: FloatArray, basis: WaveBasis) -> tuple[
 
 def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
     """Return the power of the amplitude with which the tilted mean holds as much of the mixture as it says."""
-    if moments.shape[1] == 0:
+    if moments.shape[2] == 0:
         return 0.0
     # the share held rises with the tilt: bisection needs no derivative
     low, high = _TILTS
@@ -224,20 +218,10 @@ def _honest_tilt(choices: _Choices, moments: FloatArray) -> float:
 
 
 def _coverage(moments: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return (k,): the share of Gaussians (k, n, 2, 2) within the 95 % ellipses of stated covariances (n, 2, 2).
+    """Return (k,): the share of Gaussians (k, 3, n) within the 95 % ellipses of stated covariances (3, n).
 
     With l₁, l₂ the eigenvalues of stated⁻¹ · moments, it is the mean over φ of 1 - exp(-q / 2 (l₁ cos² φ + l₂ sin² φ)).
     """
-    stated = _determinant(covariance)
-    # half the trace of stated⁻¹ · moments, the inverse of a 2 × 2 matrix written out
-    (a, b), (_, d) = np.moveaxis(covariance, 0, -1)
-    half = 0.5 * (d * moments[..., 0, 0] - 2.0 * b * moments[..., 0, 1] + a * moments[..., 1, 1]) / stated
-    determinant = _determinant(moments) / stated
-    half_gap = np.sqrt(np.maximum(half**2 - determinant, 0.0))
-    square = half[..., None] + half_gap[..., None] * _COS_DOUBLED
-    return np.asarray(1.0 - np.exp(-0.5 * _ELLIPSE / np.maximum(square, 1e-12)).mean(axis=(1, 2)))
-
-
-def _determinant(matrices: FloatArray) -> FloatArray:
-    """Return the determinants (...) of symmetric matrices (..., 2, 2)."""
-    return np.asarray(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] ** 2)
+    share = np.empty(moments.shape[0])
+    write_coverage(moments, covariance, _ELLIPSE, _COS_DOUBLED, share)
+    return share

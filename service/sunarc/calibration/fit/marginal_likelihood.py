@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.fit.choices_kernel import write_inverses
 from sunarc.calibration.fit.evidence_kernel import evidence_terms
 from sunarc.calibration.fit.field_axes import BasisProducts, FieldAxes
 from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, precisions
@@ -161,10 +162,18 @@ def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> Float
 def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
     """Return (k, p, p): covariances of the unknowns of one matrix of information (p, p) under precisions (k, p)."""
     diagonal = precision + ROUNDING * np.diag(normal.jj)
-    matrices = matrix + diagonal[:, :, None] * np.eye(normal.at.size)
+    covariances = np.empty((precision.shape[0], *matrix.shape))
+    if write_inverses(np.ascontiguousarray(matrix), diagonal, RIDGE, covariances):
+        return covariances
+    return general_inverses(matrix, diagonal)
+
+
+def general_inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
+    """Return (k, p, p): inverses of a matrix (p, p) plus diagonals (k, p), also where rounding makes one negative."""
+    matrices = matrix + diagonal[:, :, None] * np.eye(matrix.shape[0])
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     both = scale[:, :, None] * scale[:, None, :]
-    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(normal.at.size)) * both
+    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(matrix.shape[0])) * both
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
