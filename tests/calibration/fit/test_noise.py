@@ -1,4 +1,7 @@
-"""The autocorrelation of residuals and its factor on the variance of a mean, against AR(1) series and by hand."""
+"""The autocorrelation of residuals and its factor on the variance of a mean, against AR(1) series and by hand.
+
+And the noise by the sun's height, against draws whose noise is known.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration.fit.noise import inflation, lag_one, neighbours
+from sunarc.calibration.fit import robust_rounds
+from sunarc.calibration.fit.marginal_likelihood import Scales
+from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
+from sunarc.calibration.least_squares.problem import Observations
+from sunarc.calibration.least_squares.time_bins import Bins
 
 FloatArray = NDArray[np.float64]
 
@@ -129,3 +136,78 @@ def test_white_noise_is_not_inflated_and_a_bad_day_alone_is() -> None:
     mixed = inflation(noise, np.ones(2000), follows, run)
     assert mixed[0] < mixed[-1]
     assert mixed[-1] > 8.0
+
+
+ZENITH = np.abs(np.linspace(-1.5, 1.5, 1600)) + 0.05
+"""Of a day, rad."""
+
+
+def _distances(rate: float, *, seed: int, rho: float = 0.0) -> FloatArray:
+    error = _ar1(ZENITH.size, rho, seed=seed) * np.exp(rate * ZENITH)[:, None]
+    return np.asarray(np.hypot(error[:, 0], error[:, 1]))
+
+
+@pytest.mark.parametrize("rate", [-0.6, 0.4, 1.1])
+def test_the_growth_is_that_of_the_draws(rate: float) -> None:
+    found = np.array([growth_rate(_distances(rate, seed=seed), ZENITH, 0.0) for seed in range(40)])
+    scatter = 0.5 * np.pi / np.sqrt(6.0) / np.sqrt(np.sum((ZENITH - ZENITH.mean()) ** 2))
+    assert found.mean() == pytest.approx(rate, abs=3.0 * scatter / np.sqrt(40.0))
+    assert 0.7 * scatter < found.std() < 1.4 * scatter
+
+
+def _found_to_grow(rho: float, *, rate: float = 0.0) -> float:
+    """Return the share of draws in which a growth is found."""
+    return float(np.mean([growth_rate(_distances(rate, seed=s, rho=rho), ZENITH, rho) != 0.0 for s in range(400)]))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_even_noise_is_hardly_ever_found_to_grow(rho: float) -> None:
+    assert _found_to_grow(rho) <= 0.01
+
+
+def test_a_growth_of_three_standard_errors_is_found_in_every_second_draw() -> None:
+    three = 1.5 * np.pi / np.sqrt(6.0) / np.sqrt(np.sum((ZENITH - ZENITH.mean()) ** 2))
+    assert 0.4 < _found_to_grow(0.0, rate=three) < 0.6
+
+
+def test_the_growth_is_bounded_and_needs_thirty_sightings() -> None:
+    steepest = np.log(10.0) / (0.5 * np.pi)
+    assert growth_rate(np.exp(4.0 * ZENITH), ZENITH, 0.0) == pytest.approx(steepest)
+    assert growth_rate(np.exp(-4.0 * ZENITH), ZENITH, 0.0) == pytest.approx(-steepest)
+    assert growth_rate(np.exp(ZENITH[:29]), ZENITH[:29], 0.0) == 0.0
+    assert growth_rate(np.zeros(40), ZENITH[:40], 0.0) == 0.0
+    assert growth_rate(np.ones(40), np.ones(40), 0.0) == 0.0
+    assert growth_rate(np.zeros(0), np.zeros(0), 0.0) == 0.0
+
+
+def _noise_of(residuals: FloatArray, *, sort: int) -> robust_rounds.Noise:
+    n = ZENITH.size
+    directions = np.stack([np.sin(ZENITH), np.zeros(n), np.cos(ZENITH)], axis=-1)
+    observed = Observations(
+        directions=directions, pixels=np.zeros((n, 2)), information=np.ones(n), epoch=np.zeros(n, dtype=np.int64)
+    )
+    course = robust_rounds.Course(
+        bins=Bins(member=np.arange(n), count=n),
+        run=_run(n),
+        follows=np.ones(n - 1, dtype=bool),
+        alone=np.zeros(n, dtype=bool),
+        sort=np.full(n, sort),
+    )
+    state = robust_rounds.State(unknowns=np.zeros(20), residuals=residuals, scales=Scales(0.01, 400.0, 2.0, 0.7))
+    return robust_rounds._noise(state, observed, course)
+
+
+def test_the_noise_of_the_track_follows_the_suns_height() -> None:
+    residuals = _ar1(ZENITH.size, 0.0, seed=3) * 0.2 * np.exp(ZENITH)[:, None]
+    residuals[::50] += 30.0
+    noise = _noise_of(residuals, sort=0)
+    np.testing.assert_allclose(noise.scale, 0.2 * np.exp(ZENITH), rtol=0.12)
+    assert noise.sigma_px == pytest.approx(0.2 * np.exp(ZENITH.mean()), rel=0.05)
+    assert np.all(noise.weight[::50] == 0.0)
+
+
+def test_the_noise_of_other_bodies_has_one_scale() -> None:
+    residuals = _ar1(ZENITH.size, 0.0, seed=3) * 0.2 * np.exp(ZENITH)[:, None]
+    noise = _noise_of(residuals, sort=4)
+    assert np.ptp(noise.scale) == 0.0
+    assert noise.sigma_px == noise.scale[0]

@@ -1,6 +1,8 @@
-"""How much information a run of sightings carries when neighbours err alike."""
+"""How much information sightings carry when neighbours err alike, and when they err by more at a low sun."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -9,6 +11,12 @@ from sunarc.array_types import BoolArray, FloatArray, IntArray
 _LARGEST = 0.995
 _GAP = 1.6
 _ENOUGH = 30
+_SPREAD_OF_LOG = math.pi / math.sqrt(6.0)
+"""Standard deviation of the logarithm of an exponential number, as the square of a two-dimensional distance is one."""
+_STEEPEST = math.log(10.0) / (0.5 * math.pi)
+"""Of the logarithm of the noise, per radian: ten times as large at the horizon as at the zenith, or a tenth."""
+_LEAST_DISTANCE = 1e-3
+"""Of the usual one: the logarithm of a distance of 0 says nothing of the noise."""
 
 
 def neighbours(unix_s: FloatArray, run: IntArray) -> BoolArray:
@@ -61,3 +69,25 @@ def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run:
         rho = rho if rho > 2.0 * run_error or overall > 0.0 else 0.0
         result[in_run] = (1.0 + rho) / (1.0 - rho)
     return result
+
+
+def growth_rate(distance: FloatArray, zenith: FloatArray, rho: float) -> float:
+    """Return by how much the logarithm of the noise grows per radian of zenith angle; 0 where that is not proven.
+
+    From the least squares' line of log d², whose scatter is known.
+
+    Parameters
+    ----------
+    distance : (n,) 2-D distances of sightings without the outliers, in units of their relative sigma.
+    zenith : (n,) rad.
+    rho : lag-1 correlation of the residuals; their squares have rho².
+    """
+    offset = zenith - np.mean(zenith) if zenith.size else zenith
+    power = float(offset @ offset)
+    if distance.size < _ENOUGH or power == 0.0:
+        return 0.0
+    least = max(_LEAST_DISTANCE * float(np.median(distance)), float(np.finfo(np.float64).tiny))
+    slope = 2.0 * float(offset @ np.log(np.maximum(distance, least))) / power
+    error = _SPREAD_OF_LOG * math.sqrt((1.0 + rho**2) / max(1.0 - rho**2, 1e-6) / power)
+    # beyond three standard errors chance alone is one in 400: even noise is to keep even weights
+    return min(max(0.5 * slope, -_STEEPEST), _STEEPEST) if abs(slope) > 3.0 * error else 0.0

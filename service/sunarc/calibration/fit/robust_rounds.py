@@ -25,11 +25,12 @@ from sunarc.calibration.fit.hyperparameter_grid import (
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
 from sunarc.calibration.fit.leverage import night_leverage
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
-from sunarc.calibration.fit.noise import inflation, neighbours
+from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
+from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_weights
 
@@ -37,6 +38,8 @@ _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
 LOOSE_RADIAL_PX = 16.0
 LOOSE_DECENTERING_PX = 3.0
+_SUN_TRACK = 2 * Kind.SUN
+"""The sort of the sun's track, see `Course`."""
 _ENOUGH = 20
 """Sightings of one kind, at least, for a scale of their own."""
 _FIELD_MAY_COST = 1.1
@@ -96,16 +99,15 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Noise:
-    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`."""
+    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`.
+
+    sigma_px: the scale of the track, which comes first, in the middle of its heights; without a track, of all.
+    """
 
     scale: FloatArray
     weight: FloatArray
     inflation: FloatArray
-
-    @property
-    def sigma_px(self) -> float:
-        """The scale of the track, which comes first; without one, of all."""
-        return float(self.scale[0])
+    sigma_px: float
 
     def information(self, observed: Observations) -> FloatArray:
         """Return (n,) px⁻²."""
@@ -295,12 +297,35 @@ def _noise(state: State, observed: Observations, course: Course) -> Noise:
     if state.leverage is not None:
         residuals = residuals / np.sqrt(1.0 - state.leverage)[:, None]
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
+    scale = _scale(distance, course)
+    weight = tukey_weights(distance / scale, sigma=1.0)
+    larger = _by_height(distance, residuals, weight, observed, course)
+    at_mean = _scale(distance / larger, course)
+    scale = larger * at_mean
+    weight = tukey_weights(distance / scale, sigma=1.0)
+    inflated = inflation(residuals, weight, course.follows, course.run)
+    inflated = np.where(course.alone, 1.0, inflated)
+    return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
+
+
+def _scale(distance: FloatArray, course: Course) -> FloatArray:
+    """Return (n,): the scale of each sighting's noise, by those of its sort."""
     scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
     for one in np.unique(course.sort):
         # sigmas stated with directions, by the sun's detector and by that of stars may be wrong by different factors
         alike = course.sort == one
         if np.count_nonzero(alike) >= _ENOUGH:
             scale[alike] = robust_sigma(distance[alike], floor=SMALLEST_SIGMA_PX)
-    weight = tukey_weights(distance / scale, sigma=1.0)
-    inflated = inflation(residuals, weight, course.follows, course.run)
-    return Noise(scale=scale, weight=weight, inflation=np.where(course.alone, 1.0, inflated))
+    return scale
+
+
+def _by_height(
+    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, course: Course
+) -> FloatArray:
+    """Return (n,): by how much the noise of the sun's track differs with its height; 1 for all else."""
+    sun = course.sort == _SUN_TRACK
+    zenith = np.arccos(np.clip(observed.directions[:, 2], -1.0, 1.0))
+    counted = sun & (weight > 0.0)
+    rho, _ = lag_one(residuals, weight, course.follows)
+    rate = growth_rate(distance[counted], zenith[counted], rho)
+    return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else np.ones(distance.size)
