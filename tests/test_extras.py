@@ -7,11 +7,12 @@ import pytest
 
 from sunarc.errors import InputError
 from sunarc.exports import Table, Variable, netcdf_bytes
-from sunarc.extras import extra_module
+from sunarc.extras import extra_module, is_installed
 
 
 def test_a_module_that_is_there_is_returned() -> None:
     assert extra_module("json", extra="none") is sys.modules["json"]
+    assert (is_installed("json"), is_installed("no_such_module")) == (True, False)
 
 
 def test_a_module_that_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from sunarc.errors import InputError
@@ -22,3 +23,8 @@ def extra_module(name: str, *, extra: str) -> Any:  # noqa: ANN401 - a module
         raise InputError(
             field=f"extra {extra}", problem=f"{error.name or name} is not installed", remedy=f"install sunarc[{extra}]"
         ) from None
+
+
+def is_installed(name: str) -> bool:
+    """Return whether a module of an extra is there; it is not imported for that."""
+    return find_spec(name) is not None

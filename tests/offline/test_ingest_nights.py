@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from tests.fixtures.calibrations import SITE, chosen_calibration
 from tests.fixtures.command_line import Sunarc
 from tests.offline.test_star_files import CAMERA, SIZE, night_image
 
-from sunarc.archive import CameraRecord, open_archive, upgrade
+from sunarc.archive import CameraRecord, ImageStore, SunPointColumns, open_archive, upgrade
 from sunarc.calibration import to_document
+from sunarc.offline.ingest.image_times import Naming, taken
+from sunarc.offline.messages import RefusedImageError
 from sunarc.optics import project
 from sunarc.sky import body_directions
+from sunarc.workers.night.picture import night_picture, store_picture
 
 NIGHT = ("20260313T060000Z", "20260313T064000Z", "20260313T072000Z")
 
@@ -87,6 +92,44 @@ def test_nights_wait_for_a_calibration_and_are_looked_at_once(sunarc: Sunarc, co
     again = ingested(sunarc, config)
     assert again["nights"] == []
     assert again["nights_known"] == 4
+    replaced_where_named_again(sunarc, config, stars)
+
+
+def replaced_where_named_again(sunarc: Sunarc, config: Path, before: SunPointColumns) -> None:
+    """Look at the night once more, with one image in cloud and sightings of another detector in the archive."""
+    rng, database = np.random.default_rng(2), config.parent / "state" / "sunarc.sqlite"
+    cloud = rng.poisson(90.0, (SIZE, SIZE)).astype(np.uint8)
+    cv2.imwrite(str(config.parent / "images" / f"{NIGHT[0]}.jpg"), cloud)
+    clouded = datetime.strptime(f"{NIGHT[0]}+0000", "%Y%m%dT%H%M%SZ%z")
+    with open_archive(database) as archive:
+        former = archive.sun_points("roof", body=None, until=clouded + timedelta(days=1), accepted=True)
+        stars = [one for one in former if one.body != "sun"]
+        archive.replace_sun_points([replace(one, x_px=(one.x_px or 0.0) + 5.0) for one in stars])
+        archive.replace_sun_points([replace(stars[-1], body="star:HIP1")])  # which is no star of the catalogue
     anew = ingested(sunarc, config, "--reprocess")
-    assert [one["accepted"] for one in anew["nights"]] == [3]
-    assert anew["nights"][0]["stored"] == 0
+    assert [(one["accepted"], one["images"]) for one in anew["nights"]] == [(2, 3)]
+    with open_archive(database) as archive:
+        after = archive.sun_point_columns("roof", body=None)
+        (aside,) = archive.sun_points("roof", body="star:HIP1")
+        assert [event.details["n_accepted"] for event in archive.nights("roof")] == [2]
+        assert len(archive.events("roof", kind="night")) == 2
+    assert (aside.accepted, aside.verdict) == (False, "set_aside")
+    after = after.select(after.body != "sun")
+    kept = after.unix_s == clouded.timestamp()
+    assert int(kept.sum()) == int((before.unix_s == clouded.timestamp()).sum())
+    off = np.linalg.norm(after.pixels - project(CAMERA, body_directions(after.body, after.unix_s, SITE)), axis=-1)
+    assert np.min(off[kept]) > 4.0
+    assert np.max(off[~kept]) < 2.0
+
+
+def test_the_picture_that_the_service_keeps_of_a_night_is_no_image_to_look_at(tmp_path: Path) -> None:
+    store, time = ImageStore(tmp_path), datetime(2026, 3, 13, 6, tzinfo=UTC)
+    picture = night_picture(np.eye(64, dtype=np.uint16), time, 1)
+    assert store_picture(store, picture, [], calibration=None, image_size=(64, 64))
+    ((_, path),) = store.between(kind="night.jpg", limit=1)
+    assert cv2.imread(str(path)) is not None
+    for code in ("file_sidecar", "file_preview"):  # with the names of its stars beside it, and without
+        with pytest.raises(RefusedImageError) as refused:
+            taken(path, Naming())
+        assert refused.value.finding.code == code
+        path.with_suffix(".json").unlink(missing_ok=True)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import datetime
 from typing import NamedTuple
 
-from sqlalchemy import BigInteger, Connection, and_, select, type_coerce, update
+from sqlalchemy import BigInteger, Connection, and_, func, select, type_coerce, update
 
 from sunarc.archive.calibration_inputs import keep_sigma
 from sunarc.archive.days_and_events import insert_event
@@ -19,6 +19,9 @@ from sunarc.utc import to_microseconds
 
 SUPERSEDED = "another method's sighting of the same image is accepted"
 """Reason of a sighting that was set aside: an image counts once."""
+NOT_NAMED_AGAIN = "not named when its image was looked at again"
+"""Reason of a star's sighting that was set aside."""
+_STAR = "star"
 ImageKey = tuple[int, float, str]
 """Time (microseconds since 1970-01-01 UTC), exposure (us, 0 where not known) and file name of an image."""
 _KEY = ("camera", "time", "body", "exposure_us", "method", "file")
@@ -81,6 +84,24 @@ class FileSightings(Store):
                 upsert(connection, sun_point, asdict(point), key=_KEY)
                 if point.accepted or (point.verdict == "in_stack" and point.time in stacked):
                     _set_others_aside(connection, point)
+
+    def replace_stars(self, camera: str, points: Iterable[SunPoint]) -> int:
+        """Store the stars of images that were looked at again, and return how many sightings are new.
+
+        Former sightings of stars in these images that are not among them are set aside; those of other images stay.
+        """
+        named = tuple(points)
+        self._prepare_months([point.time for point in named])
+        c = sun_point.c
+        of_images = (c.camera == camera, c.method == _STAR, c.time.in_({point.time for point in named}))
+        count = select(func.count()).where(*of_images)
+        aside = update(sun_point).where(*of_images, c.accepted.is_(True))
+        with self._writing() as connection:
+            before = int(connection.scalar(count) or 0)
+            connection.execute(aside.values(accepted=False, verdict="set_aside", reason=NOT_NAMED_AGAIN))
+            for point in named:
+                upsert(connection, sun_point, asdict(point), key=_KEY)
+            return int(connection.scalar(count) or 0) - before
 
     def mark_predicted(self, camera: str, keys: Iterable[ImageKey], *, ingest_pass: int) -> None:
         """Set the `ingest_pass` of the sightings of image files."""

@@ -67,7 +67,13 @@ from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spr
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.reproduce import reproduce_calibration
 from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
-from sunarc.calibration.selection.star_selection import MOST_STARS, image_parts, sky_parts, surest_of_parts
+from sunarc.calibration.selection.star_selection import (
+    MOST_STARS,
+    image_parts,
+    sky_parts,
+    surest_of_epochs,
+    surest_of_parts,
+)
 from sunarc.calibration.star_prediction import predict_stars
 from sunarc.calibration.star_views import MatchedView, StarView, match_views
 
@@ -165,6 +171,7 @@ __all__ = [
     "sky_parts",
     "smooth_arc",
     "sun_with_covariance",
+    "surest_of_epochs",
     "surest_of_parts",
     "tilt_question",
     "to_document",

@@ -51,6 +51,12 @@ MESSAGES = Messages(
         "The images are left out; a later run takes them.",
         "calibrate by the sun first, or with sunarc stars --blind, and run this command again",
     ),
+    stars_not_named=Message("no star of it is named: {error}", _LEFT_OUT, "none, where it shows clouds or the moon"),
+    night_between_poses=Message(
+        "taken between the last sighting of an epoch and the first of the next, or without a calibration",
+        _LEFT_OUT,
+        "none: the pose of that night is not known",
+    ),
     file_too_large=Message("{bytes} bytes, at most {most} are read", _LEFT_OUT, "give images"),
     image_failed=Message("the detector failed: {error}", _LEFT_OUT, "report it with the image"),
     image_kills_workers=Message(

@@ -23,8 +23,10 @@ from sunarc.workers.neighbours import cross_check_fleet
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture, NightExposures
 from sunarc.workers.night.moon import MoonCapture
 from sunarc.workers.night.moon_exposures import MoonExposures
+from sunarc.workers.night.named_stars import star_view, surest_named
 from sunarc.workers.night.night import NightWorker
 from sunarc.workers.night.options import NightOptions
+from sunarc.workers.night.warm import WarmPixelMap
 from sunarc.workers.nightly import NightlyOptions, NightlyWork, nightly_jobs
 from sunarc.workers.pushing.mqtt import MqttBroker
 from sunarc.workers.pushing.options import PushOptions
@@ -83,6 +85,7 @@ __all__ = [
     "Sink",
     "SunExposures",
     "SunPredictor",
+    "WarmPixelMap",
     "WatchWorker",
     "Webhook",
     "cross_check_fleet",
@@ -90,5 +93,7 @@ __all__ = [
     "nightly_jobs",
     "points_of",
     "read_lens_prior",
+    "star_view",
+    "surest_named",
     "webhook_name",
 ]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sunarc.offline.reanalysis.cluster import Done, Workers
-from sunarc.offline.reanalysis.look import Chunk, look_at, still_parts
+from sunarc.offline.reanalysis.look import Answer, Chunk, look_at, still_parts
 
 
 class InProcess:
@@ -28,12 +28,12 @@ class InProcess:
     def each(self, run: Callable[[Any], Any], given: Sequence[Any]) -> list[Any]:
         return [run(one) for one in given]
 
-    def look(self, chunks: Sequence[Chunk], done: Done) -> None:
+    def look(self, chunks: Sequence[Chunk], done: Done, *, run: Callable[[Chunk], list[Answer]] = look_at) -> None:
         for chunk in chunks:
             if self._most is not None and len(self.chunks) >= self._most:
                 raise KeyboardInterrupt
             self.chunks.append(chunk)
-            done(chunk, look_at(chunk))
+            done(chunk, run(chunk))
 
 
 def use(cluster: InProcess, patch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from sunarc.simulation.made_archive import FOUR_CAMERAS, MadeArchive, write_arch
 
 MADE = MadeArchive(cameras=FOUR_CAMERAS[:2], days=6, per_day=14, cloudy_share=0.15)
 """Of a bumped camera in a folder, and one in a zip file whose clock is an hour ahead on two days."""
-TABLES = ("sightings.csv", "epochs.json", "failures.csv")
+TABLES = ("sightings.csv", "stars.csv", "epochs.json", "failures.csv")
 
 
 def indexed_in(folder: Path, made: MadeArchive = MADE) -> Indexed:

@@ -37,3 +37,23 @@ def surest_of_parts(part: IntArray, sigma_px: FloatArray, most: int) -> IntArray
     first = np.searchsorted(part[order], part[order])
     rank = np.arange(order.size) - first
     return np.sort(order[np.lexsort((sigma_px[order], rank))[:most]])
+
+
+def surest_of_epochs(
+    pixels: FloatArray, sigma_px: FloatArray, epoch: IntArray, image_size: tuple[int, int]
+) -> IntArray:
+    """Return rows of the stars that a fit uses, in their order: those of the latest epoch first, then of the others.
+
+    Parameters
+    ----------
+    pixels : (n, 2) px, of stars and planets.
+    sigma_px : (n,) px.
+    epoch : (n,) pose epochs, by number.
+    image_size : width and height, px.
+    """
+    chosen = np.zeros(0, dtype=np.int64)
+    for one in np.unique(epoch)[::-1]:
+        rows = np.flatnonzero(epoch == one)
+        part = image_parts(pixels[rows], image_size)
+        chosen = np.concatenate([chosen, rows[surest_of_parts(part, sigma_px[rows], MOST_STARS - chosen.size)]])
+    return np.sort(chosen)

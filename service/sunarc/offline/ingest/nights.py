@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sunarc.archive import Archive, CameraArchive, Refit
-from sunarc.array_types import evenly_spread
 from sunarc.cameras import Frame
 from sunarc.errors import InputError
 from sunarc.findings import Finding
-from sunarc.offline.detect_files import full_scale_of
 from sunarc.offline.ingest.image_checks import read_checked_image
 from sunarc.offline.ingest.index import ImageFile, Skipped, zeniths_deg
 from sunarc.offline.messages import RefusedImageError
+from sunarc.offline.night_images import by_night, evenly, frame_of
 from sunarc.runtime.status import StatusRegistry
 from sunarc.settings import Settings
-from sunarc.sky import solar_date
-from sunarc.utc import DAY_S, utc_time
+from sunarc.utc import utc_time
 from sunarc.workers import DropOldestQueue, NightCapture, NightExposures, NightWorker
 
-_MOST_IMAGES = 60
-"""Of a night, evenly over it: more say nothing new of the camera."""
 _KNOWN_SHARE = 0.9
 """Of a night's files, less one, that were looked at: the others are damaged, and are not read again at each run."""
-_UNSTATED_US = 1e6
-"""Exposure of a file that states none: a second, so that the night's zero point is that of one exposure."""
 _CLOCK_S = 1.0
 """Bound of the error of a file's time: names and EXIF have whole seconds."""
 
@@ -98,7 +89,8 @@ def ingest_nights(
     archive, settings : of the camera.
     folder : of the images.
     images : those of the night.
-    reprocess : look at known nights again.
+    reprocess : look at known nights again; the stars of an image take the place of those named in it before. An image
+        whose stars are not named again keeps them.
     progress : called after each image.
     """
     camera = CameraArchive(archive, name=settings.name, site=settings.site)
@@ -110,12 +102,12 @@ def ingest_nights(
         return Nights(skipped=_left_out(images, settings), findings=(without,))
     seen = {} if reprocess else _nights_seen(camera)
     found, known, skipped, done = list[NightOutcome](), 0, list[Skipped](), 0
-    for night, every in sorted(_by_night(images, settings).items()):
-        some = [every[row] for row in evenly_spread(len(every), most=_MOST_IMAGES).tolist()]
+    for night, every in by_night(images, longitude=settings.site.longitude):
+        some = evenly(every)
         if seen.get(str(night), -1) >= _KNOWN_SHARE * len(some) - 1.0:
             known += len(every)
             continue
-        worker = _worker(camera, settings, now=utc_time(every[-1].unix_s))
+        worker = _worker(camera, settings, now=utc_time(every[-1].unix_s), replaces=reprocess)
         n_read = 0
         for image in some:
             try:
@@ -131,14 +123,6 @@ def ingest_nights(
     return Nights(looked_at=tuple(found), known=known, skipped=tuple(skipped))
 
 
-def _by_night(images: Sequence[ImageFile], settings: Settings) -> Mapping[date, list[ImageFile]]:
-    """Return images by the solar date of the evening before them, in the order of their times."""
-    nights: dict[date, list[ImageFile]] = defaultdict(list)
-    for image in sorted(images, key=lambda one: one.unix_s):
-        nights[solar_date(image.unix_s - 0.5 * DAY_S, longitude=settings.site.longitude)].append(image)
-    return nights
-
-
 def _nights_seen(camera: CameraArchive) -> dict[str, int]:
     """Return by the date of a night how many images were looked at, the most of any run."""
     seen: dict[str, int] = {}
@@ -148,7 +132,7 @@ def _nights_seen(camera: CameraArchive) -> dict[str, int]:
     return seen
 
 
-def _worker(camera: CameraArchive, settings: Settings, *, now: datetime) -> NightWorker:
+def _worker(camera: CameraArchive, settings: Settings, *, now: datetime, replaces: bool) -> NightWorker:
     """Return a worker of the night for files: its event is of the night's last image, and asks for no refit."""
 
     def no_refit(reason: str) -> Refit:
@@ -164,20 +148,13 @@ def _worker(camera: CameraArchive, settings: Settings, *, now: datetime) -> Nigh
         now=lambda: now,
         request_refit=no_refit,
         board=StatusRegistry(version="", started_at=now, monotonic=lambda: 0.0),
+        replaces=replaces,
     )
 
 
 def _frame(folder: Path, image: ImageFile, size: tuple[int, int], number: int) -> Frame:
     pixels = read_checked_image(folder / image.path, size=size)
-    return Frame(
-        image=pixels,
-        time=utc_time(image.unix_s),
-        exposure_us=image.exposure_us or _UNSTATED_US,
-        gain_db=0.0,
-        pixel_format="Mono8" if pixels.dtype == np.uint8 else "Mono16",
-        full_scale=full_scale_of(pixels),
-        frame_id=number,
-    )
+    return frame_of(pixels, image.unix_s, image.exposure_us, number)
 
 
 def _why(error: RefusedImageError | InputError) -> Finding:

@@ -9,7 +9,7 @@ from sunarc.calibration import SunPoints
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.findings import Finding
 from sunarc.offline.reanalysis.epochs import Epoch, find_epochs, with_true_clock
-from sunarc.offline.reanalysis.fit import Fitted, doubts, fit_poses, with_small_steps
+from sunarc.offline.reanalysis.fit import Fitted, better_of, doubts, fit_poses, with_small_steps
 from sunarc.offline.reanalysis.states import Camera, State, find_states
 
 _SIGMA_FLOOR_PX = 0.05
@@ -61,6 +61,21 @@ def final_analysis(given: Sightings) -> Final:
     refined = [_refined(state, fitted, points.select(path == number), camera) for number, state in enumerate(states)]
     epochs, path = find_epochs(points, refined, camera)
     return Final(tuple(refined), tuple(epochs), path, fitted)
+
+
+class Starry(NamedTuple):
+    """Accepted sightings of a camera, what came of them, and the stars of its nights."""
+
+    given: Sightings
+    final: Final
+    stars: SunPoints
+
+
+def starry_analysis(of: Starry) -> Final:
+    """Return epochs and calibrations with those calibrations that are better fitted to suns and stars."""
+    final, given = of.final, of.given
+    both = fit_poses(given.points, final.path, final.states, given.camera, stars=of.stars)
+    return final._replace(fitted=better_of(final.fitted, both))
 
 
 def _refined(state: State, fitted: dict[int, Fitted], points: SunPoints, camera: Camera) -> State:

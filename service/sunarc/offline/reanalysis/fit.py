@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from sunarc.calibration import (
     estimate_pose,
     find_pose_steps,
     select_sightings,
+    surest_of_epochs,
     tilt_question,
     to_document,
 )
@@ -33,10 +34,11 @@ _FEWEST_FOR_STEPS = 150
 
 
 class Fitted(NamedTuple):
-    """A calibration of a pose, and the rows of the sightings that it was given."""
+    """A calibration of a pose, the rows of the suns that it was given, and the stars beside them."""
 
     calibration: Calibration
     rows: IntArray
+    stars: SunPoints | None = None
 
 
 def with_small_steps(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> list[State]:
@@ -67,8 +69,22 @@ def _posed(state: State, points: SunPoints, camera: Camera) -> State:
     return state._replace(calibration=posed)
 
 
-def fit_poses(points: SunPoints, path: IntArray, states: Sequence[State], camera: Camera) -> dict[int, Fitted]:
-    """Return the calibration of each pose that has sightings, by its number."""
+def fit_poses(
+    points: SunPoints,
+    path: IntArray,
+    states: Sequence[State],
+    camera: Camera,
+    *,
+    stars: SunPoints | None = None,
+) -> dict[int, Fitted]:
+    """Return the calibration of each pose that has sightings, by its number.
+
+    Parameters
+    ----------
+    points, path : sightings of the sun at their stated times, and the state of each.
+    states, camera : see there.
+    stars : of the night, at their true times, with poses as epochs; with them, only the poses whose lens has some.
+    """
     together = joined(points, path, states)
     lens_of = {state.pose: state.lens for state in states}
     lenses = np.array([lens_of[int(pose)] for pose in together.epoch], dtype=np.int64)
@@ -78,14 +94,58 @@ def fit_poses(points: SunPoints, path: IntArray, states: Sequence[State], camera
         of_lens = together.select(rows)
         # the calibration is of the last epoch: this pose goes last, the others before it in any order
         order = [*(one for one in np.unique(of_lens.epoch).tolist() if one != pose), pose]
-        number = {one: place for place, one in enumerate(order)}
-        ordered = replace(of_lens, epoch=np.array([number[one] for one in of_lens.epoch.tolist()], dtype=np.int64))
+        ordered = _numbered(of_lens, order)
+        beside = None if stars is None else _stars_beside(stars, order, camera)
+        if stars is not None and beside is None:
+            continue
         selection = select_sightings(ordered, site=camera.site, slot_s=1.0)
         selected = ordered.select(selection.index)
-        solved = calibrate(selected, site=camera.site, image_size=camera.size, options=camera.options)
+        given = selected if beside is None else _merged(selected, beside)
+        solved = calibrate(given, site=camera.site, image_size=camera.size, options=camera.options)
         evidence = replace(solved.evidence, selection=selection.counts())
-        fitted[int(pose)] = Fitted(replace(solved, evidence=evidence), rows[selection.index])
+        fitted[int(pose)] = Fitted(replace(solved, evidence=evidence), rows[selection.index], beside)
     return fitted
+
+
+def _numbered(points: SunPoints, order: Sequence[int]) -> SunPoints:
+    """Return sightings whose epochs are the places of their poses in an order."""
+    number = {one: place for place, one in enumerate(order)}
+    return replace(points, epoch=np.array([number[one] for one in points.epoch.tolist()], dtype=np.int64))
+
+
+def _stars_beside(stars: SunPoints, order: Sequence[int], camera: Camera) -> SunPoints | None:
+    """Return the stars that a fit of some poses uses, the last pose's first; None where they have none."""
+    of_lens = stars.select(np.isin(stars.epoch, np.array(order)))
+    if len(of_lens) == 0:
+        return None
+    numbered = _numbered(of_lens, order)
+    return numbered.select(surest_of_epochs(numbered.pixels, numbered.sigma_px, numbered.epoch, camera.size))
+
+
+def _merged(suns: SunPoints, stars: SunPoints) -> SunPoints:
+    """Return sightings of both in the order of time."""
+    columns = {
+        one.name: np.concatenate([getattr(suns, one.name), getattr(stars, one.name)]) for one in fields(SunPoints)
+    }
+    merged = SunPoints(**columns)
+    return merged.select(np.argsort(merged.unix_s, kind="stable"))
+
+
+def better_of(fitted: Mapping[int, Fitted], both: Mapping[int, Fitted]) -> dict[int, Fitted]:
+    """Return the calibrations by suns and stars, that by suns alone of a pose where the other is refused or not there.
+
+    Parameters
+    ----------
+    fitted : by suns alone, by pose.
+    both : by suns and stars.
+    """
+    return {
+        pose: both[pose] if pose in both and not _is_worse(both[pose], one) else one for pose, one in fitted.items()
+    }
+
+
+def _is_worse(both: Fitted, one: Fitted) -> bool:
+    return one.calibration.verdict.accepted and not both.calibration.verdict.accepted
 
 
 def document_of(
@@ -97,8 +157,10 @@ def document_of(
     """
     solved, offset = fitted.calibration, points
     rows = fitted.rows
-    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes()))
-    selection = {**solved.evidence.selection, **evidence}
+    stars = fitted.stars
+    beside = () if stars is None else (stars.unix_s.tobytes(), stars.pixels.tobytes())
+    identity = key_of((camera, name, offset.unix_s[rows].tobytes(), offset.pixels[rows].tobytes(), *beside))
+    selection = {**solved.evidence.selection, **evidence, **({} if stars is None else {"n_stars": len(stars)})}
     last = utc_time(epoch.end_unix_s)
     return to_document(
         replace(solved, evidence=replace(solved.evidence, selection=selection)),

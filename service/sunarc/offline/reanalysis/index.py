@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 from PIL import Image as Pictures
 
 from sunarc.errors import InputError
+from sunarc.extras import is_installed
 from sunarc.findings import Finding
 from sunarc.offline.messages import RefusedImageError
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages, CameraPlan, Failure
@@ -23,6 +25,7 @@ from sunarc.offline.sources.times import TimedFrame, timed_frames
 from sunarc.offline.sources.values import ImageSource, SourceFile
 from sunarc.sky import sun_angles
 from sunarc.utc import rfc3339, to_microseconds
+from sunarc.workers import DARK_ZENITH_DEG
 
 _LARGEST_ZENITH_DEG = 90.0
 """Apparent zenith angle of the sun beyond which an image is one of the night."""
@@ -117,10 +120,13 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
     )
     zenith = np.asarray(sun_angles(np.array([one.unix_s for one in images]), plan.site).apparent_zenith)
     by_day = tuple(one for one, angle in zip(images, zenith, strict=True) if angle <= _LARGEST_ZENITH_DEG)
+    # without images of the day there is no calibration that names the stars
+    darkest = DARK_ZENITH_DEG if by_day and is_installed("ephem") else math.inf
+    nights = tuple(one for one, angle in zip(images, zenith, strict=True) if angle >= darkest)
     indexed.failures.extend(
         Failure(one.name, Finding("file_at_night", {"zenith_deg": float(angle)}))
         for one, angle in zip(images, zenith, strict=True)
-        if angle > _LARGEST_ZENITH_DEG
+        if _LARGEST_ZENITH_DEG < angle < darkest
     )
     if not by_day:
         seen = {"images": len(images), "zenith_deg": float(np.median(zenith))}
@@ -133,7 +139,9 @@ def _add(indexed: Indexed, plan: CameraPlan, members: list[_Found]) -> None:
     first = members[0]
     example = (first.image.name, rfc3339(first.frame.time, timespec="seconds"))
     families = Counter(one.frame.family for one in members).most_common(1)
-    indexed.cameras.append(CameraImages(plan=plan, images=by_day, example=example, family=families[0][0], size=size))
+    indexed.cameras.append(
+        CameraImages(plan=plan, images=by_day, example=example, family=families[0][0], size=size, nights=nights)
+    )
 
 
 def _single(images: Sequence[ArchiveImage]) -> tuple[list[ArchiveImage], list[ArchiveImage]]:

@@ -32,6 +32,7 @@ from sunarc.detection import Detection
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding, from_json
 from sunarc.offline.ingest.packed_mask import PackedMask
+from sunarc.offline.reanalysis.look import NamedStars
 
 _METADATA = MetaData()
 _ANSWER = Table(
@@ -90,7 +91,7 @@ class Known(NamedTuple):
     """
 
     key: str
-    found: Detection | Finding
+    found: Detection | NamedStars | Finding
     stamp: str = ""
     content: str | None = None
 
@@ -186,16 +187,20 @@ class Ledger:
             return int(connection.scalar(select(func.count()).select_from(_CHUNK)) or 0)
 
 
-def _written(found: Detection | Finding) -> dict[str, Any]:
+def _written(found: Detection | NamedStars | Finding) -> dict[str, Any]:
     if isinstance(found, Finding):
         return {"refused": found.as_json()}
+    if isinstance(found, NamedStars):
+        return {"stars": found.rows}
     fields = {name: _plain(getattr(found, name)) for name in _FIELDS}
     return {**fields, "findings": [finding.as_json() for finding in found.findings]}
 
 
-def _read(stored: Mapping[str, Any]) -> Detection | Finding:
+def _read(stored: Mapping[str, Any]) -> Detection | NamedStars | Finding:
     if "refused" in stored:
         return from_json(stored["refused"])
+    if "stars" in stored:
+        return NamedStars(tuple((name, x, y, sigma) for name, x, y, sigma in stored["stars"]))
     fields = {name: stored[name] for name in _FIELDS}
     return Detection(**fields, findings=tuple(from_json(one) for one in stored["findings"]))
 

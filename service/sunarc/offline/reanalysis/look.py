@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 
 from sunarc.array_types import BoolArray, Image
+from sunarc.calibration import Calibration
 from sunarc.detection import Detection, Expectation, static_mask
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import Method, detect_in_image, full_scale_of, selected_method
@@ -19,6 +20,7 @@ from sunarc.offline.ingest.packed_mask import PackedMask, pack_mask
 from sunarc.offline.sources.frames import images_in
 from sunarc.offline.sources.hashed import HashedSource
 from sunarc.offline.sources.opening import open_source
+from sunarc.sky import Site
 
 
 class Item(NamedTuple):
@@ -26,7 +28,7 @@ class Item(NamedTuple):
 
     expectation: where the sun should be; None without a prediction. outside: whether it should be outside the image.
     found: where one was accepted without a prediction, px. content: of its file when it was looked at before, where
-    the rest of what decides the answer is the same.
+    the rest of what decides the answer is the same. unix_s: when it was taken, of an image of the night.
     """
 
     file: str
@@ -36,10 +38,28 @@ class Item(NamedTuple):
     outside: bool = False
     found: tuple[float, float] | None = None
     content: str | None = None
+    unix_s: float = 0.0
+
+
+class StarNaming(NamedTuple):
+    """What the stars in images of a night are named by: a calibration, the site, how far the clock was ahead."""
+
+    calibration: Calibration
+    site: Site
+    clock_offset_s: float
+
+
+class NamedStars(NamedTuple):
+    """The stars of an image that are sightings: name, x, y and 1-sigma in px of each."""
+
+    rows: tuple[tuple[str, float, float, float], ...]
 
 
 class Chunk(NamedTuple):
-    """A unit of work: some images of a camera, in one source, in the order of their files and numbers."""
+    """A unit of work: some images of a camera, in one source, in the order of their files and numbers.
+
+    night: what names the stars in them; None of images of the day.
+    """
 
     camera: str
     address: str
@@ -47,10 +67,11 @@ class Chunk(NamedTuple):
     size: tuple[int, int]
     items: tuple[Item, ...]
     static: PackedMask | None = None
+    night: StarNaming | None = None
 
 
 class Answer(NamedTuple):
-    """What came of an image: a detection, with or without a sun, or the finding why it is left out.
+    """What came of an image: a detection, with or without a sun, or its stars, or the finding why it is left out.
 
     None where its file has the content that the item states: it is not looked at again. content: hash of the file's
     bytes; None where it was not read as a whole.
@@ -58,7 +79,7 @@ class Answer(NamedTuple):
 
     file: str
     number: int
-    found: Detection | Finding | None
+    found: Detection | NamedStars | Finding | None
     content: str | None = None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from sunarc.offline.ingest.packed_mask import PackedMask
 from sunarc.offline.reanalysis.cluster import Cluster
 from sunarc.offline.reanalysis.epochs import Epoch
 from sunarc.offline.reanalysis.ledger import ImageId, Known, Ledger
-from sunarc.offline.reanalysis.look import Answer, Chunk, Item, key_of
+from sunarc.offline.reanalysis.look import Answer, Chunk, Item, NamedStars, key_of, look_at
 from sunarc.offline.reanalysis.plan import ArchiveImage, CameraImages
 from sunarc.offline.reanalysis.states import State
 from sunarc.sky import sun_directions
@@ -34,8 +34,8 @@ _LEAST_MOTION_DEG = 40.0
 _PIXEL_STEP, _SIGMA_STEP, _STRETCH_STEP, _ZENITH_STEP = 0.25, 0.5, 5.0, 0.01
 """Steps that predictions are rounded to, in px, px, px/rad and rad: a calibration that new images refine must not have
 all former ones looked at again."""
-SEARCHED, PREDICTED = 1, 2
-"""Passes."""
+SEARCHED, PREDICTED, STARS = 1, 2, 3
+"""Passes; the third is over the images of the night."""
 
 
 class Sun(NamedTuple):
@@ -48,7 +48,7 @@ class Sun(NamedTuple):
     sigma_px: float | None = None
 
 
-Found = Sun | Finding
+Found = Sun | NamedStars | Finding
 ReportProgress = Callable[[str, int, int], None]
 
 
@@ -70,11 +70,17 @@ class Looked(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Images of a camera to look at, by their number among its images, and what stands still in them."""
+    """Images of a camera to look at, by their number among its images, and what stands still in them.
+
+    keys: hash of what each of its answers rests on; None where the item tells that. chunks: divides images that wait,
+    by their numbers, into units of work; None: by source and day.
+    """
 
     camera: CameraImages
     items: Sequence[tuple[int, Item]]
     mask: PackedMask | None
+    keys: Sequence[str] | None = None
+    chunks: Callable[[Collection[int]], list[Chunk]] | None = None
 
 
 class Passes(NamedTuple):
@@ -127,7 +133,20 @@ class Passes(NamedTuple):
             for (_, looked), new in zip(searched, found, strict=True)
         ]
 
-    def _looked(self, work: Iterable[Work], stage: int, title: str) -> list[list[Found | None]]:
+    def name(self, work: Iterable[Work], *, run: Callable[[Chunk], list[Answer]]) -> list[Looked]:
+        """Return the stars that are named in images of the night; `run` names those of a unit of work."""
+        every = list(work)
+        found = self._looked(every, STARS, "naming stars", run=run)
+        return [_complete(one.camera.images, new) for one, new in zip(every, found, strict=True)]
+
+    def _looked(
+        self,
+        work: Iterable[Work],
+        stage: int,
+        title: str,
+        *,
+        run: Callable[[Chunk], list[Answer]] = look_at,
+    ) -> list[list[Found | None]]:
         """Return the answer for each of the cameras' images, None where it was not asked for.
 
         Answers of the ledger that still hold are taken, and it is given the new ones.
@@ -139,6 +158,9 @@ class Passes(NamedTuple):
             camera = _Asked(one, self.ledger, stage)
             asked[one.camera.plan.name] = camera
             total += len(one.items)
+            if one.chunks is not None:
+                chunks += one.chunks({n for n, _ in camera.waiting})
+                continue
             chunks += chunks_of(one.camera, [(one.camera.images[n], item) for n, item in camera.waiting], one.mask)
         done = total - sum(len(chunk.items) for chunk in chunks)
         self.progress(title, done, total)
@@ -150,7 +172,7 @@ class Passes(NamedTuple):
             done += len(rows)
             self.progress(title, done, total)
 
-        self.cluster.look(chunks, keep)
+        self.cluster.look(chunks, keep, run=run)
         return [one.found for one in asked.values()]
 
 
@@ -166,14 +188,14 @@ class _Asked:
 
     def __init__(self, work: Work, ledger: Ledger, stage: int) -> None:
         self.found: list[Found | None] = [None] * len(work.camera.images)
-        self._camera = work.camera
+        self._camera, self._keys = work.camera, work.keys
         self._of_mask = None if work.mask is None else key_of((work.mask.shape, work.mask.compressed))
         self._row = {id_of(work.camera.images[n]): n for n, _ in work.items}
         self._touched: dict[int, Known] = {}
         items = dict(work.items)
         for image, known in ledger.answers(work.camera.plan.name, stage=stage):
             row = self._row.get(image)
-            if row is None or known.key != self._key(items[row]):
+            if row is None or known.key != self._key(row, items[row]):
                 continue
             if known.stamp == self._stamp(row):
                 self.found[row] = kept(known.found)
@@ -193,21 +215,25 @@ class _Asked:
             row = self._row[image]
             found = self._touched[row].found if one.found is None else one.found
             self.found[row] = kept(found)
-            rows.append((image, Known(self._key(items[one.file, one.number]), found, self._stamp(row), one.content)))
+            rows.append(
+                (image, Known(self._key(row, items[one.file, one.number]), found, self._stamp(row), one.content))
+            )
         return rows
 
     def _stamp(self, row: int) -> str:
         return key_of((self._camera.images[row].stamp,))
 
-    def _key(self, item: Item) -> str:
+    def _key(self, row: int, item: Item) -> str:
         """Return the hash of all that an answer rests on beside the file."""
+        if self._keys is not None:
+            return key_of((sunarc.__version__, self._keys[row]))
         plan, size = self._camera.plan, self._camera.size
         return key_of((sunarc.__version__, plan.method, size, item._replace(content=None), self._of_mask))
 
 
-def kept(found: Detection | Finding) -> Found:
+def kept(found: Detection | NamedStars | Finding) -> Found:
     """Return what a run keeps of an answer."""
-    if isinstance(found, Finding):
+    if isinstance(found, Finding | NamedStars):
         return found
     if not found.accepted:
         return _rejected(found.verdict)

@@ -86,6 +86,7 @@ class CameraImages:
     example : an image's name and time (UTC) as it was read, for confirmation.
     family : what tells the times.
     size : width and height of its images, px.
+    nights : those of the night (the sun 12 degrees below the horizon or deeper), in the order of time and name.
     """
 
     plan: CameraPlan
@@ -93,3 +94,4 @@ class CameraImages:
     example: tuple[str, str]
     family: str
     size: tuple[int, int]
+    nights: tuple[ArchiveImage, ...] = ()

@@ -91,6 +91,12 @@ def _camera(numbers: dict[str, Any], result: CameraResult) -> str:
     findings = "".join(f"<p>{escape(one['reason'])}</p>" for one in numbers["findings"])
     verdicts = ", ".join(f"{n} {verdict}" for verdict, n in numbers["by_verdict"].items())
     head = f"<h2>{escape(result.name)}</h2>{findings}<p>Images that were looked at: {escape(verdicts or '0')}.</p>"
+    night = numbers["nights"]
+    if night["images"]:
+        head += (
+            f"<p>Images of the night: {night['images']}, of which {night['looked_at']} were looked at; "
+            f"{night['stars']} stars named in {night['accepted']}.</p>"
+        )
     if result.final is None:
         return head + "<p>No calibration.</p>"
     line = time_line(

@@ -25,6 +25,7 @@ from sunarc.offline.reanalysis.horizon import Horizon
 from sunarc.offline.reanalysis.index import Indexed
 from sunarc.offline.reanalysis.passes import Looked, Sun
 from sunarc.offline.reanalysis.plan import CameraImages, Failure
+from sunarc.offline.reanalysis.stars import NightsLooked
 from sunarc.optics import project
 from sunarc.sky import sun_directions
 from sunarc.utc import rfc3339, utc_time
@@ -53,6 +54,7 @@ class CameraResult:
     searched, looked : what was found in them without a prediction, and in the end.
     rough, final : states and epochs after the first pass, and after the second; None where there was none.
     horizon : what hides the sun; None without epochs.
+    nights : images of the night, and the stars that were named in them.
     """
 
     camera: CameraImages
@@ -61,6 +63,7 @@ class CameraResult:
     rough: Rough
     final: Final | None
     horizon: Horizon | None
+    nights: NightsLooked
 
     @property
     def name(self) -> str:
@@ -104,6 +107,8 @@ def write_results(target: Path, results: Sequence[CameraResult], indexed: Indexe
         for folder in ("calibrations", "exports"):
             shutil.rmtree(target / folder, ignore_errors=True)  # of a former run, perhaps with other epochs
         _write(target / "sightings.csv", _csv(_HEADER, [row for one in results for row in _sightings(one)]))
+        stars = [row for one in results for row in _stars(one)]
+        _write(target / "stars.csv", _csv(_HEADER, stars))
         _write(target / "failures.csv", _csv(("file", "code", "reason"), _failures(results, indexed)))
         _write(target / "epochs.json", _json([row for one in results for row in _epochs(one, documents)]))
         for (camera, epoch), document in documents.items():
@@ -170,6 +175,18 @@ def _sightings(result: CameraResult) -> list[tuple[object, ...]]:
     return sorted(table, key=lambda one: (str(one[1]), str(one[2])))
 
 
+def _stars(result: CameraResult) -> list[tuple[object, ...]]:
+    """Return the sightings of stars and planets, at the times that their epoch's clock is corrected to."""
+    table = []
+    for night, image, stars in result.nights.named():
+        time = rfc3339(utc_time(image.unix_s - night.naming.clock_offset_s))
+        epoch = epoch_name(night.epoch)
+        table += [
+            (result.name, time, image.name, x, y, sigma, body, "clear", epoch) for body, x, y, sigma in stars.rows
+        ]
+    return sorted(table, key=lambda one: (str(one[1]), str(one[2]), str(one[6])))
+
+
 def _sigma_factor(result: CameraResult, offsets: Sequence[float]) -> float:
     """Return by what the stated sigma has to be multiplied to be the scatter about the calibrations."""
     assert result.final is not None  # noqa: S101 - it has offsets
@@ -187,6 +204,9 @@ def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[s
     for one in results:
         answers = zip(one.looked.images, one.looked.found, strict=True)
         found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
+        answers = zip(one.nights.looked.images, one.nights.looked.found, strict=True)
+        found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
+        found += [Failure(image.name, Finding("night_between_poses")) for image in one.nights.nights.left_out]
     return sorted((one.file, one.finding.code, MESSAGES.text_of(one.finding)) for one in found)
 
 
@@ -232,8 +252,20 @@ def _camera(result: CameraResult, documents: Mapping[tuple[str, str], Document])
         "second_pass": {"found": pairs.count((False, True)), "refused": pairs.count((True, False))},
         "by_verdict": dict(verdicts.most_common()),
         "findings": [{**one.as_json(), "reason": sentence_of(one)} for one in result.rough.findings],
+        "nights": _nights(result),
         "epochs": [_epoch_summary(result, n, documents) for n in range(len(result.epochs))],
         "horizon": None if result.horizon is None else {"seen": result.horizon.seen, "hidden": result.horizon.hidden},
+    }
+
+
+def _nights(result: CameraResult) -> dict[str, int]:
+    named = list(result.nights.named())
+    return {
+        "nights": len(result.nights.nights.nights),
+        "images": len(result.camera.nights),
+        "looked_at": len(result.nights.looked.images),
+        "accepted": len(named),
+        "stars": sum(len(one.stars.rows) for one in named),
     }
 
 

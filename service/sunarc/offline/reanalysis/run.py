@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,15 +10,24 @@ from sunarc.archive import lock_state
 from sunarc.errors import InputError, OutsideError
 from sunarc.findings import Finding
 from sunarc.offline.messages import MESSAGES
-from sunarc.offline.reanalysis.analysis import Final, Rough, Sightings, final_analysis, first_analysis
+from sunarc.offline.reanalysis.analysis import (
+    Final,
+    Rough,
+    Sightings,
+    Starry,
+    final_analysis,
+    first_analysis,
+    starry_analysis,
+)
 from sunarc.offline.reanalysis.cluster import DEATHS, Cluster, Workers, open_cluster
-from sunarc.offline.reanalysis.horizon import learn_horizon
+from sunarc.offline.reanalysis.horizon import Horizon, learn_horizon
 from sunarc.offline.reanalysis.index import Indexed
 from sunarc.offline.reanalysis.ledger import Ledger
 from sunarc.offline.reanalysis.passes import Looked, Passes, ReportProgress, predictions
 from sunarc.offline.reanalysis.plan import CameraImages
 from sunarc.offline.reanalysis.report import write_report
 from sunarc.offline.reanalysis.results import CameraResult, Summary, write_results
+from sunarc.offline.reanalysis.stars import NightsLooked, name_stars, nights_of, star_points
 from sunarc.offline.reanalysis.states import Camera
 from sunarc.runtime.clock import Clock
 
@@ -106,18 +115,53 @@ def _results(cameras: Sequence[CameraImages], passes: Passes) -> list[CameraResu
     passes.progress("calibrations", 0, len(found))
     final = dict(zip(found, passes.cluster.each(final_analysis, again), strict=True))
     passes.progress("calibrations", len(found), len(found))
+    nights = _nights(cameras, final, passes)
+    final |= _with_stars(nights, final, dict(zip(found, again, strict=True)), passes)
     return [
-        _result(camera, searched[n], looked.get(n, searched[n]), rough[n], final.get(n))
+        CameraResult(
+            camera=camera,
+            searched=searched[n],
+            looked=looked.get(n, searched[n]),
+            rough=rough[n],
+            final=final.get(n),
+            horizon=_horizon(camera, looked.get(n, searched[n]), final.get(n)),
+            nights=nights[n],
+        )
         for n, camera in enumerate(cameras)
     ]
+
+
+def _nights(cameras: Sequence[CameraImages], final: Mapping[int, Final | None], passes: Passes) -> list[NightsLooked]:
+    """Return the nights of each camera, with the stars that are named in their images."""
+    every = []
+    for number, camera in enumerate(cameras):
+        one = final.get(number)
+        every.append(nights_of(camera, () if one is None else one.states, () if one is None else one.epochs))
+    named = passes.name([one.work() for one in every], run=name_stars)
+    return [NightsLooked(one, looked) for one, looked in zip(every, named, strict=True)]
+
+
+def _with_stars(
+    nights: Sequence[NightsLooked],
+    final: Mapping[int, Final | None],
+    suns: Mapping[int, Sightings],
+    passes: Passes,
+) -> dict[int, Final]:
+    """Return what came of the cameras that have stars, by number; what the stars' workers died of changes nothing."""
+    starry: dict[int, Starry] = {}
+    for number, one in final.items():
+        stars = None if one is None else star_points(nights[number], one.states, one.epochs)
+        if one is not None and stars is not None:
+            starry[number] = Starry(suns[number], one, stars)
+    fitted = passes.cluster.each(starry_analysis, list(starry.values())) if starry else []
+    return {number: one for number, one in zip(starry, fitted, strict=True) if one is not None}
 
 
 def _known(camera: CameraImages) -> Camera:
     return Camera(camera.plan.site, camera.size, camera.plan.options)
 
 
-def _result(camera: CameraImages, searched: Looked, looked: Looked, rough: Rough, final: Final | None) -> CameraResult:
-    horizon = None
-    if final is not None and final.epochs:
-        horizon = learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)
-    return CameraResult(camera=camera, searched=searched, looked=looked, rough=rough, final=final, horizon=horizon)
+def _horizon(camera: CameraImages, looked: Looked, final: Final | None) -> Horizon | None:
+    if final is None or not final.epochs:
+        return None
+    return learn_horizon(looked, predictions(camera, final.states, final.epochs), camera.size)

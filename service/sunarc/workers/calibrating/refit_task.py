@@ -11,16 +11,14 @@ from sunarc.archive import SUN, CameraArchive, SunPointColumns
 from sunarc.array_types import IntArray
 from sunarc.calibration import (
     MAX_CLOCK_ERROR_S,
-    MOST_STARS,
     Calibration,
     CalibrationOptions,
     ImageCircle,
     Selection,
     SelectionOptions,
     days_left_out,
-    image_parts,
     select_sightings,
-    surest_of_parts,
+    surest_of_epochs,
 )
 from sunarc.findings import Finding
 from sunarc.workers.calibrating.epoch_search import since_lens
@@ -107,9 +105,6 @@ def _with_stars(columns: SunPointColumns, sun: IntArray, image_size: tuple[int, 
     """
     other = np.isin(columns.epoch, columns.epoch[sun]) & (columns.body != SUN)
     other &= np.nan_to_num(columns.clock_error_s) <= MAX_CLOCK_ERROR_S
-    chosen = np.zeros(0, dtype=np.int64)
-    for epoch in np.unique(columns.epoch[sun])[::-1]:
-        rows = np.flatnonzero(other & (columns.epoch == epoch))
-        part = image_parts(columns.pixels[rows], image_size)
-        chosen = np.concatenate([chosen, rows[surest_of_parts(part, columns.sigma_px[rows], MOST_STARS - chosen.size)]])
-    return np.sort(np.concatenate([sun, chosen]))
+    rows = np.flatnonzero(other)
+    chosen = surest_of_epochs(columns.pixels[rows], columns.sigma_px[rows], columns.epoch[rows], image_size)
+    return np.sort(np.concatenate([sun, rows[chosen]]))

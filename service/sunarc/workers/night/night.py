@@ -32,7 +32,7 @@ from sunarc.workers.night.moon import MoonImages
 from sunarc.workers.night.named_stars import BENT_PX, star_view, surest_named
 from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
 from sunarc.workers.night.numbers import TakenImage, numbers_of
-from sunarc.workers.night.offset import RadialOffset, radial_offset
+from sunarc.workers.night.offset import offset_of
 from sunarc.workers.night.picture import NightPicture, better, named_bodies, night_picture, store_picture
 from sunarc.workers.night.verdict import NightVerdict, decide_night, summary_of
 from sunarc.workers.night.warm import WarmPixelMap
@@ -78,6 +78,7 @@ class NightWorker:
     board : where a focus that got worse, or dew, degrades the service.
     limits : what is suspected.
     store : where the picture of the night goes; None: nowhere.
+    replaces : whether sightings take the place of former ones of their images.
     warm_pixels : file of the camera's warm pixels; None: they are forgotten with a restart.
     """
 
@@ -96,6 +97,7 @@ class NightWorker:
         limits: NightLimits | None = None,
         store: ImageStore | None = None,
         warm_pixels: Path | None = None,
+        replaces: bool = False,
     ) -> None:
         self._frames, self._exposures = capture.frames, capture.exposures
         self._camera = camera
@@ -108,6 +110,7 @@ class NightWorker:
         self._board = board
         self._limits = limits or NightLimits()
         self._store_images = store
+        self._replaces = replaces
         self._images: list[_Image] = []
         self._picture: NightPicture | None = None
         self._warm = WarmPixelMap(None if warm_pixels is None else WarmPixelFile(warm_pixels, self._report))
@@ -201,7 +204,7 @@ class NightWorker:
         ]
         measured = numbers_of(taken)
         kept = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
-        offset = _offset_of(views, matched, calibration)
+        offset = offset_of(views, matched, calibration)
         stored = self._store(images, views, matched)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
         heartbeat()
@@ -259,13 +262,18 @@ class NightWorker:
         views: Sequence[StarView],
         matched: Sequence[MatchedView],
     ) -> int:
-        """Store the sightings of accepted images and return how many were new: none of an image that was not."""
+        """Store the sightings of accepted images and return how many were new: none of an image that was not.
+
+        Where they replace former ones, those of an image that is not accepted any more stay.
+        """
         points = [
             point
             for image, view, found in zip(images, views, matched, strict=True)
             if found.matches.accepted
             for point in self._points(image, view, found)
         ]
+        if self._replaces:
+            return self._camera.archive.replace_stars(self._camera.name, points)
         return self._camera.archive.add_sun_points(points)
 
     def _points(self, image: _Image, view: StarView, found: MatchedView) -> list[SunPoint]:
@@ -323,21 +331,3 @@ class NightWorker:
         nights = [event.details for event in self._camera.nights(limit=NIGHTS_COMPARED)]
         for code, reason in night_conditions(nights, self._limits).items():
             self._board.set_condition(code, reason)
-
-
-def _offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration) -> RadialOffset:
-    """Return by how much the unclipped stars of a night lie outside of their predicted places."""
-    pixels, predicted, sigma = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
-    for view, found in zip(views, matched, strict=True):
-        stars, star = found.stars.select(found.matches.detection), found.matches.star
-        sound = stars.sound
-        pixels.append(stars.pixels[sound])
-        predicted.append(view.predicted.pixels[star][sound])
-        own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - BENT_PX**2, 0.0)
-        sigma.append(np.sqrt(own))
-    return radial_offset(
-        np.concatenate(pixels),
-        np.concatenate(predicted),
-        sigma_px=np.concatenate(sigma),
-        centre=np.array(calibration.camera.principal_point_px),
-    )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration import Calibration, MatchedView, StarView
 from sunarc.robust_statistics import biweights, mad_sigma
+from sunarc.workers.night.named_stars import BENT_PX
 
 _POWERS = (1, 2, 3)
 _FEWEST = 60
@@ -72,6 +75,24 @@ def radial_offset(
         residual = along - design @ coefficients
         weight = sure * biweights(residual / (4.0 * max(mad_sigma(residual), 1e-3)))
     return RadialOffset(centre=centre, radius=radius, coefficients=np.asarray(coefficients))
+
+
+def offset_of(views: Sequence[StarView], matched: Sequence[MatchedView], calibration: Calibration) -> RadialOffset:
+    """Return by how much the unclipped stars of a night lie outside of their predicted places."""
+    pixels, predicted, sigma = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
+    for view, found in zip(views, matched, strict=True):
+        stars, star = found.stars.select(found.matches.detection), found.matches.star
+        sound = stars.sound
+        pixels.append(stars.pixels[sound])
+        predicted.append(view.predicted.pixels[star][sound])
+        own = np.maximum(view.predicted.sigma_px[star][sound] ** 2 - BENT_PX**2, 0.0)
+        sigma.append(np.sqrt(own))
+    return radial_offset(
+        np.concatenate(pixels),
+        np.concatenate(predicted),
+        sigma_px=np.concatenate(sigma),
+        centre=np.array(calibration.camera.principal_point_px),
+    )
 
 
 def _powers(ratio: FloatArray) -> FloatArray:

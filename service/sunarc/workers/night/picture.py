@@ -17,6 +17,7 @@ from sunarc.array_types import BoolArray, Image
 from sunarc.calibration import Calibration, StarView, camera_sees
 from sunarc.detection import detected
 from sunarc.errors import OutsideError
+from sunarc.imaging import jpeg_with
 from sunarc.optics import project
 from sunarc.sky import title_of, wanderer_place
 from sunarc.utc import rfc3339
@@ -125,7 +126,9 @@ def store_picture(
     }
     try:
         store.write(picture.time, json.dumps(document).encode("utf-8"), kind=NAMES)
-        store.write(picture.time, picture.jpeg, kind=PICTURE)
+        # it is no image to look for stars in: stretched, and mostly smaller than the camera's
+        named = {"schema": "sunarc.night-picture/1", "preview": True, "time_utc": document["time"]}
+        store.write(picture.time, jpeg_with(picture.jpeg, named), kind=PICTURE)
     except OutsideError as error:
         _log.warning("picture of the night not written: %s", error)
         return False
