@@ -51,7 +51,7 @@ def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-
         return floor
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
     first = max(_quantile(distance, share) / math.sqrt(-2.0 * math.log1p(-share)), floor)
-    return float(_settled_sigma(np.asarray(distance, dtype=np.float64), first, floor))
+    return float(settled_sigma(np.asarray(distance, dtype=np.float64), first, floor))
 
 
 def _quantile(values: FloatArray, share: float) -> float:
@@ -68,8 +68,8 @@ _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 
 
 @njit(nogil=True)
-def _settled_sigma(distance: FloatArray, sigma: float, floor: float) -> float:
-    """Return the scale after the rounds that begin at one."""
+def settled_sigma(distance: FloatArray, sigma: float, floor: float) -> float:
+    """Return the scale of `robust_sigma` after the rounds that begin at one, px."""
     for _ in range(_ROUNDS):
         total, count = 0.0, 0
         for value in distance:

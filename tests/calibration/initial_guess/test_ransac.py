@@ -11,7 +11,9 @@ from tests.fixtures.calibration import loose_precision, observed, small_camera, 
 
 from sunarc.calibration.initial_guess import ransac as module
 from sunarc.calibration.initial_guess.ransac import ransac_start
+from sunarc.calibration.initial_guess.ransac_kernels import robust_scale, trial_steps
 from sunarc.calibration.least_squares.problem import Observations, Problem
+from sunarc.calibration.robust_loss import robust_sigma
 
 FloatArray = NDArray[np.float64]
 
@@ -130,3 +132,32 @@ def test_the_disagreement_is_cauchys_loss_of_distances_in_their_own_sigmas(probl
     # 5 px of a sigma of 5 px, and 1 px of a sigma of 0.5 px
     expected = np.log1p((1.0 / 0.5) ** 2) + np.log1p((2.0 / 0.5) ** 2)
     assert module._disagreement(problem, seen, truth, 0.5) == pytest.approx(expected, rel=1e-6)
+
+
+def _lines(problem: Problem, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return problem.linearised(_pose_off(truth), _seen(problem, truth, false=0.3))
+
+
+def test_trials_are_those_of_linear_least_squares(problem: Problem, precision: FloatArray, truth: FloatArray) -> None:
+    (residual, rows), start = _lines(problem, truth), _pose_off(truth)
+    picks = np.random.default_rng(3).integers(0, 200, (5, 7))
+    found = trial_steps(residual, rows, picks, start, precision, 0.7)
+    for step, pick in zip(found, picks, strict=True):
+        j, r = rows[pick].reshape(14, -1) / 0.7, residual[pick].ravel() / 0.7
+        expected = np.linalg.solve(j.T @ j + np.diag(precision), j.T @ r - precision * start)
+        np.testing.assert_allclose(step, expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
+
+
+def test_a_step_is_refined_as_in_numpy(problem: Problem, precision: FloatArray, truth: FloatArray) -> None:
+    (residual, rows), start = _lines(problem, truth), _pose_off(truth)
+    flat, right, step = rows.reshape(-1, rows.shape[-1]), residual.ravel(), np.zeros(problem.size)
+    found = module._tightened(step, residual, rows, start, precision)
+    for cut in module._CUTS:
+        after = (right - flat @ step).reshape(-1, 2)
+        distance = np.hypot(after[:, 0], after[:, 1])
+        sigma = robust_sigma(distance, floor=module._FLOOR_PX)
+        assert robust_scale(distance, module._FLOOR_PX) == pytest.approx(sigma, rel=1e-12)
+        weight = np.repeat(1.0 / (1.0 + (distance / (sigma * cut)) ** 2) ** 2 / sigma**2, 2)
+        normal = (flat * weight[:, None]).T @ flat + np.diag(precision)
+        step = np.linalg.solve(normal, (right * weight) @ flat - precision * start)
+    np.testing.assert_allclose(rows @ found, rows @ step, atol=1e-4)

@@ -98,3 +98,15 @@ def test_shapes_follow_those_of_the_pixels(basis: WaveBasis) -> None:
     assert basis.values((1.0, 2.0)).shape == (m,)
     empty = WaveBasis(center_px=(0.0, 0.0), half_px=(1.0, 1.0), orders=np.zeros((0, 2), dtype=np.int64))
     assert empty.values(np.zeros((3, 2))).shape == (3, 0)
+
+
+def test_waves_are_products_of_sines_and_nothing_beyond_the_box() -> None:
+    basis = wave_basis(width=640, height=480, shortest_px=120.0, longest_px=200.0)
+    half, center = np.array(basis.half_px), np.array(basis.center_px)
+    pixels = np.random.default_rng(2).uniform(-0.99, 0.99, (40, 2)) * half + center
+    phase = 0.5 * np.pi * ((pixels - center) / half + 1.0)
+    expected = np.prod(np.sin(phase[:, None] * basis.orders) / np.sqrt(half), axis=-1)
+    np.testing.assert_allclose(basis.values(pixels), expected, atol=1e-15)
+    assert basis.orders.max() > 8
+    np.testing.assert_array_equal(basis.values(center + half * [1.001, 0.0]), 0.0)
+    assert basis.values(np.zeros((2, 0, 2))).shape == (2, 0, len(basis.orders))

@@ -35,11 +35,11 @@ _KNOWN = 0.15
 class _Conditional(NamedTuple):
     """Second moments about the free fit where p3 and p4 are known, and the log evidence of that cell.
 
-    moments (p, p) of the unknowns; cross (2, p, m) with the field's coefficients.
+    moments (p, p) of the unknowns; cross (2, p, m) with the field's coefficients, where it is predicted.
     """
 
     moments: FloatArray
-    cross: FloatArray
+    cross: FloatArray | None
     log_evidence: float
 
 
@@ -66,9 +66,8 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
         return posterior
     normal = system.normal()
     free = marginal_fit(normal, system.basis, scales)
-    about = np.zeros_like(free.coefficients) if mean is None else mean
     in_axes = system.in_field_axes(scales)
-    conditionals = [_conditional(problem, in_axes, unknowns, node, scales, about) for node in _NODES]
+    conditionals = [_conditional(problem, in_axes, unknowns, node, scales, mean) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
     about_fit = converged_in_axes(problem, in_axes[0], scales, unknowns, steps=0)
     log_mass = np.array([about_fit.log_evidence, *(node.log_evidence for node in conditionals)])
@@ -77,9 +76,10 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     excess = np.tensordot(share, np.stack([node.moments - free.covariance for node in conditionals]), 1)
     part, positive = _positive_part(excess, free.covariance)
     covariance = posterior.covariance + part
-    if mean is None:
+    crosses = [node.cross - free.cross for node in conditionals if node.cross is not None]
+    if not crosses:
         return posterior._replace(covariance=covariance)
-    with_field = np.tensordot(share, np.stack([node.cross - free.cross for node in conditionals]), 1)
+    with_field = np.tensordot(share, np.stack(crosses), 1)
     field = replace(posterior.field, cross=posterior.field.cross + positive @ with_field)
     return PosteriorCovariance(covariance, seen_field(field, normal, covariance))
 
@@ -105,7 +105,7 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     unknowns: FloatArray,
     node: tuple[float, ...],
     scales: Scales,
-    field_mean: FloatArray,
+    field_mean: FloatArray | None,
 ) -> _Conditional:
     """Return the fit with p3 and p4 held at a place; see `LinearSystem.in_field_axes`."""
     fixed = np.array(node)
@@ -117,14 +117,18 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     start[HIGHER] = 0.0
     system, transform = in_axes
     rest = converged_in_axes(conditioned, system, scales, start)
-    found, there = rest.unknowns, rest.fit.with_coefficients_on(transform)
-    covariance, cross = there.covariance.copy(), there.cross.copy()
+    covariance = rest.fit.covariance.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
-    cross[:, HIGHER] = 0.0
-    shift = found - unknowns
+    shift = rest.unknowns - unknowns
     shift[HIGHER] = fixed - unknowns[HIGHER]
+    cross = None
+    if field_mean is not None:
+        there = rest.fit.with_coefficients_on(transform)
+        cross = there.cross.copy()
+        cross[:, HIGHER] = 0.0
+        cross = cross + shift[:, None] * (there.coefficients - field_mean)[:, None, :]
     return _Conditional(
         moments=covariance + np.outer(shift, shift),
-        cross=cross + shift[:, None] * (there.coefficients - field_mean)[:, None, :],
+        cross=cross,
         log_evidence=rest.log_evidence - 0.5 * float(fixed @ fixed) + _CELL,
     )

@@ -161,15 +161,19 @@ def field_at(normal: NormalEquations, basis: WaveBasis, scales: Scales) -> Float
 
 def posterior_covariances(matrix: FloatArray, normal: NormalEquations, precision: FloatArray) -> FloatArray:
     """Return (k, p, p): covariances of the unknowns of one matrix of information (p, p) under precisions (k, p)."""
-    diagonal = precision + ROUNDING * np.diag(normal.jj)
-    covariances = np.empty((precision.shape[0], *matrix.shape))
-    if write_inverses(np.ascontiguousarray(matrix), diagonal, RIDGE, covariances):
-        return covariances
+    return inverses(matrix, precision + ROUNDING * np.diag(normal.jj))
+
+
+def inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
+    """Return (k, p, p): inverses of a symmetric matrix (p, p) plus diagonals (k, p), with a ridge, see `RIDGE`."""
+    result = np.empty((diagonal.shape[0], *matrix.shape))
+    if write_inverses(np.ascontiguousarray(matrix), diagonal, RIDGE, result):
+        return result
     return general_inverses(matrix, diagonal)
 
 
 def general_inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
-    """Return (k, p, p): inverses of a matrix (p, p) plus diagonals (k, p), also where rounding makes one negative."""
+    """Return (k, p, p): what `inverses` does, also where rounding makes a matrix negative."""
     matrices = matrix + diagonal[:, :, None] * np.eye(matrix.shape[0])
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     both = scale[:, :, None] * scale[:, None, :]

@@ -15,6 +15,7 @@ from sunarc.calibration.fit.marginal_likelihood import (
     MarginalFit,
     NormalEquations,
     Scales,
+    inverses,
     normal_sums,
     prior_precision,
 )
@@ -165,8 +166,7 @@ def _at_rest(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArr
     """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's approximation)."""
     scale = 1.0 / np.sqrt(np.diag(sums.matrix))
     scaled = sums.matrix * scale[:, None] * scale + RIDGE * np.eye(at.size)
-    covariance = np.linalg.inv(scaled) * scale[:, None] * scale
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = inverses(sums.matrix, np.zeros((1, at.size)))[0]
     step = covariance @ sums.vector
     gain = float(step @ sums.vector)
     fit = MarginalFit(

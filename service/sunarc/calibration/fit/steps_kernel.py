@@ -13,7 +13,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.least_squares.priors import N_LENS
-from sunarc.calibration.least_squares.row_kernels import Optics, Sighted, residuals_and_rows_of, vectors_of
+from sunarc.calibration.least_squares.row_kernels import Optics, Sighted, residuals_and_columns_of, vectors_of
 from sunarc.cholesky import factored, halved
 from sunarc.jit import njit
 
@@ -101,24 +101,24 @@ def write_sums(  # noqa: PLR0917 - compiled functions take positions
     optics: Optics, lens: LensBasis, seen: Sighted, weighing: Weighing, at: FloatArray, n_air: int, sums: Sums
 ) -> None:
     """Write the sums about some unknowns (p,)."""
-    p, bins, shared = at.size, seen.directions.shape[0], seen.systematic_px.shape[2]
+    p, shared = at.size, seen.systematic_px.shape[2]
     vectors = vectors_of(lens.mean, lens.basis, at, (p - N_LENS - shared - n_air) // 3)
     sizes, air = at[p - shared - n_air : p - n_air], at[p - n_air :]
-    residual, rows = residuals_and_rows_of(optics, vectors, seen, sizes, air, lens.basis)
-    weighted, left, diagonal = np.empty((bins, p)), np.empty(bins), np.zeros(p)
+    residual, columns = residuals_and_columns_of(optics, vectors, seen, sizes, air, lens.basis)
+    diagonal = np.zeros(p)
     sums.matrix[:] = 0.0
     sums.vector[:] = 0.0
     square = 0.0
     for c in range(2):
-        for n in range(bins):
-            left[n] = weighing.root[n] * residual[n, c]
-            for i in range(p):
-                weighted[n, i] = weighing.root[n] * rows[n, c, i]
-        own = np.dot(weighted.T, weighted)
-        sums.rows[c] = np.dot(weighing.field, weighted)
+        left, weighted = residual[c], columns[c]
+        left *= weighing.root
+        for i in range(p):
+            weighted[i] *= weighing.root
+        own = np.dot(weighted, weighted.T)
+        sums.rows[c] = np.dot(weighing.field, weighted.T)
         sums.left[c] = np.dot(weighing.field, left)
         sums.matrix[:] += own - np.dot(sums.rows[c].T, sums.rows[c])
-        sums.vector[:] += np.dot(weighted.T, left) - np.dot(sums.rows[c].T, sums.left[c])
+        sums.vector[:] += np.dot(weighted, left) - np.dot(sums.rows[c].T, sums.left[c])
         square += np.dot(left, left) - np.dot(sums.left[c], sums.left[c])
         diagonal += np.diag(own)
     for i in range(p):

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import FloatArray
+from sunarc.calibration.initial_guess.ransac_kernels import tightened, trial_steps
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.robust_loss import robust_sigma
 from sunarc.jit import njit
@@ -28,8 +29,9 @@ _SEED = 20160830
 _TRUST_PX = 0.7
 _LARGEST_SQUARE = 1e60
 """Bound of squared sigmas, so that products of four stay finite: far from the sightings residuals have any size."""
-_RIDGE = 1e-12
-"""Share of the diagonal that is added to it."""
+_CUTS = np.repeat([3.0, 1.5], [4, _ROUNDS - 4])
+"""Distances, in the scale found, at which a sighting counts a quarter in each round: fewer and fewer count."""
+_FLOOR_PX = 1e-3
 
 
 def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray) -> FloatArray:
@@ -74,36 +76,15 @@ def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision
     # one sighting of each stretch of the arc: random ones would often be neighbours
     edges = np.linspace(0, residual.shape[0], _SAMPLE + 1).astype(int)
     picks = np.stack([rng.integers(a, max(b, a + 1), _TRIALS) for a, b in itertools.pairwise(edges)], axis=-1)
-    j = rows[picks].reshape(_TRIALS, 2 * _SAMPLE, -1) / _TRUST_PX
-    r = residual[picks].reshape(_TRIALS, 2 * _SAMPLE) / _TRUST_PX
-    normal = np.swapaxes(j, -1, -2) @ j + np.diag(precision)
-    right = np.einsum("kip,ki->kp", j, r) - precision * start
-    return _solved(normal, right)
+    return np.asarray(trial_steps(residual, rows, picks, start, precision, _TRUST_PX))
 
 
 def _tightened(
     step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray
 ) -> FloatArray:
     """Return the step refined on all sightings, those far off counting less and less."""
-    flat, right = rows.reshape(-1, rows.shape[-1]), residual.ravel()
-    for number in range(_ROUNDS):
-        after = (right - flat @ step).reshape(-1, 2)
-        distance = np.hypot(after[:, 0], after[:, 1])
-        sigma = robust_sigma(distance, floor=1e-3)
-        weight = 1.0 / (1.0 + (distance / (sigma * (3.0 if number < 4 else 1.5))) ** 2) ** 2 / sigma**2
-        weighted = flat * np.repeat(weight, 2)[:, None]
-        step = _solved(weighted.T @ flat + np.diag(precision), right @ weighted - precision * start)
-    return step
-
-
-def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solutions (..., p) of normal equations (..., p, p), also of those that do not determine all of them.
-
-    A camera far from the sightings has derivatives of any size: without the ridge rounding makes a matrix singular.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
-    scaled = normal * scale[..., :, None] * scale[..., None, :] + _RIDGE * np.eye(right.shape[-1])
-    return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., None])[..., 0])
+    columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
+    return np.asarray(tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, _FLOOR_PX))
 
 
 @njit(nogil=True)

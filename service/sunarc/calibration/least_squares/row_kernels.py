@@ -16,12 +16,13 @@ from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.block_kernels import BLOCK, PIXEL_X, RESIDUAL, ROOM, write_block
+from sunarc.optics.block_kernels import BLOCK, N_NATIVE, PIXEL_X, RESIDUAL, ROOM, write_block
 from sunarc.optics.kernels import pixels_of, write_rotation
 
 _SIZE = len(Param)
 _LENS = np.ascontiguousarray(LENS)
 _POSE = int(Param.ROTATION_X)
+_PAIR = 2 * BLOCK
 
 
 class Optics(NamedTuple):
@@ -69,7 +70,21 @@ def residuals_of(optics: Optics, vector: FloatArray, seen: Sighted, air: FloatAr
 def residuals_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals as `residuals_of`, and derivatives of the prediction by the unknowns (n, 2, size).
+    """Return the residuals (n, 2) and derivatives of the prediction (n, 2, size), see `residuals_and_columns_of`."""
+    residual, columns = residuals_and_columns_of(optics, vectors, seen, sizes, air, basis)
+    rows = np.empty((residual.shape[1], 2, columns.shape[1]))
+    for n in range(rows.shape[0]):
+        for c in range(2):
+            for j in range(rows.shape[2]):
+                rows[n, c, j] = columns[c, j, n]
+    return np.ascontiguousarray(residual.T), rows
+
+
+@njit(nogil=True)
+def residuals_and_columns_of(  # noqa: PLR0917 - compiled functions take positions
+    optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals (2, n) as of `residuals_of`, and derivatives of the prediction by the unknowns (2, size, n).
 
     Parameters
     ----------
@@ -78,14 +93,13 @@ def residuals_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
     basis : (17, 17) of the prior: what a unit of the lens's unknowns does to its parameters.
     """
     count, epochs, k = seen.directions.shape[0], vectors.shape[0], air.size
-    s = sizes.size
-    size = N_LENS + 3 * epochs + s + k
-    residual, rows = np.empty((count, 2)), np.zeros((count, 2, size))
+    size = N_LENS + 3 * epochs + sizes.size + k
+    residual, columns = np.empty((2, count)), np.zeros((2, size, count))
     rotation, jacobian = np.empty((epochs, 3, 3)), np.empty((epochs, 3, 3))
     for e in range(epochs):
         write_rotation(vectors[e, _POSE : _POSE + 3], rotation[e], jacobian[e])
     directions, up = _in_air(seen, air)
-    room, own, reach = np.empty(ROOM), np.empty((N_LENS, 2 * BLOCK)), reach_of(basis)
+    room, own, reach = np.empty(ROOM), np.empty((N_NATIVE, _PAIR)), reach_of(basis)
     begin = 0
     while begin < count:
         e, n = seen.epoch[begin], block_size(seen.epoch, begin)
@@ -94,38 +108,38 @@ def residuals_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
             room,
         )  # fmt: skip
         _write_lens_unknowns(room, basis, reach, own)
+        for c in range(2):
+            for j in range(N_NATIVE):
+                place = j if j < N_LENS else j + 3 * e
+                columns[c, place, begin : begin + n] = own[j, c * BLOCK : c * BLOCK + n]
         for i in range(begin, begin + n):
-            if not math.isfinite(room[PIXEL_X + i - begin]):
-                residual[i] = UNSEEN_PX
-                continue
+            shown = math.isfinite(room[PIXEL_X + i - begin])
             for c in range(2):
                 difference = seen.pixels[i, c] - room[PIXEL_X + c * BLOCK + i - begin]
                 difference -= np.dot(seen.systematic_px[i, c], sizes)
-                residual[i, c] = difference if math.isfinite(difference) else UNSEEN_PX
-                place, row = c * BLOCK + i - begin, rows[i, c]
-                for j in range(N_LENS):
-                    row[j] = own[j, place]
-                for a in range(3):
-                    row[N_LENS + 3 * e + a] = room[(N_LENS + a) * 2 * BLOCK + place]
-                row[size - k - s : size - k] = seen.systematic_px[i, c]
-                if k:
-                    by_air = _along(room, place, rotation[e], up[i])
+                residual[c, i] = difference if shown and math.isfinite(difference) else UNSEEN_PX
+                if shown:
+                    columns[c, size - k - sizes.size : size - k, i] = seen.systematic_px[i, c]
+                if shown and k:
+                    by_air = _along(room, c * BLOCK + i - begin, rotation[e], up[i])
                     for a in range(k):
-                        row[size - k + a] = by_air * seen.refraction_sd[i, a]
+                        columns[c, size - k + a, i] = by_air * seen.refraction_sd[i, a]
         begin += n
-    return residual, rows
+    return residual, columns
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _write_lens_unknowns(room: FloatArray, basis: FloatArray, reach: IntArray, own: FloatArray) -> None:
-    """Write the derivatives of a block by the lens's unknowns (17, 2 BLOCK)."""
-    own[:] = 0.0
+    """Write the derivatives of a block by the lens's unknowns and by its pose (20, 2 BLOCK)."""
+    own[:N_LENS] = 0.0
     for i in range(N_LENS):
-        column = room[i * 2 * BLOCK : (i + 1) * 2 * BLOCK]
+        column = room[i * _PAIR : (i + 1) * _PAIR]
         for j in range(reach[i, 0], reach[i, 1]):
-            share = basis[i, j]
-            for n in range(2 * BLOCK):
-                own[j, n] += share * column[n]
+            target, share = own[j], basis[i, j]
+            for n in range(_PAIR):
+                target[n] += share * column[n]
+    for i in range(N_LENS, N_NATIVE):
+        own[i] = room[i * _PAIR : (i + 1) * _PAIR]
 
 
 @njit(nogil=True)
@@ -134,7 +148,7 @@ def _along(room: FloatArray, place: int, rotation: FloatArray, up: FloatArray) -
     total = 0.0
     for i in range(3):
         turned = rotation[i, 0] * up[0] + rotation[i, 1] * up[1] + rotation[i, 2] * up[2]
-        total += room[(RESIDUAL + 1 + i) * 2 * BLOCK + place] * turned
+        total += room[(RESIDUAL + 1 + i) * _PAIR + place] * turned
     return total
 
 

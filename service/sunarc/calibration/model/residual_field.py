@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sunarc.array_types import FloatArray, IntArray
+from sunarc.calibration.model.wave_kernel import waves_at
 from sunarc.optics import Displacement
 
 _MARGIN_LENGTHS = 1.2
@@ -41,10 +42,12 @@ class WaveBasis:
     def values(self, pixels: ArrayLike) -> FloatArray:
         """Return (..., m): the waves at pixels (..., 2); 0 beyond the box."""
         pixel = np.asarray(pixels, dtype=np.float64)
-        along_x = self._sines(pixel[..., 0], 0)[..., self.orders[:, 0] - 1]
-        along_y = self._sines(pixel[..., 1], 1)[..., self.orders[:, 1] - 1]
-        inside = np.all(np.abs(pixel - self.center_px) < self.half_px, axis=-1)
-        return np.asarray(along_x * along_y * inside[..., None])
+        orders = np.ascontiguousarray(self.orders, dtype=np.int64)
+        if orders.size == 0:
+            return np.zeros((*pixel.shape[:-1], 0))
+        flat = np.ascontiguousarray(pixel.reshape(-1, 2))
+        found = waves_at(flat, tuple(map(float, self.center_px)), tuple(map(float, self.half_px)), orders)
+        return np.asarray(found.reshape(*pixel.shape[:-1], orders.shape[0]))
 
     def variances(self, *, length_px: float) -> FloatArray:
         """Return (m,): the coefficients' variances of a field of unit amplitude and a length in px."""
@@ -88,12 +91,6 @@ class WaveBasis:
         if displacement is None:
             return np.zeros((2, len(self.orders)))
         return WaveBasis.of(displacement).spread(np.array([displacement.x_px, displacement.y_px]), self)
-
-    def _sines(self, coordinate: FloatArray, axis: int) -> FloatArray:
-        half = self.half_px[axis]
-        number = np.arange(1, int(self.orders[:, axis].max(initial=0)) + 1)
-        phase = (0.5 * math.pi / half) * (coordinate - self.center_px[axis] + half)
-        return np.asarray(np.sin(phase[..., None] * number) / math.sqrt(half))
 
 
 def wave_basis(*, width: int, height: int, shortest_px: float, longest_px: float) -> WaveBasis:
@@ -171,9 +168,10 @@ class Field:
         rows : (n, 2, p) derivatives of the prediction by the parameters.
         values : (n, m) of the basis there.
         """
-        mixed = rows @ np.stack([values @ self.cross[a].T for a in (0, 1)], axis=-1)
-        coupled = np.stack([values @ self.coupling[a].T for a in (0, 1)], axis=1)
+        crossed = np.stack([values @ self.cross[a].T for a in (0, 1)])
+        mixed = np.einsum("nap,bnp->nab", rows, crossed)
+        coupled = np.stack([values @ self.coupling[a].T for a in (0, 1)])
         unknown = np.maximum(self.amplitude_px**2 - np.sum(self.reduction(values) ** 2, axis=-1), 0.0)
         unknown = np.maximum(unknown, (LEAST_UNKNOWN * self.amplitude_px) ** 2)
-        both = mixed + np.swapaxes(mixed, -1, -2) + coupled @ np.swapaxes(coupled, -1, -2)
+        both = mixed + np.swapaxes(mixed, -1, -2) + np.einsum("anq,bnq->nab", coupled, coupled)
         return np.asarray(both + unknown[:, None, None] * np.eye(2))
