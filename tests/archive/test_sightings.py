@@ -96,6 +96,23 @@ def test_columns_hold_the_accepted_sightings_in_the_order_of_time(archive: Archi
     assert columns.epoch_ids == ("roof-1",)
 
 
+def test_columns_of_one_moment_are_in_the_order_of_their_keys(archive: Archive) -> None:
+    """An index by time and body has them in another: the moon before the sun."""
+    archive.add_sun_points([later(SEEN, 30), SEEN, replace(SEEN, body="moon"), replace(SEEN, exposure_us=20.0)])
+    columns = archive.sun_point_columns("roof", body=None)
+    np.testing.assert_array_equal(columns.unix_s - NOON.timestamp(), [0, 0, 0, 30])
+    np.testing.assert_array_equal(columns.ids - columns.ids.min(), [1, 2, 3, 0])
+    assert columns.body.tolist() == ["sun", "moon", "sun", "sun"]
+
+
+def test_columns_since_a_key_are_those_that_were_stored_later(archive: Archive) -> None:
+    archive.add_sun_points([later(SEEN, 30)])
+    (first,) = archive.sun_point_columns("roof").ids.tolist()
+    archive.add_sun_points([SEEN, later(SEEN, 60)])
+    np.testing.assert_array_equal(archive.sun_point_columns("roof", after_id=first).unix_s - NOON.timestamp(), [0, 60])
+    assert archive.sun_point_columns("roof", after_id=0).ids.size == 3
+
+
 def test_columns_without_a_sighting_are_empty(archive: Archive) -> None:
     columns = archive.sun_point_columns("roof")
     assert (columns.unix_s.shape, columns.pixels.shape, columns.epoch_ids) == ((0,), (0, 2), ())

@@ -17,7 +17,7 @@ from tests.workers.conftest import refit_worker
 from sunarc.archive import Archive, Refit, SunPoint
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, Verdict, calibrate
 from sunarc.findings import Finding
-from sunarc.optics import project
+from sunarc.optics import PARAMETER_NAMES, project
 from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.simulation import SGP, true_camera
@@ -239,7 +239,10 @@ def test_the_child_process_answers_what_the_function_answers() -> None:
     answer = solve()
     assert answer is not None
     here = calibrate(sightings(every_s=1200.0), site=SGP, image_size=SIZE)
-    assert answer.camera == here.camera
+    # where arrays lie in memory decides in which order vector registers add; a fit stops short of its minimum
+    free = [PARAMETER_NAMES.index(name) for name in here.parameter_names]
+    apart = (answer.camera.to_vector() - here.camera.to_vector())[free]
+    assert np.max(np.abs(apart) / np.sqrt(np.diag(here.covariance))) < 0.05
 
 
 def test_a_solve_beyond_its_time_limit_is_ended() -> None:

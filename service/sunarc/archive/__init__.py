@@ -11,7 +11,6 @@ sent to a hub · `backup recovery file lock ownership space_reserve` the file on
 from sunarc.archive.archive import Archive, open_archive
 from sunarc.archive.backup import backup, backup_into, newest_sound_copy, restore
 from sunarc.archive.camera_archive import CameraArchive
-from sunarc.archive.columns import SUN
 from sunarc.archive.cross_check import CrossCheck, CrossChecks, Found
 from sunarc.archive.csv_files import (
     SightingTable,
@@ -85,7 +84,6 @@ __all__ = [
     "LEAST_KEPT",
     "LENS_CHANGED",
     "MOVED",
-    "SUN",
     "Archive",
     "CalibrationRecord",
     "CalibrationState",

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, cast
 
 import numpy as np
-from sqlalchemy import BigInteger, ColumnElement, Connection, Subquery, case, func, select, type_coerce
+from sqlalchemy import BigInteger, ColumnElement, Connection, case, func, select, type_coerce
 
 from sunarc.archive import tables
 from sunarc.archive.day_air import air_of_days, within_or_nan
@@ -14,7 +14,7 @@ from sunarc.archive.tables import sun_point
 from sunarc.archive.types import stored_as
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray, IntArray, NameArray
-from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, TEMPERATURE_BOUNDS_C
+from sunarc.sky import PA_PER_HPA, PRESSURE_BOUNDS_PA, SUN, TEMPERATURE_BOUNDS_C
 
 _LEVELS = np.dtype([("time", "i8"), ("level", "f8")])
 _EXTRAPOLATED_AT_MOST = 100.0
@@ -26,8 +26,6 @@ _COLUMNS = np.dtype(
         ("id", "i8"),
     ]
 )
-SUN = "sun"
-"""The body of most sightings."""
 _UNMEASURED = -1e9
 """Stands for NULL while rows are read; no temperature and no pressure."""
 
@@ -39,10 +37,11 @@ def read_columns(
 
     Without `others` none of them can be of another body than the sun.
     """
-    # Few epochs and millions of rows: a row has its epoch's number in the order of time, and no name.
-    numbered = _numbered_epochs(camera)
-    rows = _numbers(connection, numbered, filters)
-    ids = [str(name) for name in connection.scalars(select(numbered.c.id).order_by(numbered.c.number))]
+    rows = _in_order_of_time(_numbers(connection, filters))
+    # few epochs and millions of rows: a row has its epoch's beginning, of which a camera has no two alike, and no name
+    epochs = tables.pose_epoch.c
+    named = select(_beginning(epochs.started_at), epochs.id).where(epochs.camera == camera)
+    name_of = {int(beginning): str(name) for beginning, name in connection.execute(named)}
     present, epoch = np.unique(rows["epoch"], return_inverse=True)
     temperature, pressure = _air(connection, camera, rows)
     return SunPointColumns(
@@ -51,7 +50,7 @@ def read_columns(
         sigma_px=_nan_for_negative(rows["sigma"]),
         clock_error_s=_nan_for_negative(rows["clock"]),
         epoch=epoch.astype(np.int64),
-        epoch_ids=tuple(ids[index] for index in present.tolist()),
+        epoch_ids=tuple(name_of[beginning] for beginning in present.tolist()),
         ids=rows["id"].copy(),
         temperature=temperature,
         pressure=pressure,
@@ -62,8 +61,11 @@ def read_columns(
 def _bodies(connection: Connection, filters: list[ColumnElement[bool]], ids: IntArray) -> NameArray:
     """Return the names of the bodies of rows (n,): few are not the sun, and only these are read as text."""
     c = sun_point.c
-    named = {row.id: row.body for row in connection.execute(select(c.id, c.body).where(*filters, c.body != SUN))}
-    return np.array([named.get(key, SUN) for key in ids.tolist()], dtype=np.str_)
+    named = {row.id: str(row.body) for row in connection.execute(select(c.id, c.body).where(*filters, c.body != SUN))}
+    bodies = np.full(ids.size, SUN, dtype=f"U{max(map(len, [SUN, *named.values()]))}")
+    rows = np.flatnonzero(np.isin(ids, np.array([*named], dtype=np.int64)))
+    bodies[rows] = [named[key] for key in ids[rows].tolist()]
+    return bodies
 
 
 def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tuple[FloatArray, FloatArray]:
@@ -77,27 +79,31 @@ def _air(connection: Connection, camera: str, rows: np.ndarray[Any, Any]) -> tup
     )
 
 
-def _numbered_epochs(camera: str) -> Subquery:
-    """Return the ids of a camera's pose epochs, with their numbers in the order of time from 0 on."""
-    epochs = tables.pose_epoch.c
-    number = func.row_number().over(order_by=(epochs.started_at, epochs.id)) - 1
-    return select(epochs.id, number.label("number")).where(epochs.camera == camera).subquery()
-
-
-def _numbers(connection: Connection, epochs: Subquery, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
-    c = sun_point.c
+def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.ndarray[Any, Any]:
+    """Return the rows' numbers, in no order: the database would take as long to sort them as to read them."""
+    c, epochs = sun_point.c, tables.pose_epoch.c
     numbers = (
         *(c.time, c.x_px, c.y_px, _number_or(c.sigma_px, -1.0), _number_or(c.clock_error_s, -1.0)),
         *(_number_or(c.temperature_c, _UNMEASURED), _number_or(c.pressure_hpa, _UNMEASURED)),
     )
     sound = [stored_as(c.time, "integer"), *(stored_as(column, "real") for column in (c.x_px, c.y_px))]
-    joined = sun_point.join(epochs, c.pose_epoch == epochs.c.id)
-    statement = (
-        select(*numbers, epochs.c.number, c.id).select_from(joined).where(*filters, *sound).order_by(c.time, c.id)
-    )
+    joined = sun_point.join(tables.pose_epoch, (c.pose_epoch == epochs.id) & (c.camera == epochs.camera))
+    statement = select(*numbers, _beginning(epochs.started_at), c.id).select_from(joined).where(*filters, *sound)
     result = connection.execute(statement)
     cursor = cast("Iterable[tuple[float, ...]]", result.cursor)
     return np.fromiter(cursor, dtype=_COLUMNS)
+
+
+def _in_order_of_time(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return rows in the order of their times and keys; from an index by time they come so already."""
+    if np.all(np.diff(rows["time"]) > 0):
+        return rows
+    return np.asarray(rows[np.lexsort((rows["id"], rows["time"]))])
+
+
+def _beginning(started_at: ColumnElement[Any]) -> ColumnElement[int]:
+    """Return the stored beginning of an epoch, µs; what a hand wrote there that is no number counts as 1970."""
+    return case((stored_as(started_at, "integer"), type_coerce(started_at, BigInteger)), else_=0)
 
 
 def _number_or(column: ColumnElement[Any], otherwise: float) -> ColumnElement[Any]:

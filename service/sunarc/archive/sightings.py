@@ -19,7 +19,7 @@ from sqlalchemy import (
 )
 
 from sunarc.archive import tables
-from sunarc.archive.columns import SUN, read_columns, read_levels, read_times
+from sunarc.archive.columns import read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.rows import insert_new, upsert
 from sunarc.archive.sighting_revisions import FROZEN
@@ -29,7 +29,7 @@ from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
 from sunarc.array_types import FloatArray
 from sunarc.errors import InputError
-from sunarc.sky import SECONDS_PER_DEGREE, day_bounds_unix_s, solar_date
+from sunarc.sky import SECONDS_PER_DEGREE, SUN, day_bounds_unix_s, solar_date
 from sunarc.utc import DAY_S
 
 _FIRST_OF_EACH_DAY = text(
@@ -215,15 +215,17 @@ class Sightings(Store):
         body: str | None = SUN,
         of_files: bool = False,
         largest_clock_error_s: float | None = None,
+        after_id: int | None = None,
     ) -> SunPointColumns:
         """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter.
 
-        With `of_files` only those in image files.
+        With `of_files` only those in image files, with `after_id` only those stored since the one of that key.
         """
         c = sun_point.c
         filters = _filters(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
         filters += _clock_within(largest_clock_error_s)
         filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
+        filters += given((c.id.__gt__, after_id))
         with self._reading() as connection:
             return read_columns(connection, camera, filters, others=body != SUN)
 

@@ -9,7 +9,6 @@ from typing import TextIO
 import numpy as np
 
 from sunarc.archive import (
-    SUN,
     Archive,
     SightingTable,
     SunPoint,
@@ -23,7 +22,7 @@ from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
 from sunarc.settings import Settings
-from sunarc.sky import PA_PER_HPA, Site, angular_distance, body_directions
+from sunarc.sky import PA_PER_HPA, SUN, Site, angular_distance, body_directions
 from sunarc.utc import utc_time
 
 _MOST_APART_DEG = 0.05

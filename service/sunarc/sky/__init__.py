@@ -6,6 +6,7 @@ from sunarc.sky.directions import angles_from_direction, angular_distance, direc
 from sunarc.sky.moon import MoonDisc, moon_disc
 from sunarc.sky.night import (
     STAR,
+    SUN,
     WANDERERS,
     NightSky,
     Wanderer,
@@ -38,6 +39,7 @@ __all__ = [
     "SECONDS_PER_DEGREE",
     "SOLAR_RADIUS",
     "STAR",
+    "SUN",
     "TEMPERATURE_BOUNDS_C",
     "WANDERERS",
     "MoonDisc",

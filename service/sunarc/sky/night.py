@@ -26,6 +26,7 @@ from sunarc.sky.site import Site
 
 Wanderer = Literal["moon", "venus", "mars", "jupiter", "saturn"]
 WANDERERS: tuple[Wanderer, ...] = get_args(Wanderer)
+SUN = "sun"
 STAR = "star:HIP"
 """How the name of a star begins; its Hipparcos number follows."""
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.archive import SUN, SunPointColumns
+from sunarc.archive import SunPointColumns
 from sunarc.calibration import SunPoints, kinds_of
-from sunarc.sky import Site, body_directions
+from sunarc.sky import SUN, Site, body_directions
 
 
 def points_of(columns: SunPointColumns, *, site: Site | None = None, latest: str | None = None) -> SunPoints:

@@ -18,12 +18,13 @@ from sunarc.api.schemas.calibration import Residual, Sun, SunPoints, SunPointWit
 from sunarc.api.schemas.paging import Cursor, page_at
 from sunarc.api.schemas.parameters import At, Since, Until, row_limit
 from sunarc.api.schemas.record import SightingsByDay
-from sunarc.archive import SUN, SunPoint
+from sunarc.archive import SunPoint
 from sunarc.calibration import Calibration, camera_sees, sigma_px, sun_with_covariance
 from sunarc.json_fields import SolarDate
 from sunarc.optics import project, unproject
 from sunarc.sky import (
     STAR,
+    SUN,
     WANDERERS,
     angles_from_direction,
     angular_distance,

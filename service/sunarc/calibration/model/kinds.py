@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, NameArray
-from sunarc.sky import STAR, WANDERERS, Site, sun_angles
+from sunarc.sky import STAR, SUN, WANDERERS, Site, sun_angles
 
 MOON = "moon"
 _NIGHT_ZENITH_DEG = 96.0
@@ -24,8 +24,12 @@ class Kind(IntEnum):
 
 def kinds_of(bodies: NameArray) -> IntArray:
     """Return the kinds (n,) of bodies by their names (n,); planets are points of light as stars are."""
-    star = np.char.startswith(bodies, STAR) | np.isin(bodies, [name for name in WANDERERS if name != MOON])
-    return np.asarray(np.where(bodies == MOON, Kind.MOON, np.where(star, Kind.STAR, Kind.SUN)), dtype=np.int64)
+    kinds = np.full(bodies.shape, Kind.SUN, dtype=np.int64)
+    rows = np.flatnonzero(bodies != SUN)  # few of millions
+    other = bodies[rows]
+    star = np.char.startswith(other, STAR) | np.isin(other, [name for name in WANDERERS if name != MOON])
+    kinds[rows] = np.where(other == MOON, Kind.MOON, np.where(star, Kind.STAR, Kind.SUN))
+    return kinds
 
 
 def at_night(unix_s: FloatArray, kind: IntArray, site: Site) -> BoolArray:

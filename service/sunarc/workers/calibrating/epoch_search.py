@@ -9,7 +9,6 @@ from datetime import datetime
 import numpy as np
 
 from sunarc.archive import LENS_CHANGED, CameraArchive, Event, SunPointColumns
-from sunarc.array_types import BoolArray
 from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, CalibrationOptions, ImageCircle, PoseStep
 from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError
@@ -63,18 +62,12 @@ class EpochSearch:
 
     def due(self) -> Problem | None:
         """Return what is to be searched; None where nothing is new."""
-        now = self._now()
-        since = since_lens(self._camera, now)
-        columns = self._camera.sun_point_columns(since=since, until=now)
-        record = self._camera.record()
-        if columns.ids.size == 0 or record is None:
+        columns, record = self._near_new(), self._camera.record()
+        if columns is None or record is None or float(np.ptp(columns.unix_s)) < DAY_S:
             return None
         self._last_id = int(columns.ids.max())
-        near = self._near_new(columns)
-        if not np.any(near) or float(np.ptp(columns.unix_s[near])) < DAY_S:
-            return None
         return Problem(
-            points=points_of(columns.select(near)),
+            points=points_of(columns),
             site=self._camera.site,
             image_size=record.image_size,
             options=self._options,
@@ -82,21 +75,26 @@ class EpochSearch:
             lens=self._lens(),
         )
 
-    def _near_new(self, columns: SunPointColumns) -> BoolArray:
-        """Return which sightings are new to the search, or lie within days of such."""
+    def _near_new(self) -> SunPointColumns | None:
+        """Return the sightings that are new to the search, or lie within days of such; None where none are."""
+        now = self._now()
+        since = since_lens(self._camera, now)
         searched = max((search.last_id for search in self._searches()), default=0)
-        fresh = columns.ids > searched
-        if self._camera.current_calibration() is not None:
-            imported = self._camera.sun_point_columns(method="import")
-            fresh &= np.isin(columns.ids, imported.ids)
-        sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > MAX_CLOCK_ERROR_S)
-        if not np.any(fresh):
-            return fresh
-        times, new = columns.unix_s, columns.unix_s[fresh]
+        method = None if self._camera.current_calibration() is None else "import"
+        new = self._camera.sun_point_columns(since=since, until=now, method=method, after_id=searched).unix_s
+        if new.size == 0:
+            return None
+        first = utc_time(new[0] - _BESIDE_S)
+        columns = self._camera.sun_point_columns(
+            since=first if since is None else max(since, first), until=min(now, utc_time(new[-1] + _BESIDE_S))
+        )
+        times = columns.unix_s
         index = np.searchsorted(new, times)
         after = np.append(new, np.inf)[index] - times
         before = times - np.insert(new, 0, -np.inf)[index]
-        return np.asarray(sure & (np.minimum(after, before) <= _BESIDE_S))
+        sure = ~(np.abs(np.nan_to_num(columns.clock_error_s)) > MAX_CLOCK_ERROR_S)
+        near = sure & (np.minimum(after, before) <= _BESIDE_S)
+        return columns.select(near) if np.any(near) else None
 
     def _lens(self) -> Calibration | None:
         """Return the calibration that is served, where it is a full fit that this version can read."""

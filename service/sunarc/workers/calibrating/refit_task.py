@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from sunarc.archive import SUN, CameraArchive, SunPointColumns
+from sunarc.archive import CameraArchive, SunPointColumns
 from sunarc.array_types import IntArray
 from sunarc.calibration import (
     MAX_CLOCK_ERROR_S,
@@ -21,6 +21,7 @@ from sunarc.calibration import (
     surest_of_epochs,
 )
 from sunarc.findings import Finding
+from sunarc.sky import SUN
 from sunarc.workers.calibrating.epoch_search import since_lens
 from sunarc.workers.calibrating.solver_process import Problem
 from sunarc.workers.fit_input import points_of
