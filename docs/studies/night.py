@@ -34,10 +34,13 @@ from sunarc.calibration import (
     project_with_covariance,
     surest_of_parts,
 )
+from sunarc.calibration.fit.hyperparameter_grid import DECENTERING_LOG_SIGMA, RADIAL_LOG_SIGMA
 from sunarc.calibration.fit.systematic_errors import DECENTRED_PX, OFFSET_PX, POSE_DIFFERENCE_DEG
+from sunarc.calibration.least_squares.priors import LENS, N_LENS, Whitened, lens_prior, precisions
 from sunarc.calibration.messages import text_of
 from sunarc.detection.stars.matching import match_stars
 from sunarc.optics import Camera, project
+from sunarc.optics.camera import PRINCIPAL_POINT
 from sunarc.sky import ASSUMED_AIR_SD, DAILY_AIR_SD, NightSky, raised, refraction_rad, solar_days, sun_directions
 
 FloatArray = NDArray[np.float64]
@@ -53,7 +56,7 @@ class Case(NamedTuple):
     """What a night does that the day does not: see `nights.Night`.
 
     Moments are shifted by `late_s`; `wrong` of the matches are, by 1 to 10 px; `south`: no stars in the north.
-    `drawn`: coma, bending and refraction are drawn as the fit's priors have them (decision 0025 for the air).
+    `drawn`: the lens, coma, bending and refraction are drawn as the fit's priors have them (decision 0025 for the air).
     """
 
     night: dict[str, Any]
@@ -150,8 +153,12 @@ def together(first: SunPoints, second: SunPoints) -> SunPoints:
 
 
 def error_of(fit: Calibration, camera: Camera, field: pop.Field | None) -> FloatArray:
-    """Return rms, median and P90 of the error over the sky (px), and the coverage south and north."""
+    """Return rms, median and P90 of the error over the sky (px), the coverage south and north, and the stated rms.
+
+    Of what both the true camera and the one found answer: at the horizon the radius of a lens may no longer grow.
+    """
     sky = hemisphere(1000)
+    sky = sky[np.isfinite(project(camera, sky)[:, 0] + project(fit.camera, sky)[:, 0])]
     truth = project(camera, sky)
     truth = truth if field is None else truth + field(truth)
     pixels, covariance = project_with_covariance(fit, sky)
@@ -168,6 +175,23 @@ def error_of(fit: Calibration, camera: Camera, field: pop.Field | None) -> Float
     )  # fmt: skip
 
 
+def prior_lens(rng: np.random.Generator, camera: Camera) -> Camera:
+    """Return a camera of the same pose, centre and focal length, all else of the lens drawn as the fit's prior has it.
+
+    The scales of the radial distortion and of the decentering are log-normal about their tolerances.
+    """
+    tolerances = CalibrationOptions().tolerances
+    prior = lens_prior(camera, tolerances=tolerances, circle=None, field_angle=np.pi / 2)
+    radial = tolerances.radial_px * np.exp(RADIAL_LOG_SIGMA * rng.standard_normal())
+    decentering = tolerances.decentering_px * np.exp(DECENTERING_LOG_SIGMA * rng.standard_normal())
+    z = rng.standard_normal(N_LENS) / np.sqrt(precisions(radial, decentering))
+    z[[Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]] = 0.0
+    vector = camera.to_vector()
+    vector[LENS] = prior.lens(z)
+    vector[PRINCIPAL_POINT] = camera.principal_point_px
+    return camera.with_parameters(vector)
+
+
 class Truth(NamedTuple):
     """A lens, what no model of it knows, its air and its days, and the fit of these alone."""
 
@@ -180,9 +204,11 @@ class Truth(NamedTuple):
 
 @functools.lru_cache(maxsize=2)
 def truth_of(seed: int, *, days: int, field_px: float, drawn: bool) -> Truth:
-    """Return a lens and its days; the same lens, field and noise whether the air is drawn or not."""
+    """Return a lens and its days; the same pose, field and noise whether lens and air are drawn or not."""
     rng = np.random.default_rng(seed)
     camera = pop.random_camera(rng)
+    if drawn:
+        camera = prior_lens(np.random.default_rng((seed, 3)), camera)
     field = pop.smooth_field(rng, amplitude_px=field_px, length_px=425.0) if field_px else None
     times = pop.sun_track(np.arange(days, dtype=float) * _DAYS_APART, cadence_s=30.0)
     air = Air(np.random.default_rng((seed, 1)), drawn=drawn)
@@ -190,9 +216,8 @@ def truth_of(seed: int, *, days: int, field_px: float, drawn: bool) -> Truth:
     return Truth(camera, field, air, sun, fitted(sun))
 
 
-def one_lens(seed: int, asked: argparse.Namespace, case: Case) -> tuple[FloatArray, FloatArray, str]:
-    """Return the errors of the days alone and with the nights, and what the second fit says."""
-    camera, field, air, sun, day = truth_of(seed, days=asked.days, field_px=asked.field, drawn=case.drawn)
+def night_of(truth: Truth, seed: int, asked: argparse.Namespace, case: Case) -> SunPoints:
+    """Return the stars of a lens's nights that its second fit is given."""
     hours = np.arange(asked.frames) - (asked.frames - 1) / 2.0
     nightly = np.arange(asked.days, dtype=float)[:, None] * _DAYS_APART * 86_400.0
     moments = nights.MIDNIGHT + case.late_s + (nightly + 3600.0 * hours).ravel()
@@ -205,14 +230,21 @@ def one_lens(seed: int, asked: argparse.Namespace, case: Case) -> tuple[FloatArr
             "decentred_px": DECENTRED_PX * rng.standard_normal(2),
             "bent_deg": POSE_DIFFERENCE_DEG * np.linalg.norm(rng.standard_normal(3)),
         }
-    night = nights.Night(sigma_px=asked.star_sigma, field=field, **{**drawn, **case.night})
-    stars = stars_of(rng, camera, day, moments, night=night, air=air, case=case)
+    night = nights.Night(sigma_px=asked.star_sigma, field=truth.field, **{**drawn, **case.night})
+    stars = stars_of(rng, truth.camera, truth.day, moments, night=night, air=truth.air, case=case)
     if asked.stars < len(stars):
         stars = stars.select(surest_of_parts(image_parts(stars.pixels, _IMAGE), stars.sigma_px, asked.stars))
-    both = fitted(together(sun, stars)) if len(stars) else day
+    return stars
+
+
+def one_lens(seed: int, asked: argparse.Namespace, case: Case) -> tuple[FloatArray, FloatArray, str]:
+    """Return the errors of the days alone and with the nights, and what the second fit says."""
+    truth = truth_of(seed, days=asked.days, field_px=asked.field, drawn=case.drawn)
+    stars = night_of(truth, seed, asked, case)
+    both = fitted(together(truth.sun, stars)) if len(stars) else truth.day
     left_out = [text_of(one) for one in both.verdict.findings if one.code == "night_contradicts_day"]
     said = f"{len(stars)} stars of {np.sqrt(np.mean(stars.sigma_px**2)):.3f} px; {left_out or both.night}"
-    return error_of(day, camera, field), error_of(both, camera, field), said
+    return error_of(truth.day, truth.camera, truth.field), error_of(both, truth.camera, truth.field), said
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -128,6 +129,7 @@ def _stars(pixels: FloatArray, flux: FloatArray, sigma: FloatArray) -> Stars:
     )  # fmt: skip
 
 
+@functools.lru_cache(maxsize=64)
 def sky_of(unix_s: float) -> NightSky:
     """Return the sky to V 5.5 at the site of the population."""
     return night_sky(unix_s, pop.SGP, faintest=5.5)

@@ -16,9 +16,10 @@ _LENGTH_FRACTIONS = (0.16, 0.24, 0.36)
 _LARGEST_AMPLITUDE_PX = 8.0
 _AMPLITUDES = 16
 _RADIALS_PX = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 32.0, 64.0])
-_RADIAL_LOG_SIGMA = math.log(2.5)
+RADIAL_LOG_SIGMA = math.log(2.5)
 _DECENTERING_FACTORS = np.array([0.5, 1.0, 2.0, 4.0, 10.0])
-_DECENTERING_LOG_SIGMA = math.log(1.6)
+DECENTERING_LOG_SIGMA = math.log(1.6)
+"""1-sigma of the logarithms of the two scales about their tolerances."""
 _USUAL_FIELD_PX = 0.3
 _FIELD_LOG_SIGMA = math.log(3.0)
 """Where a lens is not as modelled, it is by tenths of px: the paper's own data miss the model by 0.5 to 1.2 px."""
@@ -69,8 +70,8 @@ def scale_grid(
     radial, decentering = np.meshgrid(0.5 * _RADIALS_PX, _DECENTERING_FACTORS, indexing="ij")
     # the grid's steps differ: each place counts by the interval of the logarithm that it stands for
     of_lens = np.log(np.gradient(np.log(_RADIALS_PX)))[:, None] + np.log(np.gradient(np.log(_DECENTERING_FACTORS)))
-    of_lens = of_lens - 0.5 * (np.log(radial) / _RADIAL_LOG_SIGMA) ** 2
-    of_lens = of_lens - 0.5 * (np.log(decentering) / _DECENTERING_LOG_SIGMA) ** 2
+    of_lens = of_lens - 0.5 * (np.log(radial) / RADIAL_LOG_SIGMA) ** 2
+    of_lens = of_lens - 0.5 * (np.log(decentering) / DECENTERING_LOG_SIGMA) ** 2
     of_amplitude = -0.5 * (np.log(amplitudes / _USUAL_FIELD_PX) / _FIELD_LOG_SIGMA) ** 2
     of_amplitude -= 0.5 * (amplitudes / _LARGEST_FIELD_PX) ** 2
     # the floor stands for no field, too: its prior odds are added to it

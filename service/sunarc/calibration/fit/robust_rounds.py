@@ -171,7 +171,9 @@ def robust_camera(
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
     state, noise, grid = _with_field(problem, observed, plain, grid, course)
     information = noise.information(observed)
-    state = _in_assumed_air(problem, observed.weighted(information), course.bins, state, grid)
+    if problem.n_systematic == 0:
+        # stars on all sides of the sky show the refraction, and beside them the mean over the air is the better camera
+        state = _in_assumed_air(problem, observed.weighted(information), course.bins, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, course.bins, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
