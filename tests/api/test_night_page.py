@@ -116,6 +116,8 @@ def test_a_night_on_the_page(nightly: Made) -> None:
         page.wait_for_selector("#night:not([hidden]) #night-facts dd", timeout=60_000)
         assert page.inner_text("#night-title") == "Night of 2013-05-13"
         assert page.is_hidden("#night-picture")  # of this one there is none
+        assert page.is_hidden("#night-said")
+        assert page.is_hidden("#night-legend")
         assert [one.inner_text() for one in page.query_selector_all(".calendar .night")] == ["☾", "☁", "★"]  # by week
         page.click(".calendar .night.clear")
         page.wait_for_selector("#night-overlay .night-found >> nth=2", timeout=60_000, state="attached")
@@ -123,6 +125,10 @@ def test_a_night_on_the_page(nightly: Made) -> None:
         assert len(page.query_selector_all("#night-overlay .night-other")) == 1
         assert {one.text_content() for one in page.query_selector_all("#night-overlay text")} == {"Moon", "Saturn"}
         assert "3 of 4 bright stars" in page.inner_text("#night-said")
+        facts = page.inner_text("#night-facts")
+        assert "0.05 mag fainter at its end" in facts
+        assert "11 sightings in 12 slots" in facts
+        assert "–" not in facts.replace("0–30°", "")  # what is not known is left out
         names_what_is_pointed_at(page)
         assert len(page.query_selector_all("#nights-limits .x-mark")) == 3
         assert len(page.query_selector_all("#night-limits .x-mark")) == 2
@@ -154,3 +160,27 @@ def names_what_is_pointed_at(page: Page) -> None:
     x, y = page.evaluate(AT, [1600.0, 1600.0])
     page.mouse.click(x, y)
     page.wait_for_selector("#night-said >> text=3 of 4 bright stars")
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_a_night_without_a_calibration_on_the_page(make: Any, store: ImageStore, tmp_path: Path) -> None:  # noqa: ANN401
+    made: Made = make(image=write_image(tmp_path), history="filled", images=store)
+    store_picture(store, night_picture(np.eye(64, dtype=np.uint16), MIDNIGHT, 9), [], calibration=None, image_size=None)
+    found = Finding("night", {"date": "2013-05-12", "verdict": "unusable", "reasons": "", "n_images": 45})
+    why = [Finding("night_without_calibration").as_json()]
+    time = MIDNIGHT + timedelta(hours=5)
+    event = Event.of(found, MESSAGES, time=time, severity="info", camera="roof", details={"findings": why})
+    made.archive.add_event(event)
+    with serving(made) as address, browser() as chromium:
+        desktop = opened(chromium, address)
+        page = desktop.page
+        page.wait_for_selector("#night-said >> text=no star of it is named", timeout=60_000)
+        assert page.is_visible("#night-picture")
+        assert page.is_hidden("#night-legend")
+        facts = page.inner_text("#night-facts")
+        assert "45, in none of which stars were named" in facts
+        assert [word for word in ("–", "NaN", "undefined", "null", "0 of 0") if word in facts] == []
+        assert page.is_hidden("#nights-course")
+        assert desktop.complaints == []
+        is_accessible(page)

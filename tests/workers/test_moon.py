@@ -102,7 +102,10 @@ def errors(points: tuple[SunPoint, ...]) -> np.ndarray[Any, np.dtype[np.float64]
 )
 def test_a_night_s_moon_becomes_sightings(archive: Archive, begin: datetime, pixel_format: str) -> None:
     found, chosen = night(archive, begin, pixel_format=pixel_format)
-    assert (len(found.points), found.images, found.refused) == (4, 4, ())
+    # of the first slot, whose exposures are a factor of 8 apart, one pixel of a mosaic may be clipped
+    assert {one.code for one in found.refused} <= ({"moon_saturated"} if pixel_format.startswith("Bayer") else set())
+    assert (len(found.points) + len(found.refused), found.images) == (4, 4)
+    assert len(found.points) >= 3
     assert len(chosen[0]) == 5
     assert [len(one) for one in chosen[1:]] == [2, 2, 2]
     assert {(point.body, point.method, point.accepted, point.verdict) for point in found.points} == {

@@ -37,8 +37,10 @@ class Stamp(NamedTuple):
     values: FloatArray
 
 
-def disc_points(camera: Camera, sun_enu: FloatArray, *, limb_darkening: float) -> DiscPoints | None:
-    """Return the sun's disc as points; None where the camera does not see the sun.
+def disc_points(
+    camera: Camera, sun_enu: FloatArray, *, limb_darkening: float, radius: float = SOLAR_RADIUS
+) -> DiscPoints | None:
+    """Return the sun's disc as points, or one of another radius (rad); None where the camera does not see it.
 
     Gauss-Legendre in mu (the cosine on the sun) and equal steps in angle: the weights of each ring of
     1 - u (1 - mu), so that the middle of the disc has unit brightness.
@@ -50,12 +52,12 @@ def disc_points(camera: Camera, sun_enu: FloatArray, *, limb_darkening: float) -
         0.5 * (nodes + shift) for nodes, shift in zip(np.polynomial.legendre.leggauss(_RINGS), (1, 0), strict=True)
     )
     spoke = (np.arange(_SPOKES) + 0.5) * (2.0 * math.pi / _SPOKES)
-    offset = SOLAR_RADIUS * np.sqrt(1.0 - mu**2)[:, None, None] * np.stack([np.cos(spoke), np.sin(spoke)], axis=-1)
+    offset = radius * np.sqrt(1.0 - mu**2)[:, None, None] * np.stack([np.cos(spoke), np.sin(spoke)], axis=-1)
     offset = offset.reshape(-1, 2)
     brightness = (1.0 - limb_darkening * (1.0 - mu)) * mu * ring
     basis = tangent_basis(sun_enu)
     stretch = by_direction @ basis
-    area = abs(np.linalg.det(stretch)) * SOLAR_RADIUS**2 * (2.0 * math.pi / _SPOKES)
+    area = abs(np.linalg.det(stretch)) * radius**2 * (2.0 * math.pi / _SPOKES)
     direction = sun_enu + offset @ basis.T
     return DiscPoints(
         direction / np.linalg.norm(direction, axis=-1, keepdims=True),

@@ -200,12 +200,12 @@ class NightLight:
         return pixels[seen, None], electrons_per_s[seen]
 
     def _moon(self, moon: WandererPlace | None, unix_s: float, layer: CloudLayer) -> FloatArray:
-        """Return the moon's lit part as points (n, 4) of `add_points`; its disc has the sun's size, 10 % off."""
+        """Return the moon's lit part as points (n, 4) of `add_points`."""
         if moon is None:
             return np.zeros((0, 4))
         direction = np.array(moon.direction)
         through = float(self._through(direction[None], layer)[0])
-        points = disc_points(self._camera, direction, limb_darkening=0.0)
+        points = disc_points(self._camera, direction, limb_darkening=0.0, radius=moon.radius)
         if points is None or through <= 0.0:
             return np.zeros((0, 4))
         angles = sun_angles(unix_s, self._site)

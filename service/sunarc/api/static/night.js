@@ -51,16 +51,32 @@ async function imagesOf(night) {
 
 function factsOf(night) {
   const verdict = document.createElement("span");
-  verdict.append(`${NIGHT_SIGNS[night.verdict]} ${night.verdict}: `, sentences(night.findings.map((one) => one.code.replaceAll("_", " ")), night.findings));
-  const facts = {
-    Verdict: verdict,
-    Stars: `${night.n_matched} named of ${night.n_stars} in an image, in ${night.n_accepted} of ${night.n_images} images; ${night.n_stored} sightings`,
-    Sky: `limiting magnitude ${telling(night.limiting_magnitude)}, clouds ${percent(night.cloud_fraction)}, extinction ${telling(night.extinction)} ± ${telling(night.extinction_sigma)} mag an air mass`,
-    "Through the air": night.zenith_bands.filter((band) => band.transparency !== null).map((band) => `${band.from_deg.toFixed(0)}–${band.to_deg.toFixed(0)}°: ${percent(band.transparency)}`).join(", ") || "not known",
-    Lens: `stars ${fixed(night.star_fwhm_px, 2, " px")} wide, ellipticity ${telling(night.star_ellipticity)}; over the night ${telling(night.width_growth)} times as wide, ${telling(night.fading_mag)} mag fainter`,
-  };
+  const why = night.findings.filter((one) => one.code !== "night_images"); // its counts stand below
+  verdict.append(`${NIGHT_SIGNS[night.verdict]} ${night.verdict}${why.length ? ": " : ""}`, sentences(why.map((one) => one.code.replaceAll("_", " ")), why));
+  const facts = { Verdict: verdict };
+  if (night.n_accepted) Object.assign(facts, starFacts(night));
+  else facts.Images = `${night.n_images}, in none of which stars were named`;
+  if (night.n_moon_images) facts.Moon = `${night.n_moon_stored} sightings in ${night.n_moon_images} slots`;
+  if (night.n_warm_pixels) facts["Warm pixels"] = `${night.n_warm_pixels}, repaired`;
   if (known.pose) facts["Pose at night"] = `turned by ${axes(known.pose.pose_difference_deg)}° about east, north and up against the day, 1-sigma ${axes(known.pose.pose_sigma_deg)}° (all nights of the calibration)`;
   return facts;
+}
+
+// Of a night in which stars were named; what is not known is left out.
+function starFacts(night) {
+  const sky = [`limiting magnitude ${telling(night.limiting_magnitude)}`, `clouds ${percent(night.cloud_fraction)}`];
+  if (night.extinction !== null) sky.push(`extinction ${telling(night.extinction)} ± ${telling(night.extinction_sigma)} mag an air mass`);
+  const lens = [`stars ${fixed(night.star_fwhm_px, 2, " px")} wide`];
+  if (night.star_ellipticity !== null) lens.push(`ellipticity ${telling(night.star_ellipticity)}`);
+  if (night.width_growth !== null) lens.push(`over the night ${telling(night.width_growth)} times as wide`);
+  if (night.fading_mag !== null) lens.push(`${telling(Math.abs(night.fading_mag))} mag ${night.fading_mag < 0 ? "brighter" : "fainter"} at its end`);
+  const bands = night.zenith_bands.filter((band) => band.transparency !== null);
+  const facts = {
+    Stars: `${night.n_matched} named of ${night.n_stars} in an image, in ${night.n_accepted} of ${night.n_images} images; ${night.n_stored} sightings`,
+    Sky: sky.join(", "),
+  };
+  if (bands.length) facts["Light by zenith angle"] = bands.map((band) => `${band.from_deg.toFixed(0)}–${band.to_deg.toFixed(0)}°: ${percent(band.transparency)}`).join(", ");
+  return { ...facts, Lens: lens.join(", ") };
 }
 
 const axes = (values) => values.map((value) => value.toFixed(4)).join(", ");
@@ -72,7 +88,6 @@ async function showPicture(address) {
   if (known.picture) URL.revokeObjectURL(known.picture);
   known.picture = address ?? "";
   $("night-picture").hidden = !address;
-  $("night-legend").hidden = !address;
   image.hidden = !address;
   if (!address) return;
   image.src = address;
@@ -93,11 +108,19 @@ function drawBodies() {
   for (const one of wanderers) parts.push(named(one, unit, height));
   if (known.body) parts.push(mark(RING, "night-chosen", known.body.pixel, unit * 1.8), named(known.body, unit, height));
   $("night-overlay").replaceChildren(...parts);
-  const choices = [option("", bodies.length ? "none" : "nothing is named"), ...[...bodies].sort((a, b) => a.title.localeCompare(b.title, "en", { numeric: true })).map((one) => option(one.body, one.title))];
+  const choices = [option("", "none"), ...[...bodies].sort((a, b) => a.title.localeCompare(b.title, "en", { numeric: true })).map((one) => option(one.body, one.title))];
   if ($("night-body").dataset.of !== known.drawn + bodies.length) $("night-body").replaceChildren(...choices);
   $("night-body").dataset.of = known.drawn + bodies.length;
   $("night-body").value = known.body?.body ?? "";
-  $("night-said").textContent = known.body ? describe(known.body) : `${bodies.filter((one) => one.found).length} of ${bodies.filter((one) => one.found !== null).length} bright stars and planets detected${known.bodies ? `, at ${moment(known.bodies.time).slice(0, 16)}` : ""}.`;
+  $("night-legend").hidden = !bodies.length;
+  $("night-said").hidden = !known.picture;
+  $("night-said").textContent = known.body ? describe(known.body) : summary(bodies);
+}
+
+function summary(bodies) {
+  const stars = bodies.filter((one) => one.found !== null);
+  const at = known.bodies ? ` at ${moment(known.bodies.time).slice(0, 16)}` : "";
+  return stars.length ? `${stars.filter((one) => one.found).length} of ${stars.length} bright stars and planets detected${at}.` : `The image with the most detections${at}; no star of it is named.`;
 }
 
 const option = (value, text) => { const made = node("option", text); made.value = value; return made; };
@@ -143,8 +166,8 @@ function drawImages(images) {
 function drawCourse() {
   const rows = known.nights.map((night) => [Date.parse(night.night), night.limiting_magnitude, night.cloud_fraction]);
   const limits = rows.filter((row) => row[1] !== null);
-  $("nights-course").hidden = rows.length < 2;
-  if (rows.length < 2) return;
+  $("nights-course").hidden = limits.length < 2;
+  if (limits.length < 2) return;
   drawSeries("nights-limits", [["x-mark", limits.map((row) => [row[0], row[1]])]], DAY_MS);
   drawSeries("nights-clouds", [["y-mark", rows.filter((row) => row[2] !== null).map((row) => [row[0], 100 * row[2]])]], DAY_MS);
 }
