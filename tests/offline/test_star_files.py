@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from io import StringIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from astropy.io import fits
 from numpy.typing import NDArray
 from tests.detection.stars.rendering import counted, expected
 from tests.fixtures.calibrations import SITE, chosen_calibration
@@ -18,7 +19,7 @@ from tests.fixtures.command_line import Sunarc
 from sunarc.archive import read_sightings
 from sunarc.calibration import MOST_STARS, Calibration, from_document, to_document
 from sunarc.errors import InputError
-from sunarc.offline.star_files import StarOptions, find_stars, write_star_sightings
+from sunarc.offline.star_files import StarOptions, find_stars, read_stars, write_star_sightings
 from sunarc.optics import Camera, project
 from sunarc.sky import STAR, angles_from_direction, night_sky, relative_air_mass
 
@@ -183,3 +184,57 @@ def test_what_is_no_image_of_the_night_is_said(images: list[Path], calibration: 
     with pytest.raises(InputError) as refused:
         find_stars([other], calibration, StarOptions())
     assert refused.value.field == str(other)
+
+
+def as_fits(image: Path, target: Path, **header: object) -> Path:
+    """Write an image as FITS, unsigned by BZERO, and return its path."""
+    counts = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+    fits.PrimaryHDU(counts, fits.Header(header)).writeto(target)
+    return target
+
+
+def test_fits_files_give_the_stars_of_the_same_pictures(
+    images: list[Path], calibration: Calibration, tmp_path: Path
+) -> None:
+    begins = ["2026-03-13T05:59:57.5", "2026-03-13T06:39:57.5"]  # 2.5 s before the middle
+    paths = [
+        as_fits(image, tmp_path / f"{n}.fits", **{"DATE-OBS": begin, "EXPTIME": 5.0})
+        for n, (image, begin) in enumerate(zip(images, begins, strict=True))
+    ]
+    options = StarOptions(full_scale=4095, gain_e_per_count=5.0, to_middle_s=100.0)  # which is for other files
+    found = find_stars(paths, calibration, options)
+    same = find_stars(images, calibration, StarOptions(full_scale=4095, gain_e_per_count=5.0))
+    pairs = [(one.as_json(), other.as_json()) for one, other in zip(found, same, strict=True)]
+    assert [{**one, "file": ""} for one, _ in pairs] == [{**other, "file": ""} for _, other in pairs]
+    assert all(one["accepted"] for one, _ in pairs)
+
+
+@pytest.mark.parametrize(
+    ("name", "header", "code", "time"),
+    [
+        ("a.fits", {}, "file_time_header", None),
+        ("a.fits", {"DATE-OBS": "yesterday"}, "file_time_header", None),
+        ("a.fits", {"DATE-OBS": "2026-03-13T06:00:00", "TIMESYS": "TAI"}, "file_time_header", None),
+        ("20260313_060000.fit", {}, "", 10.0),  # by its name: --to-middle is of it
+        ("20260313_070000.fit", {"DATE-OBS": "2026-03-13T06:00:00"}, "", 10.0),  # the header without an exposure
+        ("20260313_070000.fit", {"DATE-OBS": "2026-03-13T06:00:00", "EXPTIME": 8.0}, "", 4.0),
+        ("20260313_070000.fit", {"DATE-AVG": "2026-03-13T06:00:03", "EXPTIME": 8.0}, "", 3.0),
+    ],
+)
+def test_the_time_of_a_fits_file_is_that_of_its_header_or_it_is_refused(
+    name: str, header: dict[str, object], code: str, time: float | None, tmp_path: Path
+) -> None:
+    dark = tmp_path / "dark.png"
+    cv2.imwrite(str(dark), np.random.default_rng(1).poisson(90.0, (64, 64)).astype(np.uint16))
+    one = read_stars(as_fits(dark, tmp_path / name, **header), SITE, StarOptions(to_middle_s=10.0))
+    assert [finding.code for finding in one.findings] == ([code] if code else [])
+    began = datetime(2026, 3, 13, 6, tzinfo=UTC)
+    assert one.time == (None if time is None else began + timedelta(seconds=time))
+
+
+def test_a_file_that_is_no_fits_gets_its_reason(tmp_path: Path) -> None:
+    (tmp_path / "a.fits").write_bytes(b"SIMPLE  = nothing")
+    one = read_stars(tmp_path / "a.fits", SITE, StarOptions())
+    assert [finding.code for finding in one.findings] == ["file_not_image"]
+    gone = read_stars(tmp_path / "gone.fits", SITE, StarOptions())
+    assert [finding.code for finding in gone.findings] == ["file_unreadable"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import sys
 from pathlib import Path
@@ -47,3 +48,23 @@ def test_the_speed_has_a_lower_bound(demo: ModuleType) -> None:
     for number in range(1, 30):
         pace.too_fast(counts(cycles=50 * number, missed=50 * number, sun_missed=100 * number))
     assert pace.speed == 10.0
+
+
+@pytest.mark.parametrize(
+    ("nights", "refit", "ends"),
+    [
+        ([], "accepted", False),
+        (["night_without_calibration"], "accepted", False),  # the calibration came after its stars
+        (["night_images", "night_without_calibration"], "accepted", True),
+        (["night_images"], "running", False),
+        (["night_without_calibration"] * 2, "accepted", False),
+        (["night_without_calibration"] * 3, "accepted", True),  # there will be none
+    ],
+)
+def test_the_demo_ends_with_a_night_whose_stars_were_named(
+    demo: ModuleType, monkeypatch: pytest.MonkeyPatch, nights: list[str], refit: str, *, ends: bool
+) -> None:
+    events = [{"details": {"findings": [{"code": code}]}} for code in nights]
+    answers = {"events?kind=night": {"events": events}, "refits": {"refits": [{"state": refit}]}}
+    monkeypatch.setattr(demo, "get", lambda url: answers[url.rpartition("/")[2]])
+    assert demo.ended("http://h", [], argparse.Namespace(nights=True, days=1)) is ends

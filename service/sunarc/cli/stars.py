@@ -30,7 +30,7 @@ BLIND = "Without a calibration"
 
 
 def stars(
-    images: Annotated[list[Path], typer.Argument(help="Images of the night.")],
+    images: Annotated[list[Path], typer.Argument(help="Images of the night: PNG, JPEG, TIFF, FITS (extra fits).")],
     *,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="A calibration document (JSON), unless --blind.")

@@ -24,6 +24,9 @@ MESSAGES = Messages(
     file_copy=Message("another file has the same name, time and exposure", _LEFT_OUT, "none"),
     file_time_pattern=Message("the name does not match {pattern!r}", _LEFT_OUT, "correct --time-pattern"),
     file_time_unknown=Message("no time in its name, sidecar or EXIF", _LEFT_OUT, "give --time-pattern"),
+    file_time_header=Message(
+        "no DATE-OBS or DATE-AVG in UTC in its header, and no time in its name", _LEFT_OUT, "give --time-pattern"
+    ),
     file_time_ambiguous=Message(
         "the date in its name is {day_first} or {month_first}, the day or the month first",
         _LEFT_OUT,

@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from sunarc.archive import SightingTable, write_sightings
-from sunarc.array_types import FloatArray, IntArray
+from sunarc.array_types import FloatArray, Image, IntArray
 from sunarc.calibration import (
     MOST_STARS,
     Calibration,
@@ -33,9 +33,10 @@ from sunarc.detection.messages import reason_of
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.offline.detect_files import full_scale_of
-from sunarc.offline.files import read_image
+from sunarc.offline.files import read_file, read_image
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import MESSAGES, RefusedImageError
+from sunarc.offline.sources.frames import kind_of
 from sunarc.sky import NightSky, Site, night_sky
 from sunarc.utc import rfc3339, utc_time
 
@@ -50,7 +51,7 @@ class StarOptions:
     Attributes
     ----------
     naming : how their times are read.
-    to_middle_s : seconds from the stated time to the middle of the exposure.
+    to_middle_s : seconds from the stated time to the middle of the exposure; the header of a FITS file states that.
     within_px : 1-sigma that is added to the calibration's own uncertainty, px.
     bayer, full_scale : of raw frames; full scale is judged from the file where None.
     gain_e_per_count : electrons per count of a linear camera; None where not known.
@@ -197,8 +198,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
     InputError where the image has not the size (width, height) that is wanted.
     """
     try:
-        stated, _ = taken(path, options.naming)
-        image = read_image(path)
+        time, image, bayer = _read(path, options)
     except RefusedImageError as refused:
         return StarImage(file=str(path), reason=MESSAGES.text_of(refused.finding), findings=(refused.finding,))
     except InputError as error:
@@ -206,15 +206,41 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
         return StarImage(file=str(path), reason=reason_of([unreadable]), findings=(unreadable,))
     found = (image.shape[1], image.shape[0])
     _require_size(path, found, size)
-    time = stated + timedelta(seconds=options.to_middle_s)
     stars = detect_stars(
         image,
         full_scale=options.full_scale or full_scale_of(image),
-        bayer=options.bayer,
+        bayer=bayer,
         gain_e_per_count=options.gain_e_per_count,
     )
     sky = night_sky(time.timestamp(), site, faintest=FAINTEST)
     return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
+
+
+def _read(path: Path, options: StarOptions) -> tuple[datetime, Image, Bayer | None]:
+    """Return the middle of an image's exposure, its pixels, and the colours of its mosaic.
+
+    A FITS file's time is that of its header, which with an exposure is that of the middle; without one it is of the
+    name. A pattern of names goes first.
+    """
+    to_middle = timedelta(seconds=options.to_middle_s)
+    if kind_of(path.name) != "fits":
+        stated, _ = taken(path, options.naming)
+        return stated + to_middle, read_image(path), options.bayer
+    from sunarc.offline.sources.fits_file import fits_bayer, fits_frame, fits_image  # noqa: PLC0415 - of an extra
+
+    content = read_file(path)
+    image = fits_image(content, path.name, size=None)
+    bayer = options.bayer or (fits_bayer(content, path.name) if image.ndim == 2 else None)
+    frame = fits_frame(content, path.name)
+    if frame.time is not None and options.naming.pattern is None:
+        return frame.time if frame.exposure_us is not None else frame.time + to_middle, image, bayer
+    try:
+        stated, _ = taken(path, options.naming)
+    except RefusedImageError as refused:
+        if refused.finding.code != "file_time_unknown":
+            raise
+        raise RefusedImageError(path.name, Finding("file_time_header")) from None
+    return stated + to_middle, image, bayer
 
 
 def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int] | None) -> None:

@@ -19,6 +19,7 @@ from tests.offline.sources.archives import DEEP, GREY, encoded, folder_of, zip_o
 from sunarc.array_types import Image
 from sunarc.findings import Finding
 from sunarc.offline.messages import RefusedImageError
+from sunarc.offline.sources.fits_file import fits_bayer
 from sunarc.offline.sources.frames import frames_in, images_in
 from sunarc.offline.sources.opening import open_source
 
@@ -65,6 +66,32 @@ def test_a_fits_image_has_its_rows_as_they_are_stored(image: Image, tmp_path: Pa
     np.testing.assert_array_equal(found, image)
     assert isinstance(found, np.ndarray)
     assert found.dtype == image.dtype
+
+
+def test_signed_counts_of_a_fits_file_are_counts_where_none_is_below_zero(tmp_path: Path) -> None:
+    signed = (DEEP // 2).astype(np.int16)
+    found = image_of(fits_of(signed), "a.fits", tmp_path)
+    assert isinstance(found, np.ndarray)
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found, DEEP // 2)
+    signed[0, 0] = -1
+    assert code_of(fits_of(signed), "a.fits", tmp_path, size=SIZE) == "file_not_image"
+
+
+@pytest.mark.parametrize(
+    ("header", "bayer"),
+    [
+        ({}, None),
+        ({"BAYERPAT": "RGGB"}, "RGGB"),
+        ({"BAYERPAT": "gbrg "}, "GBRG"),
+        ({"BAYERPAT": "RGGB", "XBAYROFF": 1}, "GRBG"),
+        ({"BAYERPAT": "RGGB", "YBAYROFF": 1}, "GBRG"),
+        ({"BAYERPAT": "RGGB", "XBAYROFF": 1, "YBAYROFF": 3}, "BGGR"),
+        ({"BAYERPAT": "TRUE"}, None),
+    ],
+)
+def test_the_mosaic_of_a_fits_file_is_that_of_its_header(header: dict[str, object], bayer: str | None) -> None:
+    assert fits_bayer(fits_of(GREY, **header), "a.fits") == bayer
 
 
 def test_three_planes_of_a_fits_file_are_red_green_blue(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunarc.array_types import Image
+from sunarc.detection import BAYERS, Bayer
 from sunarc.extras import extra_module
 from sunarc.findings import Finding
 from sunarc.offline.messages import RefusedImageError
@@ -60,11 +61,31 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
         data = np.asarray(images[0].data)
     except (OSError, ValueError, TypeError) as error:
         raise _unusable(name, f"its pixels cannot be read ({type(error).__name__})") from None
+    if data.dtype.newbyteorder("=") == np.dtype(np.int16) and data.size and data.min() >= 0:
+        data = data.astype(np.uint16)  # of cameras that write counts below 32768 without an offset
     if data.dtype.newbyteorder("=") not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
         raise _unusable(name, f"pixels are {data.dtype.name}, not 8 or 16 bits")
     native = data.astype(data.dtype.newbyteorder("="))
     # OpenCV's order of colours, as all images here
     return np.ascontiguousarray(np.moveaxis(native, 0, -1)[..., ::-1]) if planes else native
+
+
+def fits_bayer(content: bytes, name: str) -> Bayer | None:
+    """Return the colours of a raw mosaic as the header states them (BAYERPAT, of its first stored row); None: none."""
+    merged: dict[str, Any] = {}
+    for hdu in reversed(_opened(content, name)):
+        merged.update(hdu.header)
+    stated = str(merged.get("BAYERPAT", "")).strip().upper()
+    rows = [stated[:2], stated[2:]]
+    if _odd(merged.get("XBAYROFF")):
+        rows = [row[::-1] for row in rows]
+    if _odd(merged.get("YBAYROFF")):
+        rows = rows[::-1]
+    return next((bayer for bayer in BAYERS if bayer == "".join(rows)), None)
+
+
+def _odd(value: object) -> bool:
+    return isinstance(value, int) and value % 2 == 1
 
 
 def _opened(content: bytes, name: str) -> list[Any]:
