@@ -17,6 +17,7 @@ from sunarc.calibration.fit.normal_equations import (
     converged_in_axes,
     irls_converged,
     linear_system,
+    system_about,
 )
 from sunarc.calibration.least_squares.priors import LENS, precisions
 from sunarc.calibration.least_squares.problem import Observations, Problem
@@ -217,3 +218,20 @@ def test_coverage_of_the_stated_95_percent_of_a_small_fit(problem: Problem, basi
         off = (found - begin)[17:20]
         inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(fit.covariance)[17:20]))
     assert 0.88 < np.mean(inside) < 0.995
+
+
+@pytest.mark.parametrize(("turned", "shared"), [(1e-5, True), (1e-3, False)])
+def test_equations_nearby_share_the_field_s_products_and_others_do_not(
+    system: LinearSystem, problem: Problem, at: FloatArray, *, turned: float, shared: bool
+) -> None:
+    other = at.copy()
+    other[17] += turned
+    bins = Bins(member=np.arange(len(system.observed)), count=len(system.observed))
+    found = system_about(problem, system.observed, bins, system, other)
+    assert (found.basis_products is system.basis_products) == shared
+    expected = linear_system(
+        problem, system.observed, bins, other, information=system.observed.information, basis=system.basis
+    )
+    np.testing.assert_allclose(found.residual, expected.residual, atol=1e-9)
+    np.testing.assert_allclose(found.rows, expected.rows, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(found.basis_values, expected.basis_values, atol=1e-3 * np.max(expected.basis_values))

@@ -19,7 +19,8 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.field_posterior import seen_field
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
-from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes
+from sunarc.calibration.fit.normal_equations import LinearSystem, converged_in_axes, weighing_of
+from sunarc.calibration.fit.steps_kernel import Weighing
 from sunarc.calibration.least_squares.priors import HIGHER
 from sunarc.calibration.least_squares.problem import Problem
 
@@ -67,9 +68,10 @@ def mixed_over_decentering(  # noqa: PLR0917 - the fit, piece by piece
     normal = system.normal()
     free = marginal_fit(normal, system.basis, scales)
     in_axes = system.in_field_axes(scales)
-    conditionals = [_conditional(problem, in_axes, unknowns, node, scales, mean) for node in _NODES]
+    weighing = weighing_of(problem, in_axes[0], scales)
+    conditionals = [_conditional(problem, in_axes, unknowns, node, scales, mean, weighing) for node in _NODES]
     # the free fit takes part: where the grid misses the optimum, the Gaussian about it holds
-    about_fit = converged_in_axes(problem, in_axes[0], scales, unknowns, steps=0)
+    about_fit = converged_in_axes(problem, in_axes[0], scales, unknowns, steps=0, weighing=weighing)
     log_mass = np.array([about_fit.log_evidence, *(node.log_evidence for node in conditionals)])
     share = np.exp(log_mass - np.max(log_mass))
     share = (share / share.sum())[1:]
@@ -106,6 +108,7 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     node: tuple[float, ...],
     scales: Scales,
     field_mean: FloatArray | None,
+    weighing: Weighing | None = None,
 ) -> _Conditional:
     """Return the fit with p3 and p4 held at a place; see `LinearSystem.in_field_axes`."""
     fixed = np.array(node)
@@ -116,7 +119,7 @@ def _conditional(  # noqa: PLR0917 - the fit, piece by piece
     start = unknowns.copy()
     start[HIGHER] = 0.0
     system, transform = in_axes
-    rest = converged_in_axes(conditioned, system, scales, start)
+    rest = converged_in_axes(conditioned, system, scales, start, weighing=weighing)
     covariance = rest.fit.covariance.copy()
     covariance[HIGHER] = covariance[:, HIGHER] = 0.0
     shift = rest.unknowns - unknowns

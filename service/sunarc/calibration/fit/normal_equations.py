@@ -26,6 +26,8 @@ from sunarc.calibration.model.residual_field import WaveBasis
 
 _STEPS = 8
 _HALVINGS = 6
+_SAME_PLACE_PX = 0.02
+"""A field changes by less than a ten-thousandth of itself over this: its shortest length is hundreds of px."""
 _TELLS_NOTHING = 1e-14
 """Share of a coefficient's prior variance that sightings take away, below which they tell nothing of it."""
 _REST = 1e-3
@@ -122,6 +124,19 @@ def linear_system(
     )
 
 
+def system_about(
+    problem: Problem, observed: Observations, bins: Bins, system: LinearSystem, unknowns: FloatArray
+) -> LinearSystem:
+    """Return the equations about other unknowns, the sightings' information as of a system that is there.
+
+    Where the predictions hardly move, the field's basis functions and their products stay those of that system.
+    """
+    moved = system.moved(problem, unknowns)
+    if np.max(np.abs(moved.residual - system.residual), initial=0.0) < _SAME_PLACE_PX:
+        return moved
+    return linear_system(problem, observed, bins, unknowns, information=observed.information, basis=system.basis)
+
+
 class AtRest(NamedTuple):
     """Where the steps came to rest: the unknowns (p,), the linear fit from there, what was gained, the log evidence.
 
@@ -141,24 +156,43 @@ def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> At
     return rest._replace(fit=rest.fit.with_coefficients_on(transform))
 
 
-def converged_in_axes(
-    problem: Problem, system: LinearSystem, scales: Scales, start: FloatArray, *, steps: int = _STEPS
-) -> AtRest:
-    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
-    shrink = system.basis_products.axes(system.basis, scales.length_px).shrinkage(np.array([scales.amplitude_px]))[0]
-    root, spread = np.sqrt(system.observed.information), np.sqrt(shrink)
-    weighing = Weighing(
+def weighing_of(problem: Problem, system: LinearSystem, scales: Scales) -> Weighing:
+    """Return how the bins of a system in the field's axes count under some scales."""
+    root = np.sqrt(system.observed.information)
+    return Weighing(
         root=root,
-        field=np.ascontiguousarray((system.basis_values * root[:, None] * spread).T),
+        field=np.ascontiguousarray((system.basis_values * root[:, None] * _spread(system, scales)).T),
         precision=prior_precision(problem.size, scales.radial_px, scales.decentering_px, n_unit=problem.n_unit),
         rounding=ROUNDING,
         ridge=RIDGE,
     )
+
+
+def _spread(system: LinearSystem, scales: Scales) -> FloatArray:
+    """Return (r,): the roots of the shrinkage of each of the field's axes."""
+    axes = system.basis_products.axes(system.basis, scales.length_px)
+    return np.asarray(np.sqrt(axes.shrinkage(np.array([scales.amplitude_px]))[0]))
+
+
+def converged_in_axes(
+    problem: Problem,
+    system: LinearSystem,
+    scales: Scales,
+    start: FloatArray,
+    *,
+    steps: int = _STEPS,
+    weighing: Weighing | None = None,
+) -> AtRest:
+    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients.
+
+    `weighing`: that of `weighing_of`, where it is there already.
+    """
+    weighing = weighing_of(problem, system, scales) if weighing is None else weighing
     lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
     shared = problem.optics(), lens, problem.sighted(system.observed), weighing
     begin = np.array(start, dtype=np.float64)
     at, sums, gain = rested(*shared, begin, problem.n_air, steps, _HALVINGS, _REST)
-    fit, log_evidence = _at_rest(at, sums, spread, weighing.precision)
+    fit, log_evidence = _at_rest(at, sums, _spread(system, scales), weighing.precision)
     return AtRest(at, fit, gain, log_evidence)
 
 

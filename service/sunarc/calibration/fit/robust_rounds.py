@@ -26,7 +26,7 @@ from sunarc.calibration.fit.least_squares_reference import allowed_level, at_lea
 from sunarc.calibration.fit.leverage import night_leverage
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
 from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
-from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system
+from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
@@ -126,6 +126,7 @@ class RobustCamera:
     state, noise : as the last round left them, in the air that the fit is made with.
     grid : the scales that were tried.
     information : (n,) of each sighting, px⁻².
+    last_round : the bins' equations of the last round.
     """
 
     problem: Problem
@@ -134,12 +135,12 @@ class RobustCamera:
     noise: Noise
     grid: HyperparameterGrid
     information: FloatArray
+    last_round: LinearSystem
 
     def system(self, observed: Observations, bins: Bins) -> LinearSystem:
         """Return the bins' equations about the camera."""
-        return linear_system(
-            self.problem, observed, bins, self.unknowns, information=self.information, basis=self.grid.basis
-        )
+        weighed = observed.weighted(self.information)
+        return system_about(self.problem, weighed, bins, self.last_round, self.unknowns)
 
     def field_mean(self, normal: NormalEquations) -> FloatArray | None:
         """Return the field's coefficients (2, m) by the sums about the camera; None where none is more probable."""
@@ -169,24 +170,30 @@ def robust_camera(
     """
     problem = replace(problem, n_systematic=observed.systematic_px.shape[2], n_air=observed.refraction_sd.shape[1])
     plain = np.concatenate([plain, np.zeros(problem.n_unit)])
-    state, noise, grid = _with_field(problem, observed, plain, grid, course)
+    state, noise, grid, last_round = _with_field(problem, observed, plain, grid, course)
     information = noise.information(observed)
     if problem.n_systematic == 0:
         # stars on all sides of the sky show the refraction, and beside them the mean over the air is the better camera
-        state = _in_assumed_air(problem, observed.weighted(information), course.bins, state, grid)
+        state = _in_assumed_air(problem, observed.weighted(information), course.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
         problem, weighed, course.bins, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
     )
     return RobustCamera(
-        problem=problem, unknowns=unknowns, state=state, noise=noise, grid=grid, information=information
+        problem=problem,
+        unknowns=unknowns,
+        state=state,
+        noise=noise,
+        grid=grid,
+        information=information,
+        last_round=last_round,
     )
 
 
 def _with_field(
     problem: Problem, observed: Observations, plain: FloatArray, grid: HyperparameterGrid, course: Course
-) -> tuple[State, Noise, HyperparameterGrid]:
-    """Return the rounds' answer, and the grid of scales that it took.
+) -> tuple[State, Noise, HyperparameterGrid, LinearSystem]:
+    """Return the rounds' answer, the grid of scales that it took, and the last round's equations.
 
     A field is there to widen the uncertainty, and does not enter the prediction. One that lets the camera itself miss
     the sightings has taken over what the lens's parameters explain: it is bounded more tightly, and the rounds begin
@@ -194,7 +201,7 @@ def _with_field(
     """
     distance = distance_sigmas(problem, observed, plain)
     sigma, weight = robust_sigma(distance, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
-    state, noise = _rounds(problem, observed, plain, grid, course)
+    state, noise, system = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
             distance, sigma=sigma, field_px=state.missed_px(problem), weight=weight, cost_ratio=_FIELD_MAY_COST
@@ -202,28 +209,34 @@ def _with_field(
         if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
         grid = grid.up_to(_FIELD_SHRINKS * state.scales.amplitude_px)
-        state, noise = _rounds(problem, observed, plain, grid, course)
-    return state, noise, grid
+        state, noise, system = _rounds(problem, observed, plain, grid, course)
+    return state, noise, grid, system
 
 
 def _rounds(
     problem: Problem, observed: Observations, unknowns: FloatArray, grid: HyperparameterGrid, course: Course
-) -> tuple[State, Noise]:
+) -> tuple[State, Noise, LinearSystem]:
     first = Scales(_FIRST_FIELD_PX, float(grid.lengths[0]), LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     state = State(unknowns=unknowns, residuals=problem.residuals(unknowns, observed), scales=first)
-    noise = _noise(state, observed, course)
-    for number in range(_ROUNDS):
-        noise = _noise(state, observed, course)
-        system = linear_system(
-            problem, observed, course.bins, state.unknowns, information=noise.information(observed), basis=grid.basis
-        )
-        if number == 0:
-            state = _judged(problem, observed, system, state)
-            continue
+    noise, system = _round(problem, observed, state, grid, course)
+    state = _judged(problem, observed, system, state)
+    for _ in range(1, _ROUNDS):
+        noise, system = _round(problem, observed, state, grid, course)
         state = _improved(problem, observed, system, grid)
         if state.gain <= 0.0:
             break  # where a round does not move the camera, a further one changes nothing
-    return state, noise
+    return state, noise, system
+
+
+def _round(
+    problem: Problem, observed: Observations, state: State, grid: HyperparameterGrid, course: Course
+) -> tuple[Noise, LinearSystem]:
+    """Return the noise as a state shows it, and the equations with the sightings weighed by it."""
+    noise = _noise(state, observed, course)
+    information = noise.information(observed)
+    return noise, linear_system(
+        problem, observed, course.bins, state.unknowns, information=information, basis=grid.basis
+    )
 
 
 def _as_good_as_least_squares(
@@ -278,12 +291,16 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
     )
 
 
-def _in_assumed_air(
-    problem: Problem, observed: Observations, bins: Bins, state: State, grid: HyperparameterGrid
+def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
+    problem: Problem,
+    observed: Observations,
+    bins: Bins,
+    last_round: LinearSystem,
+    state: State,
+    grid: HyperparameterGrid,
 ) -> State:
     """Return the state with the air as it is assumed, unless the sightings, by their information, prove another one."""
-    assumed = replace(problem, n_air=0)
-    system = linear_system(problem, observed, bins, state.unknowns, information=observed.information, basis=grid.basis)
+    assumed, system = replace(problem, n_air=0), system_about(problem, observed, bins, last_round, state.unknowns)
     in_assumed_air = system.moved(assumed, state.unknowns[: assumed.size])
     other, usual = (log_weights(each.normal(), grid) for each in (system, in_assumed_air))
     if log_evidence(other) - log_evidence(usual) > STRONG_EVIDENCE:
