@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -52,24 +54,40 @@ SUN_PX = 0.03
 
 
 class SimulatedImager:
-    """One camera with its archive, its day and its worker of the night."""
+    """One camera with its archive, its day and its worker of the night.
 
-    def __init__(self, seed: int) -> None:
-        self.lens: Camera = true_camera(seed)
-        folder = Path(tempfile.mkdtemp())
-        upgrade(folder / "sunarc.sqlite")
-        self.archive: Archive = open_archive(folder / "sunarc.sqlite")
-        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=self.lens.width, height=self.lens.height))
+    Parameters
+    ----------
+    lens : the true camera.
+    seed : draws the noise of the day.
+    day : the fit of that day, where it was made before.
+    served : the calibration that names the stars; the day's unless given.
+    """
+
+    def __init__(
+        self, lens: Camera, *, seed: int, day: Calibration | None = None, served: Calibration | None = None
+    ) -> None:
+        self.lens = lens
+        self._folder = tempfile.TemporaryDirectory()
+        path = Path(self._folder.name) / "sunarc.sqlite"
+        upgrade(path)
+        self.archive: Archive = open_archive(path)
+        self.archive.save_camera(CameraRecord.at(SGP, name="roof", width=lens.width, height=lens.height))
         self.camera = CameraArchive(self.archive, name="roof", site=SGP)
         self.now = datetime(2013, 5, 26, 12, tzinfo=UTC)
         self._add_day(np.random.default_rng(seed + 100))
-        self.day = self.fitted()
+        self.day = self.fitted() if day is None else day
         document = to_document(
-            self.day, id="day", camera="roof", state="candidate", created_at=DARK, valid_from=DARK - timedelta(days=1),
-            valid_until=None, pose_epoch="roof-1", software_version="0",
+            served or self.day, id="day", camera="roof", state="candidate", created_at=DARK,
+            valid_from=DARK - timedelta(days=1), valid_until=None, pose_epoch="roof-1", software_version="0",
         )  # fmt: skip
         self.archive.add_calibration(document)
         self.archive.activate("day")
+
+    def close(self) -> None:
+        """Remove the archive."""
+        self.archive.close()
+        self._folder.cleanup()
 
     def _add_day(self, rng: np.random.Generator) -> None:
         times = datetime(2013, 5, 13, 6, tzinfo=UTC).timestamp() + np.arange(0.0, 86_400.0, 120.0)
@@ -92,8 +110,8 @@ class SimulatedImager:
         problem = task.problem
         return calibrate(problem.points, site=problem.site, image_size=problem.image_size, options=problem.options)
 
-    def night(self, begin: datetime, scene: Scene, frames: int) -> tuple[dict[str, Any], int]:
-        """Return the verdict of a night, and how many of its sightings are false."""
+    def night(self, begin: datetime, frames: Iterable[Frame], *, late_s: float = 0.0) -> tuple[dict[str, Any], int]:
+        """Return the verdict of a night whose frames are dated too late, and how many of its sightings are false."""
         worker = NightWorker(
             NightCapture(NightExposures(), DropOldestQueue(capacity=4)),
             camera=self.camera,
@@ -106,23 +124,27 @@ class SimulatedImager:
             board=StatusRegistry(version="0", started_at=begin, monotonic=lambda: 0.0),
         )
         times: list[float] = []
-        for number in range(frames):
-            start = begin + timedelta(hours=HOURS * number / frames)
-            image = scene.render(int(start.timestamp() * 1e6), exposure_us=EXPOSURE_US)
-            middle = start + timedelta(microseconds=0.5 * EXPOSURE_US)
-            times.append(middle.timestamp())
-            worker.look_at(
-                Frame(
-                    image=image, time=middle, exposure_us=EXPOSURE_US, gain_db=0.0, pixel_format="Mono12",
-                    full_scale=4095, frame_id=number,
-                )
-            )  # fmt: skip
+        for frame in frames:
+            dated = replace(frame, time=frame.time + timedelta(seconds=late_s))
+            times.append(dated.time.timestamp())
+            worker.look_at(dated)
         worker.finish()
         (event,) = self.archive.events("roof", kind="night", limit=1)
         stars = self.archive.sun_point_columns("roof", body=None, since=begin)
         stars = stars.select((stars.body != "sun") & np.isin(stars.unix_s, times))
-        true = project(self.lens, body_directions(stars.body, stars.unix_s, SGP))
+        true = project(self.lens, body_directions(stars.body, stars.unix_s - late_s, SGP))
         return dict(event.details), int(np.sum(np.linalg.norm(stars.pixels - true, axis=-1) > 1.0))
+
+
+def frames_of(scene: Scene, begin: datetime, count: int) -> Iterator[Frame]:
+    """Yield the images of a night, evenly over its hours."""
+    for number in range(count):
+        start = begin + timedelta(hours=HOURS * number / count)
+        yield Frame(
+            image=scene.render(int(start.timestamp() * 1e6), exposure_us=EXPOSURE_US),
+            time=start + timedelta(microseconds=0.5 * EXPOSURE_US), exposure_us=EXPOSURE_US, gain_db=0.0,
+            pixel_format="Mono12", full_scale=4095, frame_id=number,
+        )  # fmt: skip
 
 
 def errors(fit: Calibration, lens: Camera) -> list[float]:
@@ -151,10 +173,10 @@ def main() -> None:
     found: dict[str, list[tuple[dict[str, Any], int]]] = {}
     fits: list[list[float]] = []
     for seed in range(asked.first, asked.first + asked.lenses):
-        camera = SimulatedImager(seed)
+        camera = SimulatedImager(true_camera(seed), seed=seed)
         if asked.fits:
             scene = Scene(camera.lens, SGP, options=SceneOptions(seed=seed, night=NightOptions()))
-            camera.night(DARK, scene, asked.frames)
+            camera.night(DARK, frames_of(scene, DARK, asked.frames))
             fits.append(errors(camera.day, camera.lens) + errors(camera.fitted(), camera.lens))
             print(f"lens {seed}: {' '.join(f'{value:.4f}' for value in fits[-1])}", flush=True)
             continue
@@ -163,7 +185,7 @@ def main() -> None:
             begin = evening + timedelta(minutes=number)  # the archive takes no two sightings of a star at one moment
             sky: Any = {"seed": seed, "weather": (weather,), "night": NightOptions(**options)}
             scene = Scene(camera.lens, SGP, options=SceneOptions(**sky))
-            found.setdefault(name, []).append(camera.night(begin, scene, asked.frames))
+            found.setdefault(name, []).append(camera.night(begin, frames_of(scene, begin, asked.frames)))
     for name, rows in found.items():
         verdicts = ", ".join(sorted(details["verdict"] for details, _ in rows))
         images, accepted, stored = (
