@@ -12,7 +12,7 @@ from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
 from sunarc.calibration.least_squares.row_kernels import (
     Optics,
     Sighted,
-    residuals_and_rows_of,
+    residuals_and_columns_of,
     residuals_of,
     vectors_of,
 )
@@ -178,7 +178,7 @@ class Problem:
 
     def linearised(self, unknowns: FloatArray, observed: Observations) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (n, 2) and the derivatives of the prediction by the unknowns (n, 2, size)."""
-        residual, rows = residuals_and_rows_of(
+        residual, columns = residuals_and_columns_of(
             self.optics(),
             self._vectors(unknowns),
             self.sighted(observed),
@@ -186,7 +186,7 @@ class Problem:
             self.air(unknowns),
             np.ascontiguousarray(self.prior.basis),
         )
-        return residual, rows
+        return np.ascontiguousarray(residual.T), np.ascontiguousarray(np.moveaxis(columns, -1, 0))
 
     def air(self, unknowns: FloatArray) -> FloatArray:
         """Return (n_air,): the unknowns of the refraction."""

@@ -67,20 +67,6 @@ def residuals_of(optics: Optics, vector: FloatArray, seen: Sighted, air: FloatAr
 
 
 @njit(nogil=True)
-def residuals_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
-    optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals (n, 2) and derivatives of the prediction (n, 2, size), see `residuals_and_columns_of`."""
-    residual, columns = residuals_and_columns_of(optics, vectors, seen, sizes, air, basis)
-    rows = np.empty((residual.shape[1], 2, columns.shape[1]))
-    for n in range(rows.shape[0]):
-        for c in range(2):
-            for j in range(rows.shape[2]):
-                rows[n, c, j] = columns[c, j, n]
-    return np.ascontiguousarray(residual.T), rows
-
-
-@njit(nogil=True)
 def residuals_and_columns_of(  # noqa: PLR0917 - compiled functions take positions
     optics: Optics, vectors: FloatArray, seen: Sighted, sizes: FloatArray, air: FloatArray, basis: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
