@@ -47,6 +47,40 @@ def test_a_cache_that_a_power_cut_damaged_is_written_anew(tmp_path: Path, kind: 
     assert run(folder).stdout == "1"
 
 
+CALLED = """
+from sunarc.jit import njit
+
+@njit(nogil=True)
+def factor() -> float:
+    return {factor}
+"""
+CALLING = """
+from called import factor
+from sunarc.jit import njit
+
+@njit(nogil=True)
+def scaled(x: float) -> float:
+    return between(x)
+
+@njit(nogil=True)
+def between(x: float) -> float:
+    return factor() * x
+
+print(scaled(21.0), sum(scaled.stats.cache_hits.values()), end="")
+"""
+
+
+def test_a_kernel_is_compiled_again_where_one_that_it_calls_has_changed(tmp_path: Path) -> None:
+    """In another file, by way of a kernel that is defined below; unchanged, both are read from the disk."""
+    (tmp_path / "calling.py").write_text(CALLING)
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PATH": "/usr/bin:/bin", "HOME": "/nonexistent"}
+    for factor, expected in ((2.0, "42.0 0"), (2.0, "42.0 1"), (3.0, "63.0 0"), (3.0, "63.0 1")):
+        (tmp_path / "called.py").write_text(CALLED.format(factor=factor))
+        command = [sys.executable, "-B", str(tmp_path / "calling.py")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (0, expected), done.stderr
+
+
 FULL = """
 import errno, os, numba.core.caching as caching
 def full(self, name, data):

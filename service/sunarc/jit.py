@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
 
 _log = logging.getLogger(__name__)
 
@@ -17,11 +18,18 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
     """A function's cache on disk; what cannot be read is compiled again, what cannot be written is left out.
 
     numba lets an error of the cache folder (full, not writable, a file cut short by a power cut) end the call of the
-    kernel, though the kernel itself is compiled by then.
+    kernel, though the kernel itself is compiled by then. Nor does it compile a kernel again where one that it calls,
+    a part of it, stands in another file that has changed, as after an upgrade: here the files of all count.
     """
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the stored kernel; None where there is none that can be read."""
+        # not before the first call: what the kernel calls may be defined below it
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=tuple(sorted(set(_stamps(self._py_func, set())))),
+        )
         try:
             return super().load_overload(sig, target_context)
         except Exception as error:  # noqa: BLE001 - whatever unpickling a damaged file raises
@@ -37,6 +45,18 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
         except (OSError, RuntimeError) as error:  # RuntimeError: numba has no object code to store
             self.disable()
             _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
+
+
+def _stamps(function: Any, visited: set[object]) -> Iterator[str]:  # noqa: ANN401 - functions have no common type
+    """Yield what numba takes for the state of the source file, of a function and of all kernels that it calls."""
+    if function in visited:
+        return
+    visited.add(function)
+    yield str(FunctionCache._impl_class(function).locator.get_source_stamp())  # noqa: SLF001 - as numba's own cache does
+    for name in function.__code__.co_names:
+        called = function.__globals__.get(name)
+        if isinstance(called, Dispatcher):
+            yield from _stamps(called.py_func, visited)
 
 
 def njit(**options: object) -> Callable[[Callable[..., Any]], Any]:
