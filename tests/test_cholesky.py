@@ -18,31 +18,31 @@ def _positive(size: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
 @pytest.mark.parametrize("size", [1, 2, 5, 20])
 def test_the_factor_and_the_determinant_are_numpys(size: int) -> None:
     matrix = _positive(size)
-    room = matrix.copy()
-    determinant = factored(room, size, size)
-    assert np.tril(room) == pytest.approx(np.linalg.cholesky(matrix), rel=1e-9, abs=1e-9)
+    work = matrix.copy()
+    determinant = factored(work, size, size)
+    assert np.tril(work) == pytest.approx(np.linalg.cholesky(matrix), rel=1e-9, abs=1e-9)
     assert determinant == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12, abs=1e-10)
 
 
 def test_further_rows_are_multiplied_by_the_inverse_of_the_factor() -> None:
     matrix = _positive(4)
-    room = np.vstack([matrix, np.arange(8.0).reshape(2, 4)])
-    factored(room, 4, 6)
-    assert room[4:] @ np.linalg.cholesky(matrix).T == pytest.approx(np.arange(8.0).reshape(2, 4), abs=1e-12)
+    work = np.vstack([matrix, np.arange(8.0).reshape(2, 4)])
+    factored(work, 4, 6)
+    assert work[4:] @ np.linalg.cholesky(matrix).T == pytest.approx(np.arange(8.0).reshape(2, 4), abs=1e-12)
 
 
 def test_the_square_of_half_a_solution_is_the_quadratic_form() -> None:
     matrix, vector = _positive(6), np.arange(1.0, 7.0)
-    room, half = matrix.copy(), vector.copy()
-    factored(room, 6, 6)
-    assert halved(room, half, 6) == pytest.approx(vector @ np.linalg.solve(matrix, vector), rel=1e-10)
+    work, half = matrix.copy(), vector.copy()
+    factored(work, 6, 6)
+    assert halved(work, half, 6) == pytest.approx(vector @ np.linalg.solve(matrix, vector), rel=1e-10)
 
 
 @pytest.mark.parametrize("size", [1, 3, 20])
 def test_a_solution_is_numpys(size: int) -> None:
     matrix, vector = _positive(size), np.arange(1.0, size + 1.0)
-    room, found = matrix.copy(), vector.copy()
-    assert solved(room, found)
+    work, found = matrix.copy(), vector.copy()
+    assert solved(work, found)
     assert found == pytest.approx(np.linalg.solve(matrix, vector), rel=1e-8)
 
 

@@ -170,16 +170,16 @@ def test_each_kernel_s_step_interpreted_gives_the_derivatives_of_the_numpy_model
         on_axis = rotation.T @ (AXIS[0] - np.array(camera.translation))
         within = field_of(camera, 2, seed=5)[1]
         directions = np.stack([within, on_axis, -within])
-        room = np.empty(block_kernels.ROOM)
-        block_kernels.write_block.py_func(vector, code, mirror, max_angle, rotation, turn, directions, 0, 3, room)
-        columns = room[: 2 * block_kernels.N_COLUMNS * block_kernels.BLOCK].reshape(-1, 2, block_kernels.BLOCK)
+        work = np.empty(block_kernels.WORK)
+        block_kernels.write_block.py_func(vector, code, mirror, max_angle, rotation, turn, directions, 0, 3, work)
+        columns = work[: 2 * block_kernels.N_COLUMNS * block_kernels.BLOCK].reshape(-1, 2, block_kernels.BLOCK)
         rows = np.zeros((3, 2, 23))
         named = block_kernels.PARAMETERS >= 0
         assert sorted(block_kernels.PARAMETERS[named]) == list(range(23))
         rows[..., block_kernels.PARAMETERS[named]] = columns[named, :, :3].T
         for k in range(2):
             expected, by_parameters, _ = project_with_jacobian(camera, directions[k])
-            pixel = room[[block_kernels.PIXEL_X + k, block_kernels.PIXEL_Y + k]]
+            pixel = work[[block_kernels.PIXEL_X + k, block_kernels.PIXEL_Y + k]]
             np.testing.assert_allclose(pixel, expected, atol=1e-8)
             np.testing.assert_allclose(rows[k], by_parameters, rtol=1e-8, atol=1e-7)
         assert not np.any(rows[2])

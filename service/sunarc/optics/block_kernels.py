@@ -1,6 +1,6 @@
 """The lens with its derivatives for a block of directions at a time, so that the loops run in vector registers.
 
-A block's numbers stand in one array, its room: rows of `BLOCK` numbers, one a direction, so that the compiler sees that
+A block's numbers stand in one work array: rows of `BLOCK` numbers, one a direction, so that the compiler sees that
 no two of them overlap. The loops have no branches and call no function of a mathematical library. `forward` has the
 same in numpy, and the tests compare the two. They release the interpreter's lock.
 """
@@ -16,7 +16,7 @@ from sunarc.jit import njit
 from sunarc.optics.camera import Param
 
 BLOCK = 64
-"""Directions of a block: a room of them stays within the processor's first cache."""
+"""Directions of a block: their work array stays within the processor's first cache."""
 _RIGHT_ANGLE = math.pi / 2
 _ON_AXIS = 1e-12
 _FX, _FY, _SKEW = int(Param.FOCAL_LENGTH_X_PX), int(Param.FOCAL_LENGTH_Y_PX), int(Param.SKEW_PX)
@@ -24,7 +24,7 @@ _X0, _Y0 = int(Param.PRINCIPAL_POINT_X_PX), int(Param.PRINCIPAL_POINT_Y_PX)
 _TRANSLATION, _RADIAL, _RADIALS, _P1 = int(Param.TRANSLATION_X), int(Param.K2), int(Param.P1 - Param.K2), int(Param.P1)
 
 N_LENS, N_NATIVE, N_COLUMNS = 17, 20, 24
-"""Columns of a block's room: derivatives by the lens, by the lens and the pose, and all with what stands beside."""
+"""Columns of a work array: derivatives by the lens, by the lens and the pose, and all with what stands beside."""
 RESIDUAL = N_NATIVE
 """The column that is left for residuals, right after the derivatives by lens and pose."""
 PARAMETERS = np.array(
@@ -42,13 +42,13 @@ _PAIR = 2 * BLOCK
 """A column: the block's derivatives of x, then those of y."""
 _C_FX, _C_FY, _C_SKEW, _C_X0, _C_Y0 = (k * _PAIR for k in range(5))
 _C_RADIAL, _C_P1, _C_POSE, _C_TRANSLATION = 5 * _PAIR, 13 * _PAIR, 17 * _PAIR, 21 * _PAIR
-_ROOM = N_COLUMNS * _PAIR
+_COLUMNS_END = N_COLUMNS * _PAIR
 (
     PIXEL_X, PIXEL_Y, _EAST, _NORTH, _UP, _X, _Y, _Z, _ACROSS, _SQUARE, _HALF, _THETA, _RADIUS, _SLOPE, _U, _V,
     _PROFILE, _BX, _BY, _GX, _GY, _X_HAT, _Y_HAT, WEIGHT,
-) = range(_ROOM, _ROOM + 24 * BLOCK, BLOCK)  # fmt: skip
-ROOM = _ROOM + 24 * BLOCK
-"""Numbers in the room of a block."""
+) = range(_COLUMNS_END, _COLUMNS_END + 24 * BLOCK, BLOCK)  # fmt: skip
+WORK = _COLUMNS_END + 24 * BLOCK
+"""Numbers in the work array of a block."""
 
 
 def _arctangent() -> FloatArray:
@@ -78,18 +78,18 @@ def write_block(  # noqa: PLR0917 - compiled functions take positions
     directions: FloatArray,
     begin: int,
     size: int,
-    room: FloatArray,
+    work: FloatArray,
 ) -> None:
-    """Write pixels and derivatives of `size` directions (n, 3) from `begin` on to a room (ROOM,).
+    """Write pixels and derivatives of `size` directions (n, 3) from `begin` on to a work array (WORK,).
 
     Where the lens shows nothing the pixel is NaN and the derivatives are 0. Places beyond the size repeat the last one.
     The other arguments as of `kernels.pixels_and_rows_of`.
     """
-    write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, room)
-    _write_lens(vector, mirror, room)
-    _write_vector(vector, mirror, room)
-    _write_pose(rotation, jacobian, room)
-    _blank(room)
+    write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, work)
+    _write_lens(vector, mirror, work)
+    _write_vector(vector, mirror, work)
+    _write_pose(rotation, jacobian, work)
+    _blank(work)
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -102,43 +102,43 @@ def write_pixels(  # noqa: PLR0917 - compiled functions take positions
     directions: FloatArray,
     begin: int,
     size: int,
-    room: FloatArray,
+    work: FloatArray,
 ) -> None:
     """Write what `write_block` does but for the derivatives."""
-    _place(vector, rotation, directions, begin, size, room)
-    _write_angles(room)
-    _write_ideal(code, room)
-    _distort(vector, room)
+    _place(vector, rotation, directions, begin, size, work)
+    _write_angles(work)
+    _write_ideal(code, work)
+    _distort(vector, work)
     sign, base = (-1.0, mirror) if mirror >= 0.0 else (1.0, 0.0)
     ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
     x0, y0 = base + sign * vector[_X0], vector[_Y0]
     for i in range(BLOCK):
-        shown = room[_THETA + i] <= max_angle
-        x_hat, y_hat = room[_X_HAT + i], room[_Y_HAT + i]
-        room[PIXEL_X + i] = ax * x_hat + skew * y_hat + x0 if shown else math.nan
-        room[PIXEL_Y + i] = ay * y_hat + y0 if shown else math.nan
+        shown = work[_THETA + i] <= max_angle
+        x_hat, y_hat = work[_X_HAT + i], work[_Y_HAT + i]
+        work[PIXEL_X + i] = ax * x_hat + skew * y_hat + x0 if shown else math.nan
+        work[PIXEL_Y + i] = ay * y_hat + y0 if shown else math.nan
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _place(  # noqa: PLR0917 - compiled functions take positions
-    vector: FloatArray, rotation: FloatArray, directions: FloatArray, begin: int, size: int, room: FloatArray
+    vector: FloatArray, rotation: FloatArray, directions: FloatArray, begin: int, size: int, work: FloatArray
 ) -> None:
     """Write the directions and R w + t."""
     for i in range(BLOCK):
         n = begin + min(i, size - 1)
-        room[_EAST + i], room[_NORTH + i], room[_UP + i] = directions[n, 0], directions[n, 1], directions[n, 2]
+        work[_EAST + i], work[_NORTH + i], work[_UP + i] = directions[n, 0], directions[n, 1], directions[n, 2]
     for row, target in ((0, _X), (1, _Y), (2, _Z)):
         by_e, by_n, by_u = rotation[row, 0], rotation[row, 1], rotation[row, 2]
         shift = vector[_TRANSLATION + row]
         for i in range(BLOCK):
-            room[target + i] = by_e * room[_EAST + i] + by_n * room[_NORTH + i] + by_u * room[_UP + i] + shift
+            work[target + i] = by_e * work[_EAST + i] + by_n * work[_NORTH + i] + by_u * work[_UP + i] + shift
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_angles(room: FloatArray) -> None:
+def _write_angles(work: FloatArray) -> None:
     """Write the angle off the axis, the tangent of its half, and the azimuth's cosine and sine."""
     for i in range(BLOCK):
-        x, y, z = room[_X + i], room[_Y + i], room[_Z + i]
+        x, y, z = work[_X + i], work[_Y + i], work[_Z + i]
         flat = x * x + y * y
         square, across = flat + z * z, math.sqrt(flat)
         acute = across / (math.sqrt(square) + abs(z))
@@ -147,121 +147,121 @@ def _write_angles(room: FloatArray) -> None:
         for n in range(_TERMS - 1, -1, -1):
             total = total * argument + _ARCTANGENT[n]
         angle = 4.0 * quarter * total
-        room[_THETA + i] = angle if z >= 0.0 else math.pi - angle
-        room[_HALF + i] = acute if z >= 0.0 else 1.0 / acute
-        room[_ACROSS + i], room[_SQUARE + i] = across, square
+        work[_THETA + i] = angle if z >= 0.0 else math.pi - angle
+        work[_HALF + i] = acute if z >= 0.0 else 1.0 / acute
+        work[_ACROSS + i], work[_SQUARE + i] = across, square
         off_axis = across > _ON_AXIS
-        room[_U + i] = x / across if off_axis else 1.0
-        room[_V + i] = y / across if off_axis else 0.0
+        work[_U + i] = x / across if off_axis else 1.0
+        work[_V + i] = y / across if off_axis else 0.0
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_ideal(code: int, room: FloatArray) -> None:
+def _write_ideal(code: int, work: FloatArray) -> None:
     """Write the ideal radius, in focal lengths, and its derivative by the angle."""
     if code == 0:
         for i in range(BLOCK):
-            room[_RADIUS + i] = room[_ACROSS + i] / room[_Z + i]
-            room[_SLOPE + i] = room[_SQUARE + i] / (room[_Z + i] * room[_Z + i])
+            work[_RADIUS + i] = work[_ACROSS + i] / work[_Z + i]
+            work[_SLOPE + i] = work[_SQUARE + i] / (work[_Z + i] * work[_Z + i])
     elif code == 1:
         for i in range(BLOCK):
-            room[_RADIUS + i], room[_SLOPE + i] = room[_THETA + i], 1.0
+            work[_RADIUS + i], work[_SLOPE + i] = work[_THETA + i], 1.0
     elif code == 2:
         for i in range(BLOCK):
-            half = room[_HALF + i]
+            half = work[_HALF + i]
             cosine = 1.0 / math.sqrt(1.0 + half * half)
-            room[_RADIUS + i], room[_SLOPE + i] = 2.0 * half * cosine, cosine
+            work[_RADIUS + i], work[_SLOPE + i] = 2.0 * half * cosine, cosine
     elif code == 3:
         for i in range(BLOCK):
-            half = room[_HALF + i]
-            room[_RADIUS + i], room[_SLOPE + i] = 2.0 * half, 1.0 + half * half
+            half = work[_HALF + i]
+            work[_RADIUS + i], work[_SLOPE + i] = 2.0 * half, 1.0 + half * half
     else:
         for i in range(BLOCK):
-            per_length = 1.0 / math.sqrt(room[_SQUARE + i])
-            room[_RADIUS + i], room[_SLOPE + i] = room[_ACROSS + i] * per_length, room[_Z + i] * per_length
+            per_length = 1.0 / math.sqrt(work[_SQUARE + i])
+            work[_RADIUS + i], work[_SLOPE + i] = work[_ACROSS + i] * per_length, work[_Z + i] * per_length
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _distort(vector: FloatArray, room: FloatArray) -> None:
+def _distort(vector: FloatArray, work: FloatArray) -> None:
     """Add the polynomial of Eq. 9, and write the decentering's profile and bracket, x̂, ŷ and their slopes by r̂."""
     k2, k3, k4, k5 = vector[_RADIAL], vector[_RADIAL + 1], vector[_RADIAL + 2], vector[_RADIAL + 3]
     k6, k7, k8, k9 = vector[_RADIAL + 4], vector[_RADIAL + 5], vector[_RADIAL + 6], vector[_RADIAL + 7]
     p1, p2, p3, p4 = vector[_P1], vector[_P1 + 1], vector[_P1 + 2], vector[_P1 + 3]
     for i in range(BLOCK):
-        tau = room[_THETA + i] / _RIGHT_ANGLE
+        tau = work[_THETA + i] / _RIGHT_ANGLE
         value = k2 + tau * (k3 + tau * (k4 + tau * (k5 + tau * (k6 + tau * (k7 + tau * (k8 + tau * k9))))))
         last = 6.0 * k6 + tau * (7.0 * k7 + tau * (8.0 * k8 + tau * 9.0 * k9))
         rise = 2.0 * k2 + tau * (3.0 * k3 + tau * (4.0 * k4 + tau * (5.0 * k5 + tau * last)))
-        radius = room[_RADIUS + i] + tau * tau * value
-        room[_RADIUS + i] = radius
-        room[_SLOPE + i] += tau * rise / _RIGHT_ANGLE
-        u, v, square = room[_U + i], room[_V + i], radius * radius
+        radius = work[_RADIUS + i] + tau * tau * value
+        work[_RADIUS + i] = radius
+        work[_SLOPE + i] += tau * rise / _RIGHT_ANGLE
+        u, v, square = work[_U + i], work[_V + i], radius * radius
         bx, by = p1 * (1.0 + 2.0 * u * u) + 2.0 * p2 * u * v, 2.0 * p1 * u * v + p2 * (1.0 + 2.0 * v * v)
         profile = square * (1.0 + square * (p3 + square * p4))
-        room[_X_HAT + i], room[_Y_HAT + i] = radius * u + profile * bx, radius * v + profile * by
+        work[_X_HAT + i], work[_Y_HAT + i] = radius * u + profile * bx, radius * v + profile * by
         growth = radius * (2.0 + square * (4.0 * p3 + square * 6.0 * p4))
-        room[_PROFILE + i], room[_BX + i], room[_BY + i] = profile, bx, by
-        room[_GX + i], room[_GY + i] = u + growth * bx, v + growth * by
+        work[_PROFILE + i], work[_BX + i], work[_BY + i] = profile, bx, by
+        work[_GX + i], work[_GY + i] = u + growth * bx, v + growth * by
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_lens(vector: FloatArray, mirror: float, room: FloatArray) -> None:
+def _write_lens(vector: FloatArray, mirror: float, work: FloatArray) -> None:
     """Write the derivatives by K, k and p."""
     sign = -1.0 if mirror >= 0.0 else 1.0
     ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
     for i in range(BLOCK):
-        x_hat, y_hat = room[_X_HAT + i], room[_Y_HAT + i]
-        room[_C_FX + i], room[_C_FY + BLOCK + i], room[_C_SKEW + i] = sign * x_hat, y_hat, sign * y_hat
-        room[_C_X0 + i], room[_C_Y0 + BLOCK + i] = sign, 1.0
-        room[_C_FX + BLOCK + i] = room[_C_FY + i] = room[_C_SKEW + BLOCK + i] = 0.0
-        room[_C_X0 + BLOCK + i] = room[_C_Y0 + i] = 0.0
+        x_hat, y_hat = work[_X_HAT + i], work[_Y_HAT + i]
+        work[_C_FX + i], work[_C_FY + BLOCK + i], work[_C_SKEW + i] = sign * x_hat, y_hat, sign * y_hat
+        work[_C_X0 + i], work[_C_Y0 + BLOCK + i] = sign, 1.0
+        work[_C_FX + BLOCK + i] = work[_C_FY + i] = work[_C_SKEW + BLOCK + i] = 0.0
+        work[_C_X0 + BLOCK + i] = work[_C_Y0 + i] = 0.0
     for i in range(BLOCK):
-        tau = room[_THETA + i] / _RIGHT_ANGLE
-        along = tau * tau * (ax * room[_GX + i] + skew * room[_GY + i])
-        down = tau * tau * ay * room[_GY + i]
+        tau = work[_THETA + i] / _RIGHT_ANGLE
+        along = tau * tau * (ax * work[_GX + i] + skew * work[_GY + i])
+        down = tau * tau * ay * work[_GY + i]
         for k in range(_RADIALS):
-            room[_C_RADIAL + k * _PAIR + i], room[_C_RADIAL + k * _PAIR + BLOCK + i] = along, down
+            work[_C_RADIAL + k * _PAIR + i], work[_C_RADIAL + k * _PAIR + BLOCK + i] = along, down
             along *= tau
             down *= tau
     for i in range(BLOCK):
-        radius, u, v, profile = room[_RADIUS + i], room[_U + i], room[_V + i], room[_PROFILE + i]
+        radius, u, v, profile = work[_RADIUS + i], work[_U + i], work[_V + i], work[_PROFILE + i]
         both, first, second = profile * 2.0 * u * v, profile * (1.0 + 2.0 * u * u), profile * (1.0 + 2.0 * v * v)
-        room[_C_P1 + i], room[_C_P1 + BLOCK + i] = ax * first + skew * both, ay * both
-        room[_C_P1 + _PAIR + i], room[_C_P1 + _PAIR + BLOCK + i] = ax * both + skew * second, ay * second
+        work[_C_P1 + i], work[_C_P1 + BLOCK + i] = ax * first + skew * both, ay * both
+        work[_C_P1 + _PAIR + i], work[_C_P1 + _PAIR + BLOCK + i] = ax * both + skew * second, ay * second
         square = radius * radius
-        along = square * square * (ax * room[_BX + i] + skew * room[_BY + i])
-        down = square * square * ay * room[_BY + i]
-        room[_C_P1 + 2 * _PAIR + i], room[_C_P1 + 2 * _PAIR + BLOCK + i] = along, down
-        room[_C_P1 + 3 * _PAIR + i], room[_C_P1 + 3 * _PAIR + BLOCK + i] = square * along, square * down
+        along = square * square * (ax * work[_BX + i] + skew * work[_BY + i])
+        down = square * square * ay * work[_BY + i]
+        work[_C_P1 + 2 * _PAIR + i], work[_C_P1 + 2 * _PAIR + BLOCK + i] = along, down
+        work[_C_P1 + 3 * _PAIR + i], work[_C_P1 + 3 * _PAIR + BLOCK + i] = square * along, square * down
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_vector(vector: FloatArray, mirror: float, room: FloatArray) -> None:
+def _write_vector(vector: FloatArray, mirror: float, work: FloatArray) -> None:
     """Write the derivatives by the vector in the camera frame, which are those by the translation."""
     sign = -1.0 if mirror >= 0.0 else 1.0
     ax, ay, skew = sign * vector[_FX], vector[_FY], sign * vector[_SKEW]
     p1, p2 = vector[_P1], vector[_P1 + 1]
     for i in range(BLOCK):
-        z, across, slope, u, v = room[_Z + i], room[_ACROSS + i], room[_SLOPE + i], room[_U + i], room[_V + i]
-        gx, gy = room[_GX + i], room[_GY + i]
+        z, across, slope, u, v = work[_Z + i], work[_ACROSS + i], work[_SLOPE + i], work[_U + i], work[_V + i]
+        gx, gy = work[_GX + i], work[_GY + i]
         on_axis = across <= _ON_AXIS
-        per_norm = slope / z if on_axis else room[_RADIUS + i] / across
-        twist = 0.0 if on_axis else room[_PROFILE + i] / across
+        per_norm = slope / z if on_axis else work[_RADIUS + i] / across
+        twist = 0.0 if on_axis else work[_PROFILE + i] / across
         sin2, cos2 = 2.0 * u * v, u * u - v * v
         hx = -v * per_norm + twist * (-2.0 * p1 * sin2 + 2.0 * p2 * cos2)
         hy = u * per_norm + twist * (2.0 * p1 * cos2 + 2.0 * p2 * sin2)
-        tilt = slope / room[_SQUARE + i]
+        tilt = slope / work[_SQUARE + i]
         by_x, by_y, by_z = tilt * z * u, tilt * z * v, -tilt * across
         cx, cy, dx, dy = gx * by_x - hx * v, gy * by_x - hy * v, gx * by_y + hx * u, gy * by_y + hy * u
-        room[_C_TRANSLATION + i] = ax * cx + skew * cy
-        room[_C_TRANSLATION + BLOCK + i] = ay * cy
-        room[_C_TRANSLATION + _PAIR + i] = ax * dx + skew * dy
-        room[_C_TRANSLATION + _PAIR + BLOCK + i] = ay * dy
-        room[_C_TRANSLATION + 2 * _PAIR + i] = (ax * gx + skew * gy) * by_z
-        room[_C_TRANSLATION + 2 * _PAIR + BLOCK + i] = ay * gy * by_z
+        work[_C_TRANSLATION + i] = ax * cx + skew * cy
+        work[_C_TRANSLATION + BLOCK + i] = ay * cy
+        work[_C_TRANSLATION + _PAIR + i] = ax * dx + skew * dy
+        work[_C_TRANSLATION + _PAIR + BLOCK + i] = ay * dy
+        work[_C_TRANSLATION + 2 * _PAIR + i] = (ax * gx + skew * gy) * by_z
+        work[_C_TRANSLATION + 2 * _PAIR + BLOCK + i] = ay * gy * by_z
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_pose(rotation: FloatArray, jacobian: FloatArray, room: FloatArray) -> None:
+def _write_pose(rotation: FloatArray, jacobian: FloatArray, work: FloatArray) -> None:
     """Write the derivatives by the rotation vector: d(R w) = R (J dr × w)."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -272,25 +272,25 @@ def _write_pose(rotation: FloatArray, jacobian: FloatArray, room: FloatArray) ->
     for c in range(2):
         for i in range(BLOCK):
             k = c * BLOCK + i
-            vx, vy = room[_C_TRANSLATION + k], room[_C_TRANSLATION + _PAIR + k]
-            vz = room[_C_TRANSLATION + 2 * _PAIR + k]
-            e, north, up = room[_EAST + i], room[_NORTH + i], room[_UP + i]
+            vx, vy = work[_C_TRANSLATION + k], work[_C_TRANSLATION + _PAIR + k]
+            vz = work[_C_TRANSLATION + 2 * _PAIR + k]
+            e, north, up = work[_EAST + i], work[_NORTH + i], work[_UP + i]
             wx, wy, wz = vx * r00 + vy * r10 + vz * r20, vx * r01 + vy * r11 + vz * r21, vx * r02 + vy * r12 + vz * r22
             mx, my, mz = north * wz - up * wy, up * wx - e * wz, e * wy - north * wx
-            room[_C_POSE + k] = mx * j00 + my * j10 + mz * j20
-            room[_C_POSE + _PAIR + k] = mx * j01 + my * j11 + mz * j21
-            room[_C_POSE + 2 * _PAIR + k] = mx * j02 + my * j12 + mz * j22
+            work[_C_POSE + k] = mx * j00 + my * j10 + mz * j20
+            work[_C_POSE + _PAIR + k] = mx * j01 + my * j11 + mz * j21
+            work[_C_POSE + 2 * _PAIR + k] = mx * j02 + my * j12 + mz * j22
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _blank(room: FloatArray) -> None:
+def _blank(work: FloatArray) -> None:
     """Write 0 for the derivatives where there is no finite pixel."""
     seen = 0
     for i in range(BLOCK):
-        seen += int(abs(room[PIXEL_X + i]) + abs(room[PIXEL_Y + i]) < math.inf)
+        seen += int(abs(work[PIXEL_X + i]) + abs(work[PIXEL_Y + i]) < math.inf)
     if seen == BLOCK:
         return
     for i in range(BLOCK):
-        if not abs(room[PIXEL_X + i]) + abs(room[PIXEL_Y + i]) < math.inf:
+        if not abs(work[PIXEL_X + i]) + abs(work[PIXEL_Y + i]) < math.inf:
             for k in range(N_COLUMNS):
-                room[k * _PAIR + i], room[k * _PAIR + BLOCK + i] = 0.0, 0.0
+                work[k * _PAIR + i], work[k * _PAIR + BLOCK + i] = 0.0, 0.0

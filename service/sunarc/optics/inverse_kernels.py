@@ -139,11 +139,11 @@ def write_exact_directions(  # noqa: PLR0917 - compiled functions take positions
     limit = table[-1, 0]
     edge = radius_and_slope(code, radial, limit)[0]
     fx, fy, skew, x0, y0, mirror = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
-    room = np.empty((6, _BLOCK))
+    work = np.empty((6, _BLOCK))
     for begin in range(0, pixels.shape[0], _BLOCK):
         size = min(_BLOCK, pixels.shape[0] - begin)
-        x, y, radius, theta = room[0, :size], room[1, :size], room[2, :size], room[3, :size]
-        sine, cosine = room[4, :size], room[5, :size]
+        x, y, radius, theta = work[0, :size], work[1, :size], work[2, :size], work[3, :size]
+        sine, cosine = work[4, :size], work[5, :size]
         for k in range(size):
             column = mirror - pixels[begin + k, 0] if mirror >= 0.0 else pixels[begin + k, 0]
             y[k] = (pixels[begin + k, 1] - y0) / fy

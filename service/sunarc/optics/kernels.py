@@ -19,7 +19,7 @@ from sunarc.optics.block_kernels import (
     PIXEL_X,
     PIXEL_Y,
     RESIDUAL,
-    ROOM,
+    WORK,
     write_block,
     write_pixels,
 )
@@ -78,12 +78,12 @@ def pixels_of(  # noqa: PLR0917 - compiled functions take positions
 
     `mirror` is width - 1 for a mirrored image, negative for one that is not.
     """
-    n, room = directions.shape[0], np.empty(ROOM)
+    n, work = directions.shape[0], np.empty(WORK)
     result = np.empty((n, 2))
     for begin in range(0, n, BLOCK):
         size = min(BLOCK, n - begin)
-        write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, room)
-        _take_pixels(room, result[begin : begin + size])
+        write_pixels(vector, code, mirror, max_angle, rotation, directions, begin, size, work)
+        _take_pixels(work, result[begin : begin + size])
     return result
 
 
@@ -101,25 +101,25 @@ def pixels_and_rows_of(  # noqa: PLR0917 - compiled functions take positions
 
     `jacobian` is the right Jacobian of the rotation vector. Beyond the largest angle pixels are NaN, derivatives 0.
     """
-    n, room = directions.shape[0], np.empty(ROOM)
+    n, work = directions.shape[0], np.empty(WORK)
     pixels, rows = np.empty((n, 2)), np.zeros((n, 2, _SIZE))
     for begin in range(0, n, BLOCK):
         size = min(BLOCK, n - begin)
-        write_block(vector, code, mirror, max_angle, rotation, jacobian, directions, begin, size, room)
-        _take_pixels(room, pixels[begin : begin + size])
+        write_block(vector, code, mirror, max_angle, rotation, jacobian, directions, begin, size, work)
+        _take_pixels(work, pixels[begin : begin + size])
         for k in range(N_COLUMNS):
             if k != RESIDUAL:
                 for i in range(size):
                     for c in range(2):
-                        rows[begin + i, c, PARAMETERS[k]] = room[(2 * k + c) * BLOCK + i]
+                        rows[begin + i, c, PARAMETERS[k]] = work[(2 * k + c) * BLOCK + i]
     return pixels, rows
 
 
 @njit(nogil=True)
-def _take_pixels(room: FloatArray, result: FloatArray) -> None:
+def _take_pixels(work: FloatArray, result: FloatArray) -> None:
     """Write the pixels (n, 2) of a block."""
     for i in range(result.shape[0]):
-        result[i, 0], result[i, 1] = room[PIXEL_X + i], room[PIXEL_Y + i]
+        result[i, 0], result[i, 1] = work[PIXEL_X + i], work[PIXEL_Y + i]
 
 
 @njit(nogil=True)

@@ -62,11 +62,11 @@ def test_a_ridge_is_a_share_of_the_diagonal() -> None:
 
 def test_a_factor_gives_back_the_matrix_and_solves_further_rows() -> None:
     matrix = random_covariance(6, seed=5)
-    room = matrix.copy()
-    determinant = factored(room, 4, 6)
-    lower = np.tril(room[:4, :4])
+    work = matrix.copy()
+    determinant = factored(work, 4, 6)
+    lower = np.tril(work[:4, :4])
     np.testing.assert_allclose(lower @ lower.T, matrix[:4, :4])
-    np.testing.assert_allclose(room[4:, :4] @ lower.T, matrix[4:, :4])
+    np.testing.assert_allclose(work[4:, :4] @ lower.T, matrix[4:, :4])
     assert determinant == pytest.approx(np.linalg.slogdet(matrix[:4, :4])[1])
 
 

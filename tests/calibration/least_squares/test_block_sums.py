@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sunarc.calibration.least_squares.block_sums import add_products, block_size, reach_of, weigh
 from sunarc.calibration.robust_loss import UNSEEN_PX, tukey_loss, tukey_weights
-from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PIXEL_X, PIXEL_Y, RESIDUAL, ROOM
+from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PIXEL_X, PIXEL_Y, RESIDUAL, WORK
 
 FloatArray = NDArray[np.float64]
 
@@ -18,15 +18,15 @@ SIZE, BEGIN = BLOCK - 5, 3
 
 
 @pytest.fixture
-def room() -> FloatArray:
+def work() -> FloatArray:
     rng = np.random.default_rng(6)
-    filled = rng.standard_normal(ROOM)
+    filled = rng.standard_normal(WORK)
     filled[PIXEL_X + 2] = filled[PIXEL_Y + 2] = np.nan  # as where the lens shows nothing
     return filled
 
 
-def _columns(room: FloatArray) -> FloatArray:
-    return room[: N_COLUMNS * 2 * BLOCK].reshape(N_COLUMNS, 2, BLOCK)
+def _columns(work: FloatArray) -> FloatArray:
+    return work[: N_COLUMNS * 2 * BLOCK].reshape(N_COLUMNS, 2, BLOCK)
 
 
 def _sightings() -> tuple[FloatArray, FloatArray]:
@@ -36,18 +36,18 @@ def _sightings() -> tuple[FloatArray, FloatArray]:
     return pixels, information
 
 
-def _residuals(room: FloatArray, pixels: FloatArray) -> FloatArray:
-    modelled = np.stack([room[PIXEL_X : PIXEL_X + SIZE], room[PIXEL_Y : PIXEL_Y + SIZE]], axis=-1)
+def _residuals(work: FloatArray, pixels: FloatArray) -> FloatArray:
+    modelled = np.stack([work[PIXEL_X : PIXEL_X + SIZE], work[PIXEL_Y : PIXEL_Y + SIZE]], axis=-1)
     residual = pixels[BEGIN:] - modelled
     return np.where(np.isfinite(residual), residual, UNSEEN_PX)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.8])
-def test_columns_and_residuals_are_weighed_as_by_the_loss(room: FloatArray, sigma: float) -> None:
+def test_columns_and_residuals_are_weighed_as_by_the_loss(work: FloatArray, sigma: float) -> None:
     pixels, information = _sightings()
-    residual, before = _residuals(room, pixels), _columns(room).copy()
+    residual, before = _residuals(work, pixels), _columns(work).copy()
     distance = np.hypot(*residual.T) * np.sqrt(information[BEGIN:])
-    loss = weigh(room, pixels, information, BEGIN, SIZE, sigma)
+    loss = weigh(work, pixels, information, BEGIN, SIZE, sigma)
     if sigma > 0.0:
         expected, weight = tukey_loss(distance, sigma=sigma), tukey_weights(distance, sigma=sigma) / sigma**2
         assert weight[1] == 0.0
@@ -57,14 +57,14 @@ def test_columns_and_residuals_are_weighed_as_by_the_loss(room: FloatArray, sigm
     weight = weight * information[BEGIN:]
     weight[2] = 0.0
     before[RESIDUAL, :, :SIZE] = residual.T
-    np.testing.assert_allclose(_columns(room)[..., :SIZE], np.sqrt(weight) * before[..., :SIZE], atol=1e-12)
-    np.testing.assert_array_equal(_columns(room)[..., SIZE:], 0.0)
+    np.testing.assert_allclose(_columns(work)[..., :SIZE], np.sqrt(weight) * before[..., :SIZE], atol=1e-12)
+    np.testing.assert_array_equal(_columns(work)[..., SIZE:], 0.0)
 
 
-def test_products_are_added_to_the_lower_half(room: FloatArray) -> None:
+def test_products_are_added_to_the_lower_half(work: FloatArray) -> None:
     products, count = np.ones((RESIDUAL + 2, RESIDUAL + 2)), RESIDUAL + 2
-    flat = _columns(room)[:count].reshape(count, -1)
-    add_products(room, products)
+    flat = _columns(work)[:count].reshape(count, -1)
+    add_products(work, products)
     lower = np.tril_indices(count)
     np.testing.assert_allclose(products[lower], 1.0 + (flat @ flat.T)[lower], rtol=1e-11, atol=1e-11)
 

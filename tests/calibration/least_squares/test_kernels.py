@@ -87,8 +87,8 @@ def test_the_pull_is_minus_the_derivative_of_the_cost(sigma: float) -> None:
     normal, gradient = np.empty((problem.size, problem.size)), np.empty(problem.size)
 
     def cost(unknowns: FloatArray) -> FloatArray:
-        other, room = np.empty_like(normal), np.empty_like(gradient)
-        return np.array([equations(lens, sightings, goal, unknowns, other, room)])
+        other, work = np.empty_like(normal), np.empty_like(gradient)
+        return np.array([equations(lens, sightings, goal, unknowns, other, work)])
 
     equations(lens, sightings, goal, at, normal, gradient)
     slopes = numerical_derivative(cost, at)[0]

@@ -40,7 +40,7 @@ def evidence_terms(  # noqa: PLR0917 - compiled functions take positions
     p, q = at.size, varied.shape[1]
     others = np.array([i for i in range(p) if i < first or i >= first + q])
     o = others.size
-    room, scale, vector = np.empty((p, p)), np.empty(p), np.empty(p)
+    work, scale, vector = np.empty((p, p)), np.empty(p), np.empty(p)
     small, tried, pull, sums = np.empty((q, q)), np.empty((q, q)), np.empty(q), np.zeros((2, q + 1))
     sums[1, 0] = 1.0
     for n in range(matrices.shape[0]):
@@ -49,11 +49,11 @@ def evidence_terms(  # noqa: PLR0917 - compiled functions take positions
             precision = fixed[others[i]]
             scale[i] = 1.0 / math.sqrt(matrix[others[i], others[i]] + precision)
             vector[i] = scale[i] * (vectors[n, others[i]] - precision * at[others[i]])
-        _write_scaled(matrix, others, scale, first, ridge, room)
-        alone = -factored(room, o, p) + halved(room, vector, o)
+        _write_scaled(matrix, others, scale, first, ridge, work)
+        alone = -factored(work, o, p) + halved(work, vector, o)
         for i in range(o):
             alone += 2.0 * math.log(scale[i])
-        _eliminate(matrix, vectors[n], first, room, vector, small, pull)
+        _eliminate(matrix, vectors[n], first, work, vector, small, pull)
         few = math.nan
         for choice in range(varied.shape[0]):
             begin = 0 if math.isnan(few) else _shared(varied[choice - 1], varied[choice])
@@ -74,17 +74,17 @@ def _shared(before: FloatArray, now: FloatArray) -> int:
 
 @njit(nogil=True)
 def _write_scaled(  # noqa: PLR0917 - compiled functions take positions
-    matrix: FloatArray, others: IntArray, scale: FloatArray, first: int, ridge: float, room: FloatArray
+    matrix: FloatArray, others: IntArray, scale: FloatArray, first: int, ridge: float, work: FloatArray
 ) -> None:
     """Write the matrix of the others, its diagonal brought to 1, and below it the rows of those that vary."""
     o = others.size
     for i in range(o):
         for j in range(i):
-            room[i, j] = scale[i] * scale[j] * matrix[others[i], others[j]]
-        room[i, i] = 1.0 + ridge
+            work[i, j] = scale[i] * scale[j] * matrix[others[i], others[j]]
+        work[i, i] = 1.0 + ridge
     for i in range(matrix.shape[0] - o):
         for j in range(o):
-            room[o + i, j] = matrix[first + i, others[j]] * scale[j]
+            work[o + i, j] = matrix[first + i, others[j]] * scale[j]
 
 
 @njit(nogil=True)

@@ -67,11 +67,11 @@ def rested(  # noqa: PLR0917 - compiled functions take positions
     p = start.size
     at, trial = start.copy(), start.copy()
     here, there = _room(p, weighing.field.shape[0]), _room(p, weighing.field.shape[0])
-    room, step = np.empty((p, p)), np.empty(p)
+    work, step = np.empty((p, p)), np.empty(p)
     write_sums(optics, lens, seen, weighing, at, n_air, here)
     begin = here.penalty[0]
     for _ in range(steps):
-        if _write_step(here.matrix, here.vector, weighing.ridge, room, step) < rest:
+        if _write_step(here.matrix, here.vector, weighing.ridge, work, step) < rest:
             break
         gain, part = 0.0, 1.0
         # Gauss-Newton may overshoot where the lens bends: half a step still gains if the direction is right
@@ -129,7 +129,7 @@ def write_sums(  # noqa: PLR0917 - compiled functions take positions
 
 
 @njit(nogil=True)
-def _write_step(matrix: FloatArray, vector: FloatArray, ridge: float, room: FloatArray, step: FloatArray) -> float:
+def _write_step(matrix: FloatArray, vector: FloatArray, ridge: float, work: FloatArray, step: FloatArray) -> float:
     """Write the step (p,) and return what it promises; 0 where the equations cannot be solved."""
     p = vector.size
     scale = np.empty(p)
@@ -137,16 +137,16 @@ def _write_step(matrix: FloatArray, vector: FloatArray, ridge: float, room: Floa
         scale[i] = 1.0 / math.sqrt(max(matrix[i, i], 1e-300))
         step[i] = scale[i] * vector[i]
         for j in range(i + 1):
-            room[i, j] = scale[i] * scale[j] * matrix[i, j]
-        room[i, i] += ridge
-    if math.isnan(factored(room, p, p)):
+            work[i, j] = scale[i] * scale[j] * matrix[i, j]
+        work[i, i] += ridge
+    if math.isnan(factored(work, p, p)):
         return 0.0
-    promise = halved(room, step, p)
+    promise = halved(work, step, p)
     for i in range(p - 1, -1, -1):
         total = step[i]
         for k in range(i + 1, p):
-            total -= room[k, i] * step[k]
-        step[i] = total / room[i, i]
+            total -= work[k, i] * step[k]
+        step[i] = total / work[i, i]
     for i in range(p):
         step[i] *= scale[i]
     return float(promise)

@@ -32,13 +32,13 @@ def trial_steps(  # noqa: PLR0917 - compiled functions take positions
     """
     p, weight = start.size, 1.0 / trust_px**2
     steps, moving = np.empty((picks.shape[0], p)), np.arange(p)
-    normal, gradient, room = np.empty((p, p)), np.empty(p), np.empty((p, p))
+    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
     for t in range(picks.shape[0]):
         _write_prior(start, precision, normal, gradient)
         for n in picks[t]:
             for c in range(2):
                 _add_row(rows[n, c], residual[n, c], weight, normal, gradient)
-        damped_step_of(normal, gradient, moving, RIDGE, room, steps[t])
+        damped_step_of(normal, gradient, moving, RIDGE, work, steps[t])
     return steps
 
 
@@ -80,7 +80,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
     """
     p, n = start.size, residual.shape[1]
     found, moving, root = step.copy(), np.arange(p), np.empty(n)
-    normal, gradient, room = np.empty((p, p)), np.empty(p), np.empty((p, p))
+    normal, gradient, work = np.empty((p, p)), np.empty(p), np.empty((p, p))
     weighted, right = np.empty_like(columns), np.empty(2 * n)
     for cut in cuts:
         after = residual.copy().reshape(2 * n)
@@ -97,7 +97,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
         for i in range(p):
             normal[i, i] += precision[i]
             gradient[i] -= precision[i] * start[i]
-        damped_step_of(normal, gradient, moving, RIDGE, room, found)
+        damped_step_of(normal, gradient, moving, RIDGE, work, found)
     return found
 
 

@@ -26,60 +26,60 @@ def block_size(epoch: IntArray, begin: int) -> int:
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def weigh(  # noqa: PLR0917 - compiled functions take positions
-    room: FloatArray, pixels: FloatArray, information: FloatArray, begin: int, size: int, sigma: float
+    work: FloatArray, pixels: FloatArray, information: FloatArray, begin: int, size: int, sigma: float
 ) -> float:
     """Write the residuals, multiply all columns by the roots of the sightings' weights, and return the loss.
 
     Parameters
     ----------
-    room : of a block, see `write_block`.
+    work : of a block, see `write_block`.
     pixels, information : (n, 2), (n,) of all sightings, of which the block has `size` from `begin` on.
     sigma : px, scale of Tukey's loss; 0 takes half the plain squares.
     """
-    _write_residuals(room, pixels, information, begin, size)
-    loss = float(_write_roots(room, sigma))
+    _write_residuals(work, pixels, information, begin, size)
+    loss = float(_write_roots(work, sigma))
     for i in range(BLOCK):
-        root = room[WEIGHT + i]
+        root = work[WEIGHT + i]
         for k in range(N_COLUMNS):
-            room[k * _PAIR + i] *= root
-            room[k * _PAIR + BLOCK + i] *= root
+            work[k * _PAIR + i] *= root
+            work[k * _PAIR + BLOCK + i] *= root
     return loss
 
 
 @njit(nogil=True)
-def _write_residuals(room: FloatArray, pixels: FloatArray, information: FloatArray, begin: int, size: int) -> None:
+def _write_residuals(work: FloatArray, pixels: FloatArray, information: FloatArray, begin: int, size: int) -> None:
     """Write observed minus predicted pixels and the information; 0 in the places beyond the size."""
     for i in range(size):
-        room[_ALONG + i] = pixels[begin + i, 0] - room[PIXEL_X + i]
-        room[_ACROSS + i] = pixels[begin + i, 1] - room[PIXEL_Y + i]
-        room[WEIGHT + i] = information[begin + i]
+        work[_ALONG + i] = pixels[begin + i, 0] - work[PIXEL_X + i]
+        work[_ACROSS + i] = pixels[begin + i, 1] - work[PIXEL_Y + i]
+        work[WEIGHT + i] = information[begin + i]
     for i in range(size, BLOCK):
-        room[_ALONG + i], room[_ACROSS + i], room[WEIGHT + i] = 0.0, 0.0, 0.0
+        work[_ALONG + i], work[_ACROSS + i], work[WEIGHT + i] = 0.0, 0.0, 0.0
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def _write_roots(room: FloatArray, sigma: float) -> float:
+def _write_roots(work: FloatArray, sigma: float) -> float:
     """Write the roots of the weights in place of the information; return the loss."""
     plain = sigma <= 0.0
     cut, inverse = (0.0, 1.0) if plain else (1.0 / (CUT * sigma) ** 2, 1.0 / sigma)
     squares, losses = 0.0, 0.0
     for i in range(BLOCK):
-        dx, dy, weight = room[_ALONG + i], room[_ACROSS + i], room[WEIGHT + i]
+        dx, dy, weight = work[_ALONG + i], work[_ACROSS + i], work[WEIGHT + i]
         shown = abs(dx) + abs(dy) < math.inf
         dx, dy = dx if shown else UNSEEN_PX, dy if shown else UNSEEN_PX
         square = (dx * dx + dy * dy) * weight
         left = 1.0 - min(square * cut, 1.0)
         squares += square
         losses += 1.0 - left * left * left
-        room[_ALONG + i], room[_ACROSS + i] = dx, dy
-        room[WEIGHT + i] = inverse * left * math.sqrt(weight) if shown else 0.0
+        work[_ALONG + i], work[_ACROSS + i] = dx, dy
+        work[WEIGHT + i] = inverse * left * math.sqrt(weight) if shown else 0.0
     return 0.5 * squares if plain else CUT * CUT / 6.0 * losses
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def add_products(room: FloatArray, products: FloatArray) -> None:
+def add_products(work: FloatArray, products: FloatArray) -> None:
     """Add the scalar products of the first c columns with one another: the lower half of (c, c), c even."""
-    columns = room[: N_COLUMNS * _PAIR].reshape(N_COLUMNS, _PAIR)
+    columns = work[: N_COLUMNS * _PAIR].reshape(N_COLUMNS, _PAIR)
     for a in range(0, products.shape[0], 2):
         for b in range(0, a + 1, 2):
             # four at a time: each number that is loaded is used twice

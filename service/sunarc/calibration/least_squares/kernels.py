@@ -17,7 +17,7 @@ from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.cholesky import solved
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.block_kernels import N_NATIVE, RESIDUAL, ROOM, write_block
+from sunarc.optics.block_kernels import N_NATIVE, RESIDUAL, WORK, write_block
 from sunarc.optics.kernels import write_rotation
 
 FIRST_DAMPING = 1e-3
@@ -73,13 +73,13 @@ def minimised(lens: Lens, seen: Seen, goal: Goal, start: FloatArray, moving: Int
     at, trial = start.copy(), start.copy()
     normal, next_normal = np.empty((p, p)), np.empty((p, p))
     gradient, next_gradient = np.empty(p), np.empty(p)
-    room, step = np.empty((f, f)), np.empty(f)
+    work, step = np.empty((f, f)), np.empty(f)
     cost = equations(lens, seen, goal, at, normal, gradient)
     damping = FIRST_DAMPING
     for _ in range(goal.iterations):
         moved, gain, used = False, 0.0, damping
         while damping < LARGEST_DAMPING:
-            damped_step_of(normal, gradient, moving, damping, room, step)
+            damped_step_of(normal, gradient, moving, damping, work, step)
             trial[:] = at
             for i in range(f):
                 trial[moving[i]] += step[i]
@@ -166,15 +166,15 @@ def _data_sums(  # noqa: PLR0917 - compiled functions take positions
 
     `products` (epochs, 22, 22): lower halves, in the order of a block's columns.
     """
-    room = np.empty(ROOM)
+    work = np.empty(WORK)
     begin, cost = 0, 0.0
     while begin < seen.epoch.size:
         e, size = seen.epoch[begin], block_size(seen.epoch, begin)
         write_block(
-            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions, begin, size, room
+            vector, lens.code, lens.mirror, lens.max_angle, rotation[e], jacobian[e], seen.directions, begin, size, work
         )
-        cost += weigh(room, seen.pixels, seen.information, begin, size, sigma)
-        add_products(room, products[e])
+        cost += weigh(work, seen.pixels, seen.information, begin, size, sigma)
+        add_products(work, products[e])
         begin += size
     return cost
 
@@ -232,7 +232,7 @@ def _fill_upper(matrix: FloatArray) -> None:
 
 @njit(nogil=True)
 def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
-    normal: FloatArray, gradient: FloatArray, moving: IntArray, damping: float, room: FloatArray, step: FloatArray
+    normal: FloatArray, gradient: FloatArray, moving: IntArray, damping: float, work: FloatArray, step: FloatArray
 ) -> None:
     """Write the Levenberg-Marquardt step (f,), scaled by the diagonal; zeros where the equations cannot be solved."""
     f = moving.size
@@ -243,9 +243,9 @@ def damped_step_of(  # noqa: PLR0917 - compiled functions take positions
     for i in range(f):
         step[i] = scale[i] * gradient[moving[i]]
         for j in range(i + 1):
-            room[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
-        room[i, i] += damping + RIDGE
-    if not solved(room, step):
+            work[i, j] = normal[moving[i], moving[j]] * scale[i] * scale[j]
+        work[i, i] += damping + RIDGE
+    if not solved(work, step):
         step[:] = 0.0
         return
     for i in range(f):

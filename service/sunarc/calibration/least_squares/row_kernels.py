@@ -16,7 +16,7 @@ from sunarc.calibration.least_squares.priors import LENS, N_LENS
 from sunarc.calibration.robust_loss import UNSEEN_PX
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.block_kernels import BLOCK, N_NATIVE, PIXEL_X, RESIDUAL, ROOM, write_block
+from sunarc.optics.block_kernels import BLOCK, N_NATIVE, PIXEL_X, RESIDUAL, WORK, write_block
 from sunarc.optics.kernels import pixels_of, write_rotation
 
 _SIZE = len(Param)
@@ -85,29 +85,29 @@ def residuals_and_columns_of(  # noqa: PLR0917 - compiled functions take positio
     for e in range(epochs):
         write_rotation(vectors[e, _POSE : _POSE + 3], rotation[e], jacobian[e])
     directions, up = _in_air(seen, air)
-    room, own, reach = np.empty(ROOM), np.empty((N_NATIVE, _PAIR)), reach_of(basis)
+    work, own, reach = np.empty(WORK), np.empty((N_NATIVE, _PAIR)), reach_of(basis)
     begin = 0
     while begin < count:
         e, n = seen.epoch[begin], block_size(seen.epoch, begin)
         write_block(
             vectors[e], optics.code, optics.mirror, optics.max_angle, rotation[e], jacobian[e], directions, begin, n,
-            room,
+            work,
         )  # fmt: skip
-        _write_lens_unknowns(room, basis, reach, own)
+        _write_lens_unknowns(work, basis, reach, own)
         for c in range(2):
             for j in range(N_NATIVE):
                 place = j if j < N_LENS else j + 3 * e
                 columns[c, place, begin : begin + n] = own[j, c * BLOCK : c * BLOCK + n]
         for i in range(begin, begin + n):
-            shown = math.isfinite(room[PIXEL_X + i - begin])
+            shown = math.isfinite(work[PIXEL_X + i - begin])
             for c in range(2):
-                difference = seen.pixels[i, c] - room[PIXEL_X + c * BLOCK + i - begin]
+                difference = seen.pixels[i, c] - work[PIXEL_X + c * BLOCK + i - begin]
                 difference -= np.dot(seen.systematic_px[i, c], sizes)
                 residual[c, i] = difference if shown and math.isfinite(difference) else UNSEEN_PX
                 if shown:
                     columns[c, size - k - sizes.size : size - k, i] = seen.systematic_px[i, c]
                 if shown and k:
-                    by_air = _along(room, c * BLOCK + i - begin, rotation[e], up[i])
+                    by_air = _along(work, c * BLOCK + i - begin, rotation[e], up[i])
                     for a in range(k):
                         columns[c, size - k + a, i] = by_air * seen.refraction_sd[i, a]
         begin += n
@@ -115,26 +115,26 @@ def residuals_and_columns_of(  # noqa: PLR0917 - compiled functions take positio
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _write_lens_unknowns(room: FloatArray, basis: FloatArray, reach: IntArray, own: FloatArray) -> None:
+def _write_lens_unknowns(work: FloatArray, basis: FloatArray, reach: IntArray, own: FloatArray) -> None:
     """Write the derivatives of a block by the lens's unknowns and by its pose (20, 2 BLOCK)."""
     own[:N_LENS] = 0.0
     for i in range(N_LENS):
-        column = room[i * _PAIR : (i + 1) * _PAIR]
+        column = work[i * _PAIR : (i + 1) * _PAIR]
         for j in range(reach[i, 0], reach[i, 1]):
             target, share = own[j], basis[i, j]
             for n in range(_PAIR):
                 target[n] += share * column[n]
     for i in range(N_LENS, N_NATIVE):
-        own[i] = room[i * _PAIR : (i + 1) * _PAIR]
+        own[i] = work[i * _PAIR : (i + 1) * _PAIR]
 
 
 @njit(nogil=True)
-def _along(room: FloatArray, place: int, rotation: FloatArray, up: FloatArray) -> float:
+def _along(work: FloatArray, place: int, rotation: FloatArray, up: FloatArray) -> float:
     """Return the derivative of one coordinate by the elevation of its direction; `up` (3,) is the tangent there."""
     total = 0.0
     for i in range(3):
         turned = rotation[i, 0] * up[0] + rotation[i, 1] * up[1] + rotation[i, 2] * up[2]
-        total += room[(RESIDUAL + 1 + i) * _PAIR + place] * turned
+        total += work[(RESIDUAL + 1 + i) * _PAIR + place] * turned
     return total
 
 

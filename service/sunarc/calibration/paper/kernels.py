@@ -21,7 +21,7 @@ from sunarc.calibration.least_squares.kernels import (
 )
 from sunarc.jit import njit
 from sunarc.optics import Param
-from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PARAMETERS, ROOM, write_block
+from sunarc.optics.block_kernels import BLOCK, N_COLUMNS, PARAMETERS, WORK, write_block
 from sunarc.optics.kernels import decentering_bracket, write_rotation
 
 _SIZE = len(Param)
@@ -75,10 +75,10 @@ def minimised(  # noqa: PLR0917 - compiled functions take positions
     vector, trial, f = start.copy(), start.copy(), moving.size
     normal, next_normal = np.empty((_SIZE, _SIZE)), np.empty((_SIZE, _SIZE))
     gradient, next_gradient = np.empty(_SIZE), np.empty(_SIZE)
-    room, step, damping = np.empty((f, f)), np.empty(f), limits.first_damping
+    work, step, damping = np.empty((f, f)), np.empty(f), limits.first_damping
     cost = equations(optics, seen, weighed, vector, normal, gradient)
     for _ in range(limits.most_steps):
-        damped_step_of(normal, gradient, moving, damping, room, step)
+        damped_step_of(normal, gradient, moving, damping, work, step)
         trial[:] = vector
         for i in range(f):
             trial[moving[i]] += step[i]
@@ -107,15 +107,15 @@ def equations(  # noqa: PLR0917 - compiled functions take positions
     gradient[:] = 0.0
     rotation, jacobian = np.empty((3, 3)), np.empty((3, 3))
     write_rotation(vector[_POSE : _POSE + 3], rotation, jacobian)
-    room, products = np.empty(ROOM), np.zeros((N_COLUMNS, N_COLUMNS))
+    work, products = np.empty(WORK), np.zeros((N_COLUMNS, N_COLUMNS))
     cost, n = 0.0, seen.directions.shape[0]
     for begin in range(0, n, BLOCK):
         size = min(BLOCK, n - begin)
         write_block(
-            vector, optics.code, optics.mirror, optics.max_angle, rotation, jacobian, seen.directions, begin, size, room
+            vector, optics.code, optics.mirror, optics.max_angle, rotation, jacobian, seen.directions, begin, size, work
         )
-        cost += 2.0 * weigh(room, seen.pixels, seen.information, begin, size, 0.0)
-        add_products(room, products)
+        cost += 2.0 * weigh(work, seen.pixels, seen.information, begin, size, 0.0)
+        add_products(work, products)
     _by_parameters(products, normal, gradient)
     cost += _orthogonality(weighed, vector, normal, gradient) + _circularity(weighed, vector, normal, gradient)
     cost += _monotony(weighed, vector, normal, gradient)
