@@ -32,7 +32,8 @@ class Fitted(NamedTuple):
     """Results of a fit.
 
     parameters : (n, 7) x, y, height, background, and the inverse covariance of the point spread: xx, xy, yy.
-    position_variance : (n,) of the centre per axis, px². height_variance : (n,) counts².
+    position_variance : (n,) of the centre per axis, px². height_variance : (n,) counts². Infinite where the pixels do
+        not determine them.
     chi2 : (n,) reduced.
     """
 
@@ -73,10 +74,15 @@ def fit_point_spreads(stamps: Stamps, start: FloatArray, *, gain_e: float | None
     variance = np.asarray(np.linalg.pinv(normal, hermitian=True), dtype=np.float64)
     return Fitted(
         parameters=now,
-        position_variance=0.5 * (variance[:, 0, 0] + variance[:, 1, 1]),
-        height_variance=variance[:, 2, 2],
+        position_variance=0.5 * (_positive(variance[:, 0, 0]) + _positive(variance[:, 1, 1])),
+        height_variance=_positive(variance[:, 2, 2]),
         chi2=cost / np.maximum(np.sum(weight > 0.0, axis=-1) - free, 1),
     )
+
+
+def _positive(variance: FloatArray) -> FloatArray:
+    """Return variances, infinite where the pseudo-inverse of a singular matrix has 0 or a rounded negative number."""
+    return np.where(variance > 0.0, variance, np.inf)
 
 
 def inverse_shape(shape: FloatArray) -> FloatArray:
