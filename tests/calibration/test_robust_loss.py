@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import rayleigh
 
+from sunarc.calibration import robust_loss as module
 from sunarc.calibration.robust_loss import CUT, INFORMATION_PER_WEIGHT, robust_sigma, tukey_loss, tukey_weights
 
 FloatArray = NDArray[np.float64]
@@ -114,3 +115,12 @@ def test_information_per_weight_equals_the_scatter_of_the_estimate() -> None:
         means = np.sum(weight[..., None] * points, axis=1) / weight.sum(axis=1)[:, None]
     stated = 1.0 / (INFORMATION_PER_WEIGHT * weight.sum(axis=1).mean())
     assert np.mean(means**2) == pytest.approx(stated, rel=0.05)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7, 1000])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.999, 1.0])
+def test_the_quantile_is_numpys(size: int, share: float) -> None:
+    values = np.random.default_rng(size).exponential(size=size)
+    assert module._quantile(values, share) == pytest.approx(np.quantile(values, share), rel=1e-12)
+    values[: size // 3] = math.inf
+    assert module._quantile(values, 0.1) == pytest.approx(np.quantile(values, 0.1), rel=1e-12)

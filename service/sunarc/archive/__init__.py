@@ -32,7 +32,7 @@ from sunarc.archive.feed_values import (
 )
 from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.housekeeping_values import Housekeeping, HousekeepingStep, merged
-from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore
+from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore, write_atomically
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
 from sunarc.archive.nightly import LEAST_KEPT, DaySummary, NightlyRun
 from sunarc.archive.notices import (
@@ -155,6 +155,7 @@ __all__ = [
     "upgrade",
     "upgrade_present",
     "upgrade_server",
+    "write_atomically",
     "write_columns",
     "write_sightings",
 ]

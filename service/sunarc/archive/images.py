@@ -106,7 +106,7 @@ class ImageStore:
             if not self.make_room(len(encoded)):
                 raise OutsideError(f"image {target.name} was not written: the disk has too little room")
             try:
-                _write_atomically(target, encoded)
+                write_atomically(target, encoded)
             except OSError as error:
                 if error.errno in _FULL and self._remove_oldest():
                     continue
@@ -280,8 +280,13 @@ class ImageStore:
             return True
 
 
-def _write_atomically(target: Path, encoded: bytes) -> None:
-    """Write beside the target, to the disk itself, and rename: a power cut leaves all of it or nothing."""
+def write_atomically(target: Path, encoded: bytes) -> None:
+    """Write beside the target, to the disk itself, and rename: a power cut leaves all of it or nothing.
+
+    Raises
+    ------
+    OSError : the disk refuses; the target is as it was.
+    """
     part = target.with_suffix(target.suffix + ".part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,8 @@ UNSEEN_PX = 1e4
 CUT = 5.0
 """Distance in sigmas beyond which a sighting counts nothing."""
 
+WELL_BEHAVED = 0.3
+"""Share of the sightings that surely are."""
 _ROUNDS = 60
 _KEEP = 2.5
 
@@ -35,7 +37,7 @@ def tukey_loss(distance: FloatArray, *, sigma: float) -> FloatArray:
     return np.asarray(CUT**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
 
 
-def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-9) -> float:
+def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: float = 1e-9) -> float:
     """Return the 1-sigma per axis of the well-behaved sightings among others.
 
     Starts at the quantile `share` of the 2-D distances and then takes, again and again, those within 2.5 sigma,
@@ -49,17 +51,7 @@ def robust_sigma(distance: FloatArray, *, share: float = 0.3, floor: float = 1e-
     """
     if distance.size == 0:
         return floor
-    # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
-    first = max(_quantile(distance, share) / math.sqrt(-2.0 * math.log1p(-share)), floor)
-    return float(settled_sigma(np.asarray(distance, dtype=np.float64), first, floor))
-
-
-def _quantile(values: FloatArray, share: float) -> float:
-    """Return `numpy.quantile` of (n,) values, linear between neighbours, without its cost a call."""
-    place = share * (values.size - 1)
-    below = min(int(place), max(values.size - 2, 0))
-    parted = np.partition(values, (below, min(below + 1, values.size - 1)))
-    return float(parted[below] + (place - below) * (parted[min(below + 1, values.size - 1)] - parted[below]))
+    return float(robust_scale(np.asarray(distance, dtype=np.float64), share, floor))
 
 
 _TAIL = math.exp(-0.5 * _KEEP**2)
@@ -68,8 +60,26 @@ _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 
 
 @njit(nogil=True)
-def settled_sigma(distance: FloatArray, sigma: float, floor: float) -> float:
-    """Return the scale of `robust_sigma` after the rounds that begin at one, px."""
+def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
+    """Return `robust_sigma` of distances (n,), at least one, for compiled loops."""
+    # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
+    first = _quantile(distance, share) / math.sqrt(-2.0 * math.log1p(-share))
+    return float(_settled(distance, max(first, floor), floor))
+
+
+@njit(nogil=True)
+def _quantile(values: FloatArray, share: float) -> float:
+    """Return `numpy.quantile` of (n,) values, linear between neighbours, without its cost a call."""
+    place = share * (values.size - 1)
+    below = min(int(place), max(values.size - 2, 0))
+    above = min(below + 1, values.size - 1)
+    upper = np.partition(np.partition(values, below)[below:], above - below)
+    return float(upper[0] + (place - below) * (upper[above - below] - upper[0]))
+
+
+@njit(nogil=True)
+def _settled(distance: FloatArray, sigma: float, floor: float) -> float:
+    """Return the scale after the rounds that begin at one, px."""
     for _ in range(_ROUNDS):
         total, count = 0.0, 0
         for value in distance:

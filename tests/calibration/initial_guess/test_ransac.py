@@ -11,9 +11,9 @@ from tests.fixtures.calibration import loose_precision, observed, small_camera, 
 
 from sunarc.calibration.initial_guess import ransac as module
 from sunarc.calibration.initial_guess.ransac import ransac_start
-from sunarc.calibration.initial_guess.ransac_kernels import robust_scale, trial_steps
+from sunarc.calibration.initial_guess.ransac_kernels import trial_steps
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale, robust_sigma
 
 FloatArray = NDArray[np.float64]
 
@@ -156,7 +156,7 @@ def test_a_step_is_refined_as_in_numpy(problem: Problem, precision: FloatArray, 
         after = (right - flat @ step).reshape(-1, 2)
         distance = np.hypot(after[:, 0], after[:, 1])
         sigma = robust_sigma(distance, floor=module._FLOOR_PX)
-        assert robust_scale(distance, module._FLOOR_PX) == pytest.approx(sigma, rel=1e-12)
+        assert robust_scale(distance, WELL_BEHAVED, module._FLOOR_PX) == pytest.approx(sigma, rel=1e-12)
         weight = np.repeat(1.0 / (1.0 + (distance / (sigma * cut)) ** 2) ** 2 / sigma**2, 2)
         normal = (flat * weight[:, None]).T @ flat + np.diag(precision)
         step = np.linalg.solve(normal, (right * weight) @ flat - precision * start)

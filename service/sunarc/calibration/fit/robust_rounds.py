@@ -316,12 +316,13 @@ def _noise(state: State, observed: Observations, course: Course) -> Noise:
     if state.leverage is not None:
         residuals = residuals / np.sqrt(1.0 - state.leverage)[:, None]
     distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
-    scale = _scale(distance, course)
+    scale = at_mean = _scale(distance, course)
     weight = tukey_weights(distance / scale, sigma=1.0)
     larger = _by_height(distance, residuals, weight, observed, course)
-    at_mean = _scale(distance / larger, course)
-    scale = larger * at_mean
-    weight = tukey_weights(distance / scale, sigma=1.0)
+    if larger is not None:
+        at_mean = _scale(distance / larger, course)
+        scale = larger * at_mean
+        weight = tukey_weights(distance / scale, sigma=1.0)
     inflated = inflation(residuals, weight, course.follows, course.run)
     inflated = np.where(course.alone, 1.0, inflated)
     return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
@@ -340,11 +341,11 @@ def _scale(distance: FloatArray, course: Course) -> FloatArray:
 
 def _by_height(
     distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, course: Course
-) -> FloatArray:
-    """Return (n,): by how much the noise of the sun's track differs with its height; 1 for all else."""
+) -> FloatArray | None:
+    """Return (n,): how the noise of the sun's track differs with its height, 1 for all else; None: it does not."""
     sun = course.sort == _SUN_TRACK
     zenith = np.arccos(np.clip(observed.directions[:, 2], -1.0, 1.0))
     counted = sun & (weight > 0.0)
     rho, _ = lag_one(residuals, weight, course.follows)
     rate = growth_rate(distance[counted], zenith[counted], rho)
-    return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else np.ones(distance.size)
+    return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else None

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.least_squares.kernels import damped_step_of
-from sunarc.calibration.robust_loss import settled_sigma
+from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale
 from sunarc.jit import njit
 
 RIDGE = 1e-12
 """Share of the diagonal that is added to it: a camera far from the sightings has derivatives of any size, and rounding
 makes a matrix singular."""
-_SHARE = 0.3
-"""Of the sightings surely well-behaved, as of `robust_sigma`."""
 
 
 @njit(nogil=True)
@@ -86,7 +82,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
         after = residual.copy().reshape(2 * n)
         after -= np.dot(found, columns)
         distance = np.sqrt(after[:n] ** 2 + after[n:] ** 2)
-        sigma = robust_scale(distance, floor)
+        sigma = robust_scale(distance, WELL_BEHAVED, floor)
         root[:] = 1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma)
         for i in range(p):
             weighted[i, :n] = columns[i, :n] * root
@@ -99,13 +95,3 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
             gradient[i] -= precision[i] * start[i]
         damped_step_of(normal, gradient, moving, RIDGE, work, found)
     return found
-
-
-@njit(nogil=True)
-def robust_scale(distance: FloatArray, floor: float) -> float:
-    """Return `robust_sigma` of distances (n,)."""
-    ordered, place = np.sort(distance), _SHARE * (distance.size - 1)
-    below = min(int(place), max(distance.size - 2, 0))
-    above = min(below + 1, distance.size - 1)
-    quantile = ordered[below] + (place - below) * (ordered[above] - ordered[below])
-    return float(settled_sigma(distance, max(quantile / math.sqrt(-2.0 * math.log1p(-_SHARE)), floor), floor))

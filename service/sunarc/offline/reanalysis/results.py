@@ -202,10 +202,9 @@ def _sigma_factor(result: CameraResult, offsets: Sequence[float]) -> float:
 def _failures(results: Sequence[CameraResult], indexed: Indexed) -> list[tuple[str, str, str]]:
     found = [*indexed.failures, *indexed.refused]
     for one in results:
-        answers = zip(one.looked.images, one.looked.found, strict=True)
-        found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
-        answers = zip(one.nights.looked.images, one.nights.looked.found, strict=True)
-        found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
+        for looked in (one.looked, one.nights.looked):
+            answers = zip(looked.images, looked.found, strict=True)
+            found += [Failure(image.name, answer) for image, answer in answers if isinstance(answer, Finding)]
         found += [Failure(image.name, Finding("night_between_poses")) for image in one.nights.nights.left_out]
     return sorted((one.file, one.finding.code, MESSAGES.text_of(one.finding)) for one in found)
 

@@ -57,7 +57,7 @@ class Nights(NamedTuple):
 
     def work(self) -> Work:
         """Return the images as the passes take them: a night of which one image waits is looked at as a whole."""
-        items = [Item(one.file, one.number, one.exposure_us, unix_s=one.unix_s) for one in self.images]
+        items = [_item(one) for one in self.images]
         keys = [key for night in self.nights for key in [night.key] * len(night.images)]
         camera = replace(self.camera, images=self.images)
         return Work(camera, list(enumerate(items)), None, keys=keys, chunks=self._chunks)
@@ -70,7 +70,7 @@ class Nights(NamedTuple):
             begin = rows.stop
             if any(row in waiting for row in rows):
                 ordered = sorted(night.images, key=lambda image: (image.file, image.number))
-                items = tuple(Item(one.file, one.number, one.exposure_us, unix_s=one.unix_s) for one in ordered)
+                items = tuple(_item(one) for one in ordered)
                 chunks.append(
                     Chunk(plan.name, ordered[0].address, plan.method, self.camera.size, items, None, night.naming)
                 )
@@ -116,6 +116,10 @@ def nights_of(camera: CameraImages, states: Sequence[State], epochs: Sequence[Ep
         naming = StarNaming(state.calibration, camera.plan.site, state.clock_offset_s)
         nights += [Night(naming, tuple(evenly(part)), number) for part in _by_source(every)]
     return Nights(camera, tuple(nights), tuple(left_out))
+
+
+def _item(image: ArchiveImage) -> Item:
+    return Item(image.file, image.number, image.exposure_us, unix_s=image.unix_s)
 
 
 def _between(epochs: Sequence[Epoch], number: int, unix_s: float) -> bool:

@@ -27,10 +27,7 @@ _MEAN = "AVEPIXEL"
 
 def fits_frame(content: bytes, name: str) -> Frame:
     """Return the time and exposure that a FITS file's header states."""
-    headers = [hdu.header for hdu in _opened(content, name)]
-    merged: dict[str, Any] = {}
-    for header in reversed(headers):
-        merged.update(header)
+    merged = _header(content, name)
     exposure_s = next((_number(merged[key]) for key in _EXPOSURES if key in merged), math.nan)
     exposure_us = 1e6 * exposure_s if exposure_s > 0.0 else None
     middle, begin = _time(merged, "DATE-AVG"), _time(merged, "DATE-OBS")
@@ -72,9 +69,7 @@ def fits_image(content: bytes, name: str, *, size: tuple[int, int] | None) -> Im
 
 def fits_bayer(content: bytes, name: str) -> Bayer | None:
     """Return the colours of a raw mosaic as the header states them (BAYERPAT, of its first stored row); None: none."""
-    merged: dict[str, Any] = {}
-    for hdu in reversed(_opened(content, name)):
-        merged.update(hdu.header)
+    merged = _header(content, name)
     stated = str(merged.get("BAYERPAT", "")).strip().upper()
     rows = [stated[:2], stated[2:]]
     if _odd(merged.get("XBAYROFF")):
@@ -82,6 +77,14 @@ def fits_bayer(content: bytes, name: str) -> Bayer | None:
     if _odd(merged.get("YBAYROFF")):
         rows = rows[::-1]
     return next((bayer for bayer in BAYERS if bayer == "".join(rows)), None)
+
+
+def _header(content: bytes, name: str) -> dict[str, Any]:
+    """Return the cards of all headers by their names, those of the first before those of the others."""
+    merged: dict[str, Any] = {}
+    for hdu in reversed(_opened(content, name)):
+        merged.update(hdu.header)
+    return merged
 
 
 def _odd(value: object) -> bool:

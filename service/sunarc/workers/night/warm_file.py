@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sunarc.archive import write_atomically
 from sunarc.array_types import IntArray
 from sunarc.findings import Finding
 from sunarc.workers.messages import text_of
@@ -68,15 +68,9 @@ class WarmPixelFile:
     def write(self, sensor: SensorFormat, pixels: IntArray) -> None:
         """Write a list in place of the former one: the whole of it, or nothing."""
         document = {"version": _VERSION, "sensor": sensor._asdict(), "pixels": pixels[:_MOST].tolist()}
-        part = self._path.with_name(f"{self._path.name}.part")
         try:
-            with part.open("wb") as file:
-                file.write(json.dumps(document).encode())
-                file.flush()
-                os.fdatasync(file.fileno())
-            part.replace(self._path)
+            write_atomically(self._path, json.dumps(document).encode())
         except OSError as error:
-            _remove(part)
             found = Finding("warm_pixels_unwritten", {"file": self._path.name, "error": error.strerror or str(error)})
             # no event: a disk that is full has no room for one
             _log.warning("%s: %s", found.code, text_of(found), extra={"event_kind": found.code})
@@ -112,10 +106,3 @@ def _said(sensor: SensorFormat) -> str:
     return (
         f"{sensor.columns}x{sensor.rows} px {sensor.pixel_format}{binned}, serial number {sensor.serial or 'unknown'}"
     )
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        _log.debug("removing %s: %s", path, error)
