@@ -15,8 +15,9 @@ from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.assemble import tidied
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
 from sunarc.calibration.fit.marginal_likelihood import prior_precision
+from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.fit.robust_fit import grid_of
-from sunarc.calibration.fit.robust_rounds import Course, robust_camera
+from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.initial_guess.candidates import camera_from_circle
 from sunarc.calibration.initial_guess.coarse_search import field_angle
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas

@@ -10,11 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sunarc.calibration.fit import robust_rounds
-from sunarc.calibration.fit.marginal_likelihood import Scales
 from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
-from sunarc.calibration.least_squares.problem import Observations
-from sunarc.calibration.least_squares.time_bins import Bins
 
 FloatArray = NDArray[np.float64]
 
@@ -178,36 +174,3 @@ def test_the_growth_is_bounded_and_needs_thirty_sightings() -> None:
     assert growth_rate(np.zeros(40), ZENITH[:40], 0.0) == 0.0
     assert growth_rate(np.ones(40), np.ones(40), 0.0) == 0.0
     assert growth_rate(np.zeros(0), np.zeros(0), 0.0) == 0.0
-
-
-def _noise_of(residuals: FloatArray, *, sort: int) -> robust_rounds.Noise:
-    n = ZENITH.size
-    directions = np.stack([np.sin(ZENITH), np.zeros(n), np.cos(ZENITH)], axis=-1)
-    observed = Observations(
-        directions=directions, pixels=np.zeros((n, 2)), information=np.ones(n), epoch=np.zeros(n, dtype=np.int64)
-    )
-    course = robust_rounds.Course(
-        bins=Bins(member=np.arange(n), count=n),
-        run=_run(n),
-        follows=np.ones(n - 1, dtype=bool),
-        alone=np.zeros(n, dtype=bool),
-        sort=np.full(n, sort),
-    )
-    state = robust_rounds.State(unknowns=np.zeros(20), residuals=residuals, scales=Scales(0.01, 400.0, 2.0, 0.7))
-    return robust_rounds._noise(state, observed, course)
-
-
-def test_the_noise_of_the_track_follows_the_suns_height() -> None:
-    residuals = _ar1(ZENITH.size, 0.0, seed=3) * 0.2 * np.exp(ZENITH)[:, None]
-    residuals[::50] += 30.0
-    noise = _noise_of(residuals, sort=0)
-    np.testing.assert_allclose(noise.scale, 0.2 * np.exp(ZENITH), rtol=0.12)
-    assert noise.sigma_px == pytest.approx(0.2 * np.exp(ZENITH.mean()), rel=0.05)
-    assert np.all(noise.weight[::50] == 0.0)
-
-
-def test_the_noise_of_other_bodies_has_one_scale() -> None:
-    residuals = _ar1(ZENITH.size, 0.0, seed=3) * 0.2 * np.exp(ZENITH)[:, None]
-    noise = _noise_of(residuals, sort=4)
-    assert np.ptp(noise.scale) == 0.0
-    assert noise.sigma_px == noise.scale[0]

@@ -14,8 +14,9 @@ from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid, scale
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, marginalised_covariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, prior_precision
 from sunarc.calibration.fit.nested_models import log_odds_of_parts
+from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.fit.normal_equations import LinearSystem
-from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, Course, robust_camera
+from sunarc.calibration.fit.robust_rounds import LOOSE_DECENTERING_PX, LOOSE_RADIAL_PX, robust_camera
 from sunarc.calibration.fit.systematic_errors import with_systematic_errors
 from sunarc.calibration.initial_guess.decentering_starts import best_of_starts
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, best_start, distance_sigmas, lowest

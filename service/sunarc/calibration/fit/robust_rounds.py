@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.hyperparameter_grid import (
     HyperparameterGrid,
     likely_scales,
@@ -25,23 +24,17 @@ from sunarc.calibration.fit.hyperparameter_grid import (
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
 from sunarc.calibration.fit.leverage import night_leverage
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
-from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
+from sunarc.calibration.fit.noise_by_sort import Course, Noise, measured_noise
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.least_squares.time_bins import Bins, time_bins
-from sunarc.calibration.model.kinds import Kind
-from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_weights
+from sunarc.calibration.least_squares.time_bins import Bins
+from sunarc.calibration.robust_loss import robust_sigma
 
 _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
 LOOSE_RADIAL_PX = 16.0
 LOOSE_DECENTERING_PX = 3.0
-_SUN_TRACK = 2 * Kind.SUN
-"""The sort of the sun's track, see `Course`."""
-_ENOUGH = 20
-"""Sightings of one kind, at least, for a scale of their own."""
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
 _FIELD_EXCESS = 2.0
@@ -74,45 +67,6 @@ class State:
     def missed_px(self, problem: Problem) -> float:
         """By how much the camera alone may miss the sightings for the field: by more where stars are over the sky."""
         return self.proven_field_px * (_FIELD_EXCESS if problem.n_systematic else 1.0)
-
-
-class Course(NamedTuple):
-    """Bins; runs of one day and pose (n,); which follow the one before (n - 1,); which have no neighbours (n,).
-
-    sort (n,): the sightings of one sort share a scale of the noise: the track, stated directions, stars, the moon.
-    """
-
-    bins: Bins
-    run: IntArray
-    follows: BoolArray
-    alone: BoolArray
-    sort: IntArray
-
-    @classmethod
-    def of(cls, usable: FilteredSightings) -> Course:
-        """Return the course of sightings."""
-        run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
-        each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
-        sort = 2 * usable.kind + usable.alone
-        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone, sort)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Noise:
-    """The noise of each sighting, (n,): its scale for a relative sigma of 1, px; its weight; see `RobustFit`.
-
-    sigma_px: the scale of the track, which comes first, in the middle of its heights; without a track, of all.
-    """
-
-    scale: FloatArray
-    weight: FloatArray
-    inflation: FloatArray
-    sigma_px: float
-
-    def information(self, observed: Observations) -> FloatArray:
-        """Return (n,) px⁻²."""
-        variance = self.scale**2 * self.inflation
-        return np.asarray(observed.information * self.weight * INFORMATION_PER_WEIGHT / variance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -232,7 +186,7 @@ def _round(
     problem: Problem, observed: Observations, state: State, grid: HyperparameterGrid, course: Course
 ) -> tuple[Noise, LinearSystem]:
     """Return the noise as a state shows it, and the equations with the sightings weighed by it."""
-    noise = _noise(state, observed, course)
+    noise = measured_noise(state.residuals, observed, course, leverage=state.leverage)
     information = noise.information(observed)
     return noise, linear_system(
         problem, observed, course.bins, state.unknowns, information=information, basis=grid.basis
@@ -308,44 +262,3 @@ def _in_assumed_air(  # noqa: PLR0917 - the fit, piece by piece
     scales = likely_scales(normalised(usual), grid)
     unknowns = irls_converged(assumed, in_assumed_air, scales).unknowns
     return replace(state, unknowns=np.concatenate([unknowns, np.zeros(problem.n_air)]), scales=scales)
-
-
-def _noise(state: State, observed: Observations, course: Course) -> Noise:
-    """Return the noise as it shows beside model and field."""
-    residuals = state.residuals
-    if state.leverage is not None:
-        residuals = residuals / np.sqrt(1.0 - state.leverage)[:, None]
-    distance = np.hypot(residuals[:, 0], residuals[:, 1]) * np.sqrt(observed.information)
-    scale = at_mean = _scale(distance, course)
-    weight = tukey_weights(distance / scale, sigma=1.0)
-    larger = _by_height(distance, residuals, weight, observed, course)
-    if larger is not None:
-        at_mean = _scale(distance / larger, course)
-        scale = larger * at_mean
-        weight = tukey_weights(distance / scale, sigma=1.0)
-    inflated = inflation(residuals, weight, course.follows, course.run)
-    inflated = np.where(course.alone, 1.0, inflated)
-    return Noise(scale=scale, weight=weight, inflation=inflated, sigma_px=float(at_mean[0]))
-
-
-def _scale(distance: FloatArray, course: Course) -> FloatArray:
-    """Return (n,): the scale of each sighting's noise, by those of its sort."""
-    scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
-    for one in np.unique(course.sort):
-        # sigmas stated with directions, by the sun's detector and by that of stars may be wrong by different factors
-        alike = course.sort == one
-        if np.count_nonzero(alike) >= _ENOUGH:
-            scale[alike] = robust_sigma(distance[alike], floor=SMALLEST_SIGMA_PX)
-    return scale
-
-
-def _by_height(
-    distance: FloatArray, residuals: FloatArray, weight: FloatArray, observed: Observations, course: Course
-) -> FloatArray | None:
-    """Return (n,): how the noise of the sun's track differs with its height, 1 for all else; None: it does not."""
-    sun = course.sort == _SUN_TRACK
-    zenith = np.arccos(np.clip(observed.directions[:, 2], -1.0, 1.0))
-    counted = sun & (weight > 0.0)
-    rho, _ = lag_one(residuals, weight, course.follows)
-    rate = growth_rate(distance[counted], zenith[counted], rho)
-    return np.where(sun, np.exp(rate * (zenith - np.mean(zenith[counted]))), 1.0) if rate else None
