@@ -13,7 +13,7 @@ from sunarc.api.problems import Fault, Problem, answers
 from sunarc.api.schemas.calibration import BackProjectRequest, ProjectRequest
 from sunarc.api.schemas.geolocation import GeolocateRequest
 
-_DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun.
+_DESCRIPTION = """Keeps the geometric calibration of an all-sky imager right, from the sun and the stars.
 
 Pixels are (x, y) in px, x right, y down, (0, 0) the centre of the top-left pixel. Zenith and azimuth are in degrees,
 azimuth clockwise from north; directions are apparent (refracted) unit vectors, east-north-up. Times are RFC 3339, UTC.

@@ -52,7 +52,7 @@ cli = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="Keeps the geometric calibration of an all-sky imager right, from the sun.",
+    help="Keeps the geometric calibration of an all-sky imager right, from the sun and the stars.",
 )
 cli.add_typer(points_cli, name="points")
 cli.add_typer(db_cli, name="db")
