@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sunarc.offline.compile_kernels import _CENTRE_PX, _drawn_sun, compile_kernels
 
+ROOT = Path(__file__).parents[2]
 MODULE = sys.modules[compile_kernels.__module__]  # the room's name of it is the function
 
 
@@ -40,6 +45,18 @@ def test_read_only_frames_of_8_and_16_bit_are_detected_with_and_without_expectat
 
     monkeypatch.setattr(MODULE, "detect_sun", detect)
     monkeypatch.setattr(MODULE, "merge_hdr", merge)
-    compile_kernels()
+    compile_kernels(first_sighting_alone=True)
     assert set(calls) == {(kind, False, known) for kind in (np.uint8, np.uint16) for known in (False, True)}
     assert set(merged) == {np.uint8, np.uint16}
+
+
+@pytest.mark.timeout(900)
+def test_a_fit_needs_no_kernel_that_was_not_compiled_ahead() -> None:
+    """In a process of its own, which has no kernel in memory: each that is looked for in the cache counts."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "docs" / "studies")}
+    command = [sys.executable, str(Path(__file__).with_name("fits_after_compiling.py"))]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["ahead"] > 25
+    assert {name: new for name, new in found["missing"].items() if new} == {}

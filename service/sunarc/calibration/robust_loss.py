@@ -72,9 +72,34 @@ def _quantile(values: FloatArray, share: float) -> float:
     """Return `numpy.quantile` of (n,) values, linear between neighbours, without its cost a call."""
     place = share * (values.size - 1)
     below = min(int(place), max(values.size - 2, 0))
-    above = min(below + 1, values.size - 1)
-    upper = np.partition(np.partition(values, below)[below:], above - below)
-    return float(upper[0] + (place - below) * (upper[above - below] - upper[0]))
+    ordered = values.copy()
+    _order_about(ordered, below)
+    lower = ordered[below]
+    upper = lower if values.size == 1 else np.min(ordered[below + 1 :])
+    return float(lower + (place - below) * (upper - lower))
+
+
+@njit(nogil=True)
+def _order_about(values: FloatArray, place: int) -> None:
+    """Order (n,) values so that none before a place is larger, and none behind it smaller, than the one there.
+
+    Hoare's selection; `numpy.partition` does the same, but takes numba seconds to compile.
+    """
+    first, last = 0, values.size - 1
+    while first < last:
+        pivot, i, j = values[place], first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if j < place:
+            first = i
+        if place < i:
+            last = j
 
 
 @njit(nogil=True)

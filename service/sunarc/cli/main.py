@@ -117,12 +117,17 @@ def serve(
 
 
 @cli.command("compile")
-def compile_kernels() -> None:
-    """Compile the numerical kernels into numba's cache, so that the service's first start finds them.
+def compile_kernels(
+    *,
+    first_sighting: Annotated[
+        bool, typer.Option("--first-sighting", help="Without those of the fit, which take most of the time.")
+    ] = False,
+) -> None:
+    """Compile the numerical kernels into numba's cache, so that the service's first sighting and first fit find them.
 
     Example: sunarc compile
     """
-    compile_all()
+    compile_all(first_sighting_alone=first_sighting)
 
 
 @cli.command()

@@ -1,24 +1,55 @@
-"""Compiles the kernels that the service needs for its first sighting, by detecting and merging drawn frames."""
+"""Compiles the kernels that the service needs, by its own work on drawn frames and on sightings of a made day."""
 
 from __future__ import annotations
+
+from dataclasses import fields
+from typing import get_args
 
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
+from sunarc.calibration import CalibrationOptions, Kind, Method, SunPoints, calibrate, hemisphere, lookup
 from sunarc.detection import Expectation, Sensor, detect_sun
 from sunarc.imaging import merge_hdr
+from sunarc.optics import Camera, project
+from sunarc.sky import Site, sun_angles, sun_directions
 
 _SIZE = 160
 _SUN_RADIUS_PX = 9.0  # about the sun's through a fisheye of 2 megapixels
 _CENTRE_PX = 81.3
 
+_SITE = Site(latitude=36.6, longitude=0.0, altitude=318.0)
+_DAY = 1_368_403_200.0  # 13 May 2013, 0 h UTC; any day would do
+_CADENCE_S = 600.0
+_NOISE_PX = 0.05
+_STARS = 60
+_CAMERA = Camera(
+    width=1024,
+    height=1024,
+    projection="equisolid",
+    focal_length_px=(350.0, 350.0),
+    principal_point_px=(512.0, 510.0),
+    rotation_cam_enu=(0.01, -0.02, 0.8),
+)
 
-def compile_kernels() -> None:
-    """Detect a drawn sun in frames of 8 and 16 bit, and merge them.
+
+def compile_kernels(*, first_sighting_alone: bool = False) -> None:
+    """Detect drawn suns and merge their frames; fit made sightings by each method, of a day, and of a night with it.
 
     numba compiles a kernel for the types that it is called with and keeps it in its cache folder (NUMBA_CACHE_DIR),
     where the service finds it.
+
+    Parameters
+    ----------
+    first_sighting_alone : compile no kernel of the fit, whose turn comes in the first night.
     """
+    _sight()
+    if not first_sighting_alone:
+        _fit()
+
+
+def _sight() -> None:
+    """Detect a drawn sun in frames of 8 and 16 bit, and merge them."""
     expected = Expectation(
         x_px=_CENTRE_PX + 0.5, y_px=_CENTRE_PX - 0.5, stretch_px_per_rad=((1500.0, 0.0), (0.0, 1500.0))
     )
@@ -37,3 +68,37 @@ def _drawn_sun(full_scale: int) -> FloatArray:
     edge = np.clip(_SUN_RADIUS_PX + 0.5 - np.hypot(x - _CENTRE_PX, y - _CENTRE_PX), 0.0, 1.0)
     drawn: FloatArray = (0.01 + 0.6 * edge) * full_scale
     return drawn
+
+
+def _fit() -> None:
+    """Fit the sightings of a day by each method, and with those of a night; look directions up in the fit."""
+    day, night = _made_day(), _made_night()
+    size = (_CAMERA.width, _CAMERA.height)
+    for method in get_args(Method):
+        calibrate(day, site=_SITE, image_size=size, options=CalibrationOptions(method=method))
+    both = {
+        column.name: np.concatenate([getattr(day, column.name), getattr(night, column.name)]) for column in fields(day)
+    }
+    lookup(calibrate(SunPoints(**both), site=_SITE, image_size=size))
+
+
+def _made_day() -> SunPoints:
+    times = _DAY + np.arange(0.0, 86_400.0, _CADENCE_S)
+    times = times[sun_angles(times, _SITE).apparent_zenith < 85.0]
+    return SunPoints(unix_s=times, pixels=_seen(sun_directions(times, _SITE)))
+
+
+def _made_night() -> SunPoints:
+    stars = hemisphere(_STARS)
+    return SunPoints(
+        unix_s=_DAY + 86_400.0 + 60.0 * np.arange(len(stars), dtype=np.float64),
+        pixels=_seen(stars),
+        directions=stars,
+        kind=np.full(len(stars), Kind.STAR),
+    )
+
+
+def _seen(directions: FloatArray) -> FloatArray:
+    """Return where the camera shows directions (n, 3), with some noise: without any, a fit has no scale."""
+    pixels = project(_CAMERA, directions)
+    return pixels + np.random.default_rng(0).normal(0.0, _NOISE_PX, pixels.shape)

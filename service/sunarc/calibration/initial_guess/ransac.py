@@ -52,7 +52,7 @@ def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *,
     weight = thin.information / close**2
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
-    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few]))[:_GOOD]
+    good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few].copy()))[:_GOOD]
     steps = steps[np.sort(good)]
     agreed = _disagreements(_after(residual, rows, steps), weight)
     best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]

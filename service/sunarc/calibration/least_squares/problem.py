@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray, Rows, picked
 from sunarc.calibration.least_squares.priors import LENS, N_LENS, LensPrior
@@ -198,11 +200,11 @@ class Problem:
         if self.n_air:
             refraction_sd = np.broadcast_to(refraction_sd, (len(observed), self.n_air))
         return Sighted(
-            directions=np.ascontiguousarray(observed.directions, dtype=np.float64),
-            pixels=np.ascontiguousarray(observed.pixels, dtype=np.float64),
-            refraction_sd=np.ascontiguousarray(refraction_sd, dtype=np.float64),
-            systematic_px=np.ascontiguousarray(observed.systematic_px[:, :, : self.n_systematic], dtype=np.float64),
-            epoch=np.ascontiguousarray(observed.epoch, dtype=np.int64),
+            directions=_constant(observed.directions),
+            pixels=_constant(observed.pixels),
+            refraction_sd=_constant(refraction_sd),
+            systematic_px=_constant(observed.systematic_px[:, :, : self.n_systematic]),
+            epoch=_constant(observed.epoch, np.int64),
         )
 
     def optics(self) -> Optics:
@@ -217,6 +219,13 @@ class Problem:
     def _of(self, epoch: int, observed: Observations) -> slice | BoolArray:
         """Return which observations belong to an epoch."""
         return slice(None) if self.n_epochs == 1 else observed.epoch == epoch
+
+
+def _constant(column: NDArray[Any], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a contiguous read-only view: numba compiles a kernel once more for an array that may be written to."""
+    view = np.ascontiguousarray(column, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
 
 
 def by_elevation(camera: Camera, directions: FloatArray, by_parameters: FloatArray) -> FloatArray:

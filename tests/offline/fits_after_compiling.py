@@ -1,0 +1,117 @@
+"""Prints the kernels, with their types, that fits need beyond what `sunarc compile` compiles: a JSON list."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import population as pop
+
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    ImageCircle,
+    Kind,
+    PriorTolerances,
+    SunPoints,
+    calibrate,
+    calibrate_with_prior,
+    find_pose_steps,
+    hemisphere,
+    lookup,
+    reproduce_calibration,
+)
+from sunarc.jit import TolerantCache
+from sunarc.offline.compile_kernels import compile_kernels
+from sunarc.optics import project
+
+SIZE = (pop.SIZE, pop.SIZE)
+CAMERA = pop.random_camera(np.random.default_rng(4))
+
+
+def day(*, cadence_s: float = 240.0, days: int = 1) -> SunPoints:
+    """Return sightings of some days, each a pose epoch, every tenth one wrong by some px."""
+    times = pop.sun_track(np.arange(float(days)), cadence_s=cadence_s)
+    noise = pop.white_noise(np.random.default_rng(5), times.size, 0.03)
+    noise[::10] += 5.0
+    return replace(pop.sightings(CAMERA, times, noise), epoch=((times - times[0]) // 86_400.0).astype(np.int64))
+
+
+def with_stars(sun: SunPoints, *, wrong_px: float = 0.0) -> SunPoints:
+    """Return the sightings of the sun and those of a hundred stars of the night after it."""
+    directions = hemisphere(100)
+    pixels = project(CAMERA, directions) + np.random.default_rng(6).normal(0.0, 0.07 + wrong_px, (len(directions), 2))
+    night = SunPoints(
+        unix_s=float(sun.unix_s[-1]) + 30_000.0 + 60.0 * np.arange(len(directions), dtype=np.float64),
+        pixels=pixels,
+        sigma_px=np.full(len(directions), 0.07),
+        directions=directions,
+        kind=np.full(len(directions), Kind.STAR),
+    )
+    names = [column.name for column in fields(SunPoints)]
+    return SunPoints(**{name: np.concatenate([getattr(sun, name), getattr(night, name)]) for name in names})
+
+
+def fitted(points: SunPoints, **given: Any) -> Calibration:  # noqa: ANN401 - whatever `calibrate` takes
+    """Return the fit of sightings by the options given."""
+    named = {name: given.pop(name) for name in ("start", "circle") if name in given}
+    return calibrate(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions(**given), **named)
+
+
+def work() -> dict[str, Callable[[], object]]:
+    """Return fits of all kinds by their names; a robust one of a day is made at once, others start from it."""
+    first = fitted(day())
+    circle = ImageCircle(x=pop.SIZE / 2.0, y=pop.SIZE / 2.0, radius=pop.SIZE / 2.2)
+    return {
+        "paper": lambda: fitted(day(), method="paper"),
+        "paper, two epochs": lambda: fitted(day(days=2), method="paper"),
+        "two epochs": lambda: fitted(day(days=2)),
+        "long": lambda: fitted(replace(day(days=4, cadence_s=60.0), epoch=np.zeros(1, dtype=np.int64))),
+        "either hand": lambda: fitted(day(), mirrored="auto"),
+        "another projection": lambda: fitted(day(), projection="equidistant"),
+        "from a start": lambda: fitted(day(), start=first.camera),
+        "of an image circle": lambda: fitted(day(), circle=circle),
+        "stars": lambda: fitted(with_stars(day())),
+        "stars, two epochs": lambda: fitted(with_stars(day(days=2))),
+        "stars, paper": lambda: fitted(with_stars(day()), method="paper"),
+        "stars that contradict": lambda: fitted(with_stars(day(), wrong_px=20.0)),
+        "with a stated camera": lambda: calibrate_with_prior(
+            day(cadence_s=1800.0),
+            prior=first.camera,
+            tolerances=PriorTolerances(lens_px=3.0),
+            site=pop.SGP,
+            options=CalibrationOptions(),
+        ),
+        "pose steps": lambda: find_pose_steps(
+            day(days=2), site=pop.SGP, image_size=SIZE, options=CalibrationOptions(), lens=first
+        ),
+        "again": lambda: reproduce_calibration(first, day()),
+        "directions": lambda: lookup(first),
+    }
+
+
+def main() -> None:
+    """Compile ahead, fit, and print what was needed beyond it."""
+    needed: list[str] = []
+    load = TolerantCache.load_overload
+
+    def noted(self: TolerantCache, sig: object, target_context: object) -> object:
+        needed.append(f"{self._py_func.__qualname__} {sig}")
+        return load(self, sig, target_context)
+
+    setattr(TolerantCache, "load_overload", noted)  # noqa: B010 - mypy forbids the plain assignment
+    compile_kernels()
+    ahead = done = len(needed)
+    missing = {}
+    for name, fit in work().items():
+        fit()
+        missing[name] = needed[done:]
+        done = len(needed)
+    print(json.dumps({"ahead": ahead, "missing": missing}))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
