@@ -68,6 +68,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--state", type=Path, required=True)
     path = parser.parse_args().state / "sunarc.sqlite"
+    # A solve's process reads the file that its parent was started from: the service's launcher, which imports nothing.
+    # This file imports all of the service.
+    vars(sys.modules["__main__"]).pop("__file__", None)
     if not path.exists():
         _measured("making the database", lambda: make(path))
     for _ in range(2):  # the first one may have to compile and to read a cold disk

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from sunarc.calibration import Calibration, CalibrationOptions, SunPoints
+from sunarc.runtime.child_process import answer_call
 from sunarc.sky import Site
-from sunarc.workers.calibrating.solver_process import Problem, _calibrate, _child
+from sunarc.workers.calibrating.solver_process import Problem, calibrate_call
 
 
 def refuse(increment: int) -> int:
@@ -23,7 +27,21 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
     nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
-    receiving.send(problem)
-    _child(sending, _calibrate)
+    receiving.send(calibrate_call(problem))
+    answer_call(sending)
     assert receiving.poll(1.0)
     assert isinstance(receiving.recv(), Calibration)  # refused, and told why; without it, a broken pipe
+
+
+def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_database() -> None:
+    nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
+    site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
+    call = calibrate_call(Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions()))
+    listing = (
+        "import pickle, sys; from sunarc.runtime.child_process import answer_call; pickle.load(sys.stdin.buffer);"
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", listing], input=pickle.dumps(call), capture_output=True, check=True)
+    imported = set(done.stdout.decode().split())
+    assert "sunarc.calibration.calibrate" in imported
+    assert not imported & {"sunarc.workers", "sunarc.archive", "sqlalchemy", "sunarc.runtime.status", "fastapi"}

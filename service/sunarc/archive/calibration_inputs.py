@@ -8,11 +8,11 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from sqlalchemy import ARRAY, BigInteger, ColumnElement, Connection, any_, cast, func, insert, select, update
+from sqlalchemy import Connection, insert, select, update
 
-from sunarc.archive.columns import read_columns
+from sunarc.archive.columns import listed, read_columns
 from sunarc.archive.store import Store
-from sunarc.archive.tables import calibration, sun_point, used_sightings
+from sunarc.archive.tables import calibration, used_sightings
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.errors import InputError, NotFoundError
@@ -47,7 +47,7 @@ class UsedSightings(Store):
                 sigma = _unpacked_sigma(row.sigma, ids.size)
             except (TypeError, ValueError, zlib.error):
                 raise _changed(calibration_id, "the list of its sightings is damaged") from None
-            found = read_columns(connection, row.camera, [_listed(connection, ids)])
+            found = read_columns(connection, row.camera, [listed(connection, ids)])
         if found.ids.size != ids.size:
             raise _changed(calibration_id, f"{ids.size - found.ids.size} of its {ids.size} sightings are gone")
         columns = _as_then(found, epochs, air)
@@ -82,7 +82,7 @@ def keep_sigma(connection: Connection, camera: str) -> None:
     ).all()
     for row in rows:
         with suppress(TypeError, ValueError, zlib.error):  # a damaged list cannot be solved again anyway
-            found = read_columns(connection, camera, [_listed(connection, _unpacked(row.ids))])
+            found = read_columns(connection, camera, [listed(connection, _unpacked(row.ids))])
             packed = zlib.compress(found.sigma_px.astype("<f8").tobytes(), 9)
             connection.execute(update(used_sightings).where(c.calibration == row.calibration).values(sigma=packed))
 
@@ -104,13 +104,6 @@ def _as_then(found: SunPointColumns, epochs: list[tuple[str, int]], air: FloatAr
         temperature=air[0],
         pressure=air[1],
     )
-
-
-def _listed(connection: Connection, ids: IntArray) -> ColumnElement[bool]:
-    """Return the condition that a sighting's key is one of these: one parameter, however many there are."""
-    if connection.dialect.name == "postgresql":
-        return sun_point.c.id == any_(cast(ids.tolist(), ARRAY(BigInteger)))
-    return sun_point.c.id.in_(select(func.json_each(str(ids.tolist())).table_valued("value").c.value))
 
 
 def _packed(ids: IntArray) -> bytes:

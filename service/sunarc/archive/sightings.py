@@ -19,7 +19,7 @@ from sqlalchemy import (
 )
 
 from sunarc.archive import tables
-from sunarc.archive.columns import read_columns, read_levels, read_times
+from sunarc.archive.columns import CandidateColumns, listed, read_candidates, read_columns, read_levels, read_times
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.rows import insert_new, upsert
 from sunarc.archive.sighting_revisions import FROZEN
@@ -27,7 +27,7 @@ from sunarc.archive.store import Store, given, values_of
 from sunarc.archive.tables import sun_point
 from sunarc.archive.validity import SERVED
 from sunarc.archive.values import CameraRecord, PoseEpoch, SunPoint, SunPointColumns
-from sunarc.array_types import FloatArray
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.errors import InputError
 from sunarc.sky import SECONDS_PER_DEGREE, SUN, day_bounds_unix_s, solar_date
 from sunarc.utc import DAY_S
@@ -213,21 +213,37 @@ class Sightings(Store):
         pose_epoch: str | None = None,
         method: str | None = None,
         body: str | None = SUN,
+        no_sun: bool = False,
         of_files: bool = False,
         largest_clock_error_s: float | None = None,
         after_id: int | None = None,
     ) -> SunPointColumns:
         """Return the accepted sightings with `since` <= time < `until` as columns, for a fit; None does not filter.
 
-        With `of_files` only those in image files, with `after_id` only those stored since the one of that key.
+        With `no_sun` only those of other bodies, with `of_files` only those in image files, with `after_id` only those
+        stored since the one of that key.
         """
         c = sun_point.c
-        filters = _filters(camera, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
-        filters += _clock_within(largest_clock_error_s)
+        # no column, so that SQLite finds the few new rows by their keys, and does not read all of the camera by theirs
+        of_camera = c.camera.__eq__ if after_id is None else c.camera.concat("").__eq__
+        filters = _filters(None, since=since, until=until, accepted=True, pose_epoch=pose_epoch)
+        filters += [of_camera(camera), *_clock_within(largest_clock_error_s)]
         filters += given((c.body.__eq__, body), (c.method.__eq__, method), (c.file.__ne__, "" if of_files else None))
-        filters += given((c.id.__gt__, after_id))
+        filters += given((c.id.__gt__, after_id), (c.body.__ne__, SUN if no_sun else None))
         with self._reading() as connection:
             return read_columns(connection, camera, filters, others=body != SUN)
+
+    def sun_candidates(
+        self, camera: str, *, since: datetime | None = None, until: datetime | None = None
+    ) -> CandidateColumns:
+        """Return what decides which of the accepted sightings of the sun a fit uses; see `sightings_of_ids`."""
+        with self._reading() as connection:
+            return read_candidates(connection, camera, _filters(camera, since=since, until=until, accepted=True))
+
+    def sightings_of_ids(self, camera: str, ids: IntArray) -> SunPointColumns:
+        """Return the sightings of a camera with these keys, in the order of time; without those that are gone."""
+        with self._reading() as connection:
+            return read_columns(connection, camera, [listed(connection, ids)])
 
     def newest_sighting_time(self, camera: str, *, largest_clock_error_s: float) -> datetime | None:
         """Return the time of the newest sighting whose clock error bound is within a limit; None without one."""
@@ -294,7 +310,7 @@ def _first_answered(connection: Connection, pose_epoch: str) -> datetime | None:
 
 
 def _filters(
-    camera: str,
+    camera: str | None,
     *,
     since: datetime | None = None,
     until: datetime | None = None,

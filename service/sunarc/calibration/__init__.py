@@ -66,7 +66,7 @@ from sunarc.calibration.quality.day_quality import (
 from sunarc.calibration.quality.pose_drift import pose_spread_deg, with_pose_spread
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.calibration.reproduce import reproduce_calibration
-from sunarc.calibration.selection.selection import Selection, SelectionOptions, select_sightings
+from sunarc.calibration.selection.selection import Candidates, Selection, SelectionOptions, select_sightings
 from sunarc.calibration.selection.star_selection import (
     MOST_STARS,
     image_parts,
@@ -94,6 +94,7 @@ __all__ = [
     "BlindStart",
     "Calibration",
     "CalibrationOptions",
+    "Candidates",
     "DayMeasure",
     "DayVerdict",
     "Ensemble",

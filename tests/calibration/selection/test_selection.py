@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sunarc.calibration import SelectionOptions, SunPoints, hemisphere, select_sightings
+from sunarc.calibration import Candidates, SelectionOptions, SunPoints, hemisphere, select_sightings
 from sunarc.calibration.selection.selection import _grade
 from sunarc.calibration.selection.sky_grid import sky_patches, solid_angle_sr
 from sunarc.errors import InputError
@@ -142,3 +142,18 @@ def test_clocks_are_doubtful_from_two_seconds_on(clock_error_s: float, *, retain
     one = record([0])
     points = SunPoints(unix_s=one.unix_s, pixels=one.pixels, clock_error_s=np.array(clock_error_s))
     assert (select_sightings(points, site=SITE).index.size > 0) == retained
+
+
+def test_what_decides_of_sightings_is_enough_and_one_without_a_place_is_none() -> None:
+    points = record(range(0, 200, 5), sigma_px=0.03)
+    options = SelectionOptions(most=3000)
+    whole = select_sightings(points, site=SITE, options=options)
+    alone = Candidates(
+        unix_s=points.unix_s, sigma_px=points.sigma_px, clock_error_s=points.clock_error_s, epoch=points.epoch
+    )
+    np.testing.assert_array_equal(select_sightings(alone, site=SITE, options=options).index, whole.index)
+    pixels = points.pixels.copy()
+    pixels[whole.index[0], 1] = np.nan
+    nowhere = select_sightings(SunPoints(unix_s=points.unix_s, pixels=pixels), site=SITE, options=options)
+    assert whole.index[0] not in nowhere.index
+    assert nowhere.n_supplied == len(points)

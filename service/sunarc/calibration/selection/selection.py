@@ -49,6 +49,35 @@ class SelectionOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidates:
+    """What of the sightings of a record decides which of them a fit uses.
+
+    Attributes
+    ----------
+    unix_s : (n,) seconds since 1970-01-01 UTC; NaN where a sighting is none.
+    sigma_px : (n,) 1-sigma per axis; NaN where not stated.
+    clock_error_s : (n,) NaN where unknown.
+    epoch : (n,) which pose epoch, 0, 1, ….
+    """
+
+    unix_s: FloatArray
+    sigma_px: FloatArray
+    clock_error_s: FloatArray
+    epoch: IntArray
+
+    @staticmethod
+    def of(points: SunPoints) -> Candidates:
+        """Return the candidates of sightings, in the same order."""
+        seen = np.all(np.isfinite(points.pixels), axis=-1)
+        return Candidates(
+            unix_s=np.where(seen, points.unix_s, np.nan),
+            sigma_px=points.sigma_px,
+            clock_error_s=points.clock_error_s,
+            epoch=points.epoch,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Selection:
     """Which sightings a fit uses, and why not the others.
 
@@ -86,7 +115,7 @@ class _Passes(NamedTuple):
 
 
 def select_sightings(
-    points: SunPoints,
+    points: SunPoints | Candidates,
     *,
     site: Site,
     slot_s: float = 30.0,
@@ -97,30 +126,32 @@ def select_sightings(
 
     Parameters
     ----------
-    points : the whole record, in any order.
+    points : the whole record, in any order; what decides of it is enough.
     site : where the camera stands.
     slot_s : the capture's cadence: sightings within one slot (a bracket) count as one.
     options : the limits.
     left_out_days : local mean solar days, counted from 1970, that are not used.
     """
     effective = SelectionOptions() if options is None else options
-    finite = np.isfinite(points.unix_s) & np.all(np.isfinite(points.pixels), axis=-1)
-    doubtful = finite & (np.abs(np.nan_to_num(points.clock_error_s)) > effective.largest_clock_error_s)
+    record = points if isinstance(points, Candidates) else Candidates.of(points)
+    finite = np.isfinite(record.unix_s)
+    doubtful = finite & (np.abs(np.nan_to_num(record.clock_error_s)) > effective.largest_clock_error_s)
     remaining = np.flatnonzero(finite & ~doubtful)
-    n_finite, day = remaining.size, solar_days(points.unix_s[remaining], longitude=site.longitude)
-    if left_out_days is not None:
+    n_finite, day = remaining.size, solar_days(record.unix_s[remaining], longitude=site.longitude)
+    if left_out_days is not None and left_out_days.size:
         used = ~np.isin(day, left_out_days)
         remaining, day = remaining[used], day[used]
     n_days = n_finite - remaining.size
-    single = _one_a_slot(points, remaining, slot_s)
+    single = _one_a_slot(record, remaining, slot_s)
     n_brackets = remaining.size - int(single.sum())
-    remaining, day = remaining[single], day[single]
-    passes = _passes(points, remaining, day, site, effective)
+    if n_brackets:
+        remaining, day = remaining[single], day[single]
+    passes = _passes(record, remaining, day, site, effective)
     fill, retained = _filled(passes, effective)
     index = remaining[retained[passes.rank]]
     return Selection(
-        index=index[np.argsort(points.unix_s[index], kind="stable")],
-        n_supplied=len(points),
+        index=index[np.argsort(record.unix_s[index], kind="stable")],
+        n_supplied=finite.size,
         n_doubtful_clock=int(doubtful.sum()),
         n_other_days=n_days,
         n_brackets=n_brackets,
@@ -130,11 +161,13 @@ def select_sightings(
     )
 
 
-def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:
+def _one_a_slot(record: Candidates, among: IntArray, slot_s: float) -> BoolArray:
     """Return which sightings stand for their slot: the most precise of it, the earliest among equals."""
-    times, epoch = points.unix_s[among], points.epoch[among]
-    sigma = np.nan_to_num(points.sigma_px[among], nan=np.inf)
+    times, epoch = record.unix_s[among], record.epoch[among]
     slot = np.floor(times / slot_s)
+    if np.all(np.diff(slot) > 0):  # most often: in the order of time, and one a slot
+        return np.ones(among.size, dtype=bool)
+    sigma = np.nan_to_num(record.sigma_px[among], nan=np.inf)
     order = np.lexsort((times, sigma, slot, epoch))
     first = np.ones(among.size, dtype=bool)
     first[1:] = (np.diff(slot[order]) != 0) | (np.diff(epoch[order]) != 0)
@@ -143,18 +176,23 @@ def _one_a_slot(points: SunPoints, among: IntArray, slot_s: float) -> BoolArray:
     return selected
 
 
-def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
+def _passes(record: Candidates, among: IntArray, day: IntArray, site: Site, options: SelectionOptions) -> _Passes:
     """Return the passes by patch, in each the latest pose's first, by precision, then by their days' bits reversed."""
-    patch = _patches(points.unix_s[among], site, options.patch_deg)
-    epoch = points.epoch[among]
-    days = day - day.min() if day.size else day
-    n_days, n_epochs = int(days.max(initial=0)) + 1, int(epoch.max(initial=0)) + 1
-    key, member = np.unique((patch * n_epochs + epoch) * n_days + days, return_inverse=True)
+    epoch, slot = record.epoch[among], np.floor(record.unix_s[among] / _PATCH_SLOT_S)
+    # few of the many sightings begin a run of equal slot, epoch and day: what follows is of runs as far as it can be
+    begins = np.ones(among.size, dtype=bool)
+    begins[1:] = (np.diff(slot) != 0.0) | (np.diff(epoch) != 0) | (np.diff(day) != 0)
+    run = np.cumsum(begins) - 1
+    patch, epoch, day = _patches(slot[begins], site, options.patch_deg), epoch[begins], day[begins]
+    first_day = int(day.min()) if day.size else 0
+    n_days, n_epochs = int((day - first_day).max(initial=0)) + 1, int(epoch.max(initial=0)) + 1
+    key, of_run = np.unique((patch * n_epochs + epoch) * n_days + day - first_day, return_inverse=True)
+    member = of_run[run]
     count = np.bincount(member, minlength=key.size)
     of_patch, of_epoch = key // (n_days * n_epochs), key // n_days % n_epochs
-    of_day = key % n_days + int(day.min(initial=0) if day.size else 0)
-    grade = _grade(points.sigma_px[among], member, count)
-    order = np.lexsort((_bits_reversed(of_day), grade, of_epoch < n_epochs - 1, of_patch))
+    grade = _grade(record.sigma_px[among], member, count)
+    bits = _bits_reversed(key % n_days)
+    order = np.lexsort((bits, grade, of_epoch < n_epochs - 1, of_patch))
     count, of_patch, of_epoch = count[order], of_patch[order], of_epoch[order]
     rank = np.empty(key.size, dtype=np.int64)
     rank[order] = np.arange(key.size)
@@ -167,9 +205,9 @@ def _passes(points: SunPoints, among: IntArray, day: IntArray, site: Site, optio
     )
 
 
-def _patches(unix_s: FloatArray, site: Site, width_deg: float) -> IntArray:
-    """Return the patch of each moment's sun, taken where it stood in the middle of a few minutes."""
-    slot, member = np.unique(np.floor(unix_s / _PATCH_SLOT_S), return_inverse=True)
+def _patches(slots: FloatArray, site: Site, width_deg: float) -> IntArray:
+    """Return the patch of the sun in each slot of a few minutes, taken where it stood in the slot's middle."""
+    slot, member = np.unique(slots, return_inverse=True)
     return sky_patches(sun_directions((slot + 0.5) * _PATCH_SLOT_S, site), width_deg=width_deg)[member]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 
@@ -68,14 +69,13 @@ def next_task(
     now: datetime,
 ) -> Task | Finding:
     """Return what the record of a camera up to now asks for; or why there is nothing to solve."""
-    record = camera.record()
-    columns = camera.sun_point_columns(since=since_lens(camera, now), until=now, body=None)
-    of_sun = np.flatnonzero(columns.body == SUN)
-    if record is None or of_sun.size == 0:
+    record, since = camera.record(), since_lens(camera, now)
+    read = camera.sun_candidates(since=since, until=now)
+    if record is None or read.ids.size == 0:
         return Finding("no_accepted_sightings")
     left_out = days_left_out({day.date: day.verdict for day in camera.days()})
     selection = select_sightings(
-        points_of(columns.select(of_sun)),
+        read.candidates,
         site=camera.site,
         slot_s=cadence_s,
         options=_LIMITS,
@@ -88,7 +88,12 @@ def next_task(
             "n_other_days": selection.n_other_days,
         }
         return Finding("no_usable_sightings", counts)
-    used = columns.select(_with_stars(columns, of_sun[selection.index], record.image_size))
+    epochs = [read.epoch_ids[number] for number in np.unique(read.candidates.epoch[selection.index]).tolist()]
+    others = camera.sun_point_columns(since=since, until=now, body=None, no_sun=True)
+    stars = _stars(others, epochs, record.image_size)
+    used = camera.sightings_of_ids(np.concatenate([read.ids[selection.index], stars]))
+    if not np.any(used.body == SUN):  # deleted meanwhile
+        return Finding("no_accepted_sightings")
     problem = Problem(
         points=points_of(used, site=camera.site),
         site=camera.site,
@@ -99,13 +104,13 @@ def next_task(
     return Task(problem=problem, used=used, selection=selection)
 
 
-def _with_stars(columns: SunPointColumns, sun: IntArray, image_size: tuple[int, int]) -> IntArray:
-    """Return the rows of a fit: those of the sun, and the surest stars and planets of each part of the image.
+def _stars(others: SunPointColumns, epochs: Sequence[str], image_size: tuple[int, int]) -> IntArray:
+    """Return the keys of the surest stars and planets of each part of the image.
 
     Of the pose epochs that the sun was seen in; those of the latest epoch first, then of the others.
     """
-    other = np.isin(columns.epoch, columns.epoch[sun]) & (columns.body != SUN)
-    other &= np.nan_to_num(columns.clock_error_s) <= MAX_CLOCK_ERROR_S
-    rows = np.flatnonzero(other)
-    chosen = surest_of_epochs(columns.pixels[rows], columns.sigma_px[rows], columns.epoch[rows], image_size)
-    return np.sort(np.concatenate([sun, rows[chosen]]))
+    with_sun = np.array([name in epochs for name in others.epoch_ids], dtype=bool)
+    usable = with_sun[others.epoch] & (np.nan_to_num(others.clock_error_s) <= MAX_CLOCK_ERROR_S)
+    rows = np.flatnonzero(usable)
+    chosen = surest_of_epochs(others.pixels[rows], others.sigma_px[rows], others.epoch[rows], image_size)
+    return others.ids[rows[chosen]]

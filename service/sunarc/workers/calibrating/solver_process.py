@@ -6,11 +6,10 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from pathlib import Path
 
 from sunarc.calibration import (
     Calibration,
@@ -22,14 +21,13 @@ from sunarc.calibration import (
     find_pose_steps,
 )
 from sunarc.findings import Finding
+from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 from sunarc.workers.messages import text_of
 
 _POLL_S = 0.25
-_NICENESS = 10
 _STOP_FOLLOWS_S = 1.0
-_OOM_SCORE = "500"  # of 1000, added to the child's own: short of memory, the kernel ends the solve and not capture
 
 
 class SolveFailedError(Exception):
@@ -80,7 +78,8 @@ def solve_in_child(
     SolverDiedError : when the process died.
     SolveFailedError : when it failed, or took longer than `time_limit_s`.
     """
-    answer = _in_child(_calibrate, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    call = calibrate_call(problem)
+    answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, Calibration):
         raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
     return answer
@@ -100,32 +99,52 @@ def search_in_child(
     ------
     SolveFailedError : when the process died or took longer than `time_limit_s`.
     """
-    answer = _in_child(_find_steps, problem, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
+    call = partial(
+        find_pose_steps,
+        problem.points,
+        site=problem.site,
+        image_size=problem.image_size,
+        options=problem.options,
+        circle=problem.circle,
+        lens=problem.lens,
+    )
+    answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, tuple):
         raise SolveFailedError(Finding("search_failed", {"error": str(answer)}))
     return answer
 
 
+def calibrate_call(problem: Problem) -> partial[Calibration]:
+    """Return the call that solves a problem: of the core alone, so that the child imports no more than that."""
+    return partial(
+        calibrate,
+        problem.points,
+        site=problem.site,
+        image_size=problem.image_size,
+        options=problem.options,
+        circle=problem.circle,
+    )
+
+
 def _in_child(
-    work: Callable[[Problem], object],
-    problem: Problem,
+    call: Callable[[], object],
     *,
     clock: Clock,
     time_limit_s: float,
     stop: threading.Event,
     heartbeat: Callable[[], None],
 ) -> object:
-    """Return what the work on a problem returns in a fresh process; None when `stop` was set before."""
+    """Return what a call returns in a fresh process; None when `stop` was set before."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe()
-    process = context.Process(target=_child, args=(sending, work), name="solve", daemon=True)
+    process = context.Process(target=answer_call, args=(sending,), name="solve", daemon=True)
     try:
         process.start()
         sending.close()
-        # Not an argument: `start` holds both ends of the pipe that carries those, and more than the pipe takes would
-        # block it for ever where the child has died.
-        receiving.send(problem)
+        # Not an argument of the process: `start` holds both ends of the pipe that carries those, and more than the
+        # pipe takes would block it for ever where the child has died.
+        receiving.send(call)
         return _answer(receiving, clock.monotonic, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     except (EOFError, ConnectionError):  # it died before it answered, or before it had read its problem
         exit_code = _exit_code(process)
@@ -166,39 +185,3 @@ def _exit_code(process: SpawnProcess) -> int | None:
 
 def _end(exit_code: int | None) -> str:
     return f"signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"exit code {exit_code}"
-
-
-def _child(connection: Connection[object, Problem], work: Callable[[Problem], object]) -> None:
-    """Read the problem, and send what the work returns, or its error as text."""
-    with suppress(PermissionError):  # the unit's filter permits no priorities: the child then has the service's own
-        os.nice(_NICENESS)
-    with suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE, encoding="ascii")
-    problem = connection.recv()
-    try:
-        answer = work(problem)
-    except Exception as error:  # noqa: BLE001 - the parent reports it; the process ends anyway
-        answer = f"{type(error).__name__}: {error}"
-    with suppress(BrokenPipeError):  # the service was killed meanwhile; its next start begins anew
-        connection.send(answer)
-
-
-def _calibrate(problem: Problem) -> Calibration:
-    return calibrate(
-        problem.points,
-        site=problem.site,
-        image_size=problem.image_size,
-        options=problem.options,
-        circle=problem.circle,
-    )
-
-
-def _find_steps(problem: Problem) -> tuple[PoseStep, ...]:
-    return find_pose_steps(
-        problem.points,
-        site=problem.site,
-        image_size=problem.image_size,
-        options=problem.options,
-        circle=problem.circle,
-        lens=problem.lens,
-    )
