@@ -148,12 +148,16 @@ def lens_of(case: Case, rng: np.random.Generator) -> Camera:
     return replace(camera, rotation_cam_enu=rotation_from_pose_angles(pose))
 
 
-def field_of(case: Case, rng: np.random.Generator) -> pop.Field | None:
-    """Draw what no lens model describes; None where there is no field."""
+def field_scales(case: Case, rng: np.random.Generator) -> tuple[float, float]:
+    """Draw amplitude and length, px, of what no lens model describes; amplitude 0: there is no field."""
     if case.field_px is not None:
-        amplitude, length = case.field_px, case.field_length_px
-    else:
-        amplitude, length = drawn_amplitude_px(rng), min(case.size) * math.exp(rng.uniform(*np.log(FIELD_LENGTHS)))
+        return case.field_px, case.field_length_px
+    return drawn_amplitude_px(rng), min(case.size) * math.exp(rng.uniform(*np.log(FIELD_LENGTHS)))
+
+
+def field_of(scales: tuple[float, float], rng: np.random.Generator) -> pop.Field | None:
+    """Draw what no lens model describes, of an amplitude and a length, px; None where there is no field."""
+    amplitude, length = scales
     return pop.smooth_field(rng, amplitude_px=amplitude, length_px=length) if amplitude > 0.0 else None
 
 
@@ -161,7 +165,7 @@ def one_lens(seed: int, case: Case, *, search: bool = False) -> tuple[float, flo
     """Return the RMS error over the sky, px, the share covered there, near the track and far, and the verdict."""
     rng = np.random.default_rng([seed, 20])
     truth = lens_of(case, rng)
-    field = field_of(case, rng)
+    field = field_of(field_scales(case, rng), rng)
     sun = pop.track(case.days, site=case.site, cadence_s=case.cadence_s).shown_by(truth)
     noise = case.noise(rng, sun.zenith_deg, case.sigma_px)
     points = pop.sightings_of(truth, sun.unix_s, sun.directions, noise, field=field)

@@ -35,6 +35,11 @@ _MEDIAN_RATIO = 1.02
 LENS_MISFIT_PX = 1.0
 """px per axis; lenses are not as modelled by tenths of px, the paper's own by 0.5 to 1.2. A field that takes more from
 the camera has taken over what its parameters explain."""
+FIELD_EXCESS = 2.0
+"""Root mean square along the sun's way over the amplitude of a field. With a kernel k there are 2 / mean(k²)
+independent parts there, both components counted: four of a field of 0.36 of the image, nine of one of 0.16, on a day as
+on several. 99 % of the chi-squares of four are below 3.3 times their mean, that is 1.8 times the amplitude, and that is
+itself estimated."""
 _MEDIAN_OF_SIGMA = math.sqrt(2.0 * math.log(2.0))
 """Median distance of a round Gaussian over its 1-sigma per axis."""
 _GAIN = 1e-4
@@ -74,12 +79,12 @@ def allowed_level(
     ----------
     distance : (n,) of the other one, px.
     sigma : px, the noise.
-    field_px : 1-sigma of what no lens explains, as the data speak for it: so much the camera may miss them by, at most
-        `LENS_MISFIT_PX`.
+    field_px : 1-sigma of what no lens explains, as the data speak for it: the camera may miss them by `FIELD_EXCESS`
+        times as much, `LENS_MISFIT_PX` of it counted at most.
     weight : what a px counts in the distances, see `finest_weight`.
     cost_ratio, median_ratio : by how much cost and median may be larger without a field.
     """
-    missed = weight * min(field_px, LENS_MISFIT_PX)
+    missed = weight * FIELD_EXCESS * min(field_px, LENS_MISFIT_PX)
     scales = math.hypot(sigma, missed) * np.array(_SCALES)
     counted = float(np.sum(distance < CUT * scales[1]))
     costs = cost_ratio * _costs(distance, scales) + counted * (missed / scales) ** 2

@@ -37,9 +37,6 @@ LOOSE_RADIAL_PX = 16.0
 LOOSE_DECENTERING_PX = 3.0
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
-_FIELD_EXCESS = 2.0
-"""Root mean square along the sun's way over the amplitude of a field that stars prove: it has six or so independent
-parts there, and 99 % of the chi-squares of six are below 2.8 times their mean."""
 _FIELD_SHRINKS = 0.25
 _FIELD_BOUNDS = 4
 """How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
@@ -63,10 +60,6 @@ class State:
     def proven_field_px(self) -> float:
         """The field's 1-sigma where the sightings prove one, else 0."""
         return self.scales.amplitude_px if self.field_odds > STRONG_EVIDENCE else 0.0
-
-    def missed_px(self, problem: Problem) -> float:
-        """By how much the camera alone may miss the sightings for the field: by more where stars are over the sky."""
-        return self.proven_field_px * (_FIELD_EXCESS if problem.n_systematic else 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +151,7 @@ def _with_field(
     state, noise, system = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
-            distance, sigma=sigma, field_px=state.missed_px(problem), weight=weight, cost_ratio=_FIELD_MAY_COST
+            distance, sigma=sigma, field_px=state.proven_field_px, weight=weight, cost_ratio=_FIELD_MAY_COST
         )
         if level.reached_by(distance_sigmas(problem, observed, state.unknowns)):
             break
@@ -212,7 +205,7 @@ def _as_good_as_least_squares(
         bins,
         unknowns[: assumed.size],
         sigma=sigma,
-        field_px=state.missed_px(problem),
+        field_px=state.proven_field_px,
         in_its_valley=in_its_valley,
     )
     return np.concatenate([camera, unknowns[assumed.size :]])

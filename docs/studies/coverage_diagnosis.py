@@ -1,0 +1,150 @@
+"""Where rows of `coverage.py` come to be too narrow: fits that know the true scales beside fits that infer them.
+
+    OMP_NUM_THREADS=1 python docs/studies/coverage_diagnosis.py --lenses 40 [--case NAME]… [--control NAME]…
+
+Lenses, fields and noise are those of `coverage.py` by the same numbers. Controls: "as served"; "field known", whose
+grid of scales holds the true amplitude and length of the field alone; "scales known", that holds the true scales of
+radial distortion and decentering alone as well. Where a control is right and the service's fit is not, the
+inference of the scales is at fault; where the control is wrong too, the model or the Gaussian approximation is.
+
+Printed for each: the share of the sky within the stated 95 %, near the track and far; the 10, 50 and 90 % quantiles
+over lenses of the mean squared error in stated sigmas per axis (1 expected), far from the track; the share of lenses of
+which less than 0.8 of the sky lies within the stated 95 %, and the share of all that lies outside which they have; the
+coverage of the others; and the medians of the error over the sky and of the one stated, px.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import population as pop
+from coverage import CASES, Case, field_of, field_scales, lens_of
+from coverage_statistics import CHI_SQUARE_95, degrees_from_track, every_so_many, squared_sigmas
+from numpy.typing import NDArray
+
+from sunarc.calibration import (
+    Calibration,
+    CalibrationOptions,
+    SunPoints,
+    calibrate,
+    camera_sees,
+    hemisphere,
+    project_with_covariance,
+)
+from sunarc.calibration.fit import robust_fit
+from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
+from sunarc.calibration.model.residual_field import wave_basis
+from sunarc.optics import Camera
+
+FloatArray = NDArray[np.float64]
+_SKY = hemisphere(600)
+_IMPOSSIBLE = -50.0
+"""Log prior of the field's floor where a field is known: it stays in the grid, which expects one."""
+CONTROLS = "as served", "field known", "scales known"
+
+
+def known_grid(grid: HyperparameterGrid, scales: tuple[float, float], lens: FloatArray | None) -> HyperparameterGrid:
+    """Return the grid with the field's amplitude and length, px, known, and those of the lens unless they are None."""
+    amplitude, length = scales
+    lens_scales, of_lens = grid.lens_scales, grid.log_prior[0, 0] - np.max(grid.log_prior[0, 0])
+    if lens is not None:
+        lens_scales, of_lens = lens[None], np.zeros(1)
+    if amplitude <= 0.0:
+        floor = replace(grid.up_to(0.0), lens_scales=lens_scales)
+        return replace(floor, log_prior=np.zeros((1, grid.lengths.size, 1)) + of_lens)
+    size = _size(grid)
+    basis = wave_basis(width=size[0], height=size[1], shortest_px=length, longest_px=length)
+    amplitudes = np.array([grid.amplitudes[0], amplitude])
+    log_prior = np.array([_IMPOSSIBLE, 0.0])[:, None, None] + of_lens
+    return HyperparameterGrid(
+        amplitudes=amplitudes, lengths=np.array([length]), lens_scales=lens_scales, log_prior=log_prior, basis=basis
+    )
+
+
+def _size(grid: HyperparameterGrid) -> tuple[int, int]:
+    """Return the image's size, px."""
+    width, height = (round(2.0 * middle + 1.0) for middle in grid.basis.center_px)
+    return width, height
+
+
+def fit_of(case: Case, truth: Camera, points: SunPoints, scales: tuple[float, float], control: str) -> Calibration:
+    """Return the fit of a lens's sightings with what a control knows."""
+    share = min(case.size) / pop.SIZE
+    lens = np.array([1.5 * share, 0.6 * share]) if control == "scales known" else None
+    ordinary = robust_fit.grid_of
+
+    def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
+        grid = ordinary(template, options)
+        return grid if control == "as served" else known_grid(grid, scales, lens)
+
+    with patch.object(robust_fit, "grid_of", grid_of):
+        options = CalibrationOptions(projection=case.projection)
+        return calibrate(points, site=case.site, image_size=case.size, options=options, start=truth)
+
+
+def one_lens(seed: int, case: Case, controls: tuple[str, ...]) -> FloatArray:
+    """Return (controls, 6) of one lens.
+
+    The share covered over the sky, near the track and far, the mean squared sigmas far, the RMS error and the stated
+    one over the sky, px.
+    """
+    rng = np.random.default_rng([seed, 20])
+    truth = lens_of(case, rng)
+    scales = field_scales(case, rng)
+    field = field_of(scales, rng)
+    sun = pop.track(case.days, site=case.site, cadence_s=case.cadence_s).shown_by(truth)
+    points = pop.sightings_of(
+        truth, sun.unix_s, sun.directions, case.noise(rng, sun.zenith_deg, case.sigma_px), field=field
+    )
+    expected, away = pop.seen_at(truth, _SKY, field), degrees_from_track(_SKY, every_so_many(sun.directions))
+    rows = []
+    for control in controls:
+        found, covariance = project_with_covariance(fit_of(case, truth, points, scales, control), _SKY)
+        shown = camera_sees(truth, expected) & np.all(np.isfinite(found), axis=-1)
+        square = squared_sigmas((found - expected)[shown], covariance[shown])
+        near, far = away[shown] < 20.0, away[shown] > 40.0
+        inside = square < CHI_SQUARE_95
+        shares = [float(inside[where].mean()) if np.any(where) else math.nan for where in (near, far)]
+        z = 0.5 * float(square[far].mean()) if np.any(far) else math.nan
+        rms = math.sqrt(float(np.mean(np.sum((found - expected)[shown] ** 2, axis=-1))))
+        stated = math.sqrt(float(np.mean(np.trace(covariance[shown], axis1=-2, axis2=-1))))
+        rows.append([float(inside.mean()), *shares, z, rms, stated])
+    return np.array(rows)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lenses", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--case", action="append", choices=list(CASES))
+    parser.add_argument("--control", action="append", choices=CONTROLS)
+    chosen = parser.parse_args()
+    controls = tuple(chosen.control or CONTROLS)
+    print(
+        "| case | control | coverage | near, far | z² far: 10, 50, 90 % "
+        "| lenses < 0.8, their share | others | sky, stated px |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for name in chosen.case or CASES:
+        seeds = range(chosen.first, chosen.first + chosen.lenses)
+        table = np.array([one_lens(seed, CASES[name], controls) for seed in seeds])
+        for number, control in enumerate(controls):
+            covered, near, far, z, rms, stated = table[:, number].T
+            poor = covered < 0.8
+            share = float(np.sum(1.0 - covered[poor]) / max(np.sum(1.0 - covered), 1e-9))
+            quantiles = ", ".join(f"{value:.2f}" for value in np.nanquantile(z, [0.1, 0.5, 0.9]))
+            print(
+                f"| {name} | {control} | {covered.mean():.3f} | {np.nanmean(near):.3f}, {np.nanmean(far):.3f} "
+                f"| {quantiles} | {poor.mean():.2f}, {share:.2f} | {covered[~poor].mean():.3f} "
+                f"| {np.median(rms):.3f}, {np.median(stated):.3f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
