@@ -29,7 +29,11 @@ from sunarc.workers.night.moon_exposures import LEAST_LIT, LOWEST_DEG, MOST_LEVE
 from sunarc.workers.sensor import SensorOptions, sensor_of
 
 _MOST_IMAGES = 200
-_STUCK = 2
+_NEIGHBOURHOOD, _STUCK = 3, 2
+"""Pixels a side, in which two may be stuck."""
+_STANDS_OUT = 3.0
+"""Light of a stuck pixel over that about it, at least. The lens spreads the moon's: the third of nine pixels has half
+of the brightest one's or more, behind a mosaic too (simulated half moons of 2.7 px)."""
 _FEWEST = 2
 """Of a night: one alone is not compared with any other."""
 _SCATTER_SIGMAS, _SEEING_PX = 4.0, 0.3
@@ -222,11 +226,19 @@ def predicted_moon(calibration: Calibration, disc: MoonDisc, *, within_px: float
 
 
 def _level(frame: Frame, cutouts: Sequence[Cutout]) -> float:
-    """Return the level of the brightest place over full scale, without two pixels that may be stuck; 0 without one."""
+    """Return the level of the brightest pixel of the brightest place over full scale; 0 without one.
+
+    Behind a mosaic it is of the brightest colour, whose few pixels a moon of a few pixels may clip alone. Two pixels
+    beside each other that are stuck count for no more than what the third of their neighbourhood leaves them.
+    """
     if not cutouts:
         return 0.0
-    pixels = cutouts[0].image.ravel()
-    return float(np.partition(pixels, -_STUCK - 1)[-_STUCK - 1]) / frame.full_scale
+    counts = cutouts[0].image.astype(np.float64)
+    sky = float(np.median(counts))
+    light = np.pad(counts - sky, _NEIGHBOURHOOD // 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(light, (_NEIGHBOURHOOD, _NEIGHBOURHOOD))
+    around = np.partition(windows.reshape(*counts.shape, -1), -_STUCK - 1, axis=-1)[..., -_STUCK - 1]
+    return (float(np.max(np.minimum(counts - sky, _STANDS_OUT * around))) + sky) / frame.full_scale
 
 
 def _is_near(measured: _Measured, middle: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
