@@ -133,6 +133,9 @@ def test_a_reserve_that_finds_no_room_leaves_nothing(tmp_path: Path) -> None:
     reserve = Reserve(tmp_path / "missing" / "reserve", size_bytes=4096)
     assert not reserve.hold()
     assert not reserve.held()
+    too_large = Reserve(tmp_path / "reserve", size_bytes=2**62)  # more than a file may have
+    assert not too_large.hold()
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("other", [(36.604, -97.485), (36.7, -97.4), (-36.0, 80.0), (89.9, 10.0)])

@@ -9,11 +9,11 @@ import shutil
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, BinaryIO
 
 from annotated_types import Ge, Gt, Le
 
@@ -287,17 +287,30 @@ def write_atomically(target: Path, encoded: bytes) -> None:
     ------
     OSError : the disk refuses; the target is as it was.
     """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as file:
+        file.write(encoded)
+
+
+@contextmanager
+def replacing(target: Path) -> Iterator[BinaryIO]:
+    """Return a file beside the target, in a folder that exists, which takes its place at the end as a whole.
+
+    Raises
+    ------
+    OSError : the disk refuses; the target is as it was.
+    """
     part = target.with_suffix(target.suffix + ".part")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as file:
-            file.write(encoded)
+            yield file
             file.flush()
             # Before the rename: else the name could reach the disk before the data do.
             os.fdatasync(file.fileno())
         part.replace(target)
     except OSError:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink()
         raise
 
 

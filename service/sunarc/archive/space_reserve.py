@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from sunarc.archive.images import replacing
+
 
 class Reserve:
     """A file that occupies space until the database needs it.
@@ -27,15 +29,11 @@ class Reserve:
         """Allocate the reserve, and return whether there was enough space."""
         if self.held():
             return True
-        part = self._path.with_suffix(".part")
         try:
-            with part.open("wb") as file:
+            with replacing(self._path) as file:
                 # Blocks are taken, not a hole: a sparse file would set nothing aside.
                 os.posix_fallocate(file.fileno(), 0, self.size_bytes)
-            # Renamed when it has its size: one that a full disk cut short must not count as a reserve.
-            part.replace(self._path)
         except OSError:
-            part.unlink(missing_ok=True)
             return False
         return True
 

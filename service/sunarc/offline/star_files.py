@@ -37,11 +37,8 @@ from sunarc.offline.files import read_file, read_image
 from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import MESSAGES, RefusedImageError
 from sunarc.offline.sources.frames import kind_of
-from sunarc.sky import NightSky, Site, night_sky
+from sunarc.sky import FAINTEST_V, NightSky, Site, night_sky
 from sunarc.utc import rfc3339, utc_time
-
-FAINTEST = 5.5
-"""V of the faintest stars of the table; fainter neighbours are not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,7 +209,7 @@ def read_stars(path: Path, site: Site, options: StarOptions, *, size: tuple[int,
         bayer=bayer,
         gain_e_per_count=options.gain_e_per_count,
     )
-    sky = night_sky(time.timestamp(), site, faintest=FAINTEST)
+    sky = night_sky(time.timestamp(), site, faintest=FAINTEST_V)
     return StarImage(file=str(path), reason="", findings=(), time=time, sky=sky, stars=stars, size=found)
 
 

@@ -19,10 +19,9 @@ from sunarc.simulation.night_options import NightOptions
 from sunarc.simulation.options import Obstruction
 from sunarc.simulation.star_places import star_directions_by_series
 from sunarc.sky import Site, direction_from_angles, relative_air_mass, sun_angles
-from sunarc.sky.night import WANDERERS, WandererPlace, star_table, wanderer_place
+from sunarc.sky.night import FAINTEST_V, WANDERERS, WandererPlace, star_table, wanderer_place
 from sunarc.utc import DAY_S
 
-_CATALOGUE_ENDS = 5.5
 _TABLE_YEAR_UNIX_S = 1_704_067_200.0
 """The start of 2024, the epoch of the table's places."""
 _YEAR_S = 365.25 * DAY_S
@@ -130,9 +129,9 @@ class NightLight:
         motion = np.nan_to_num(table.motion)
         bright = table.magnitude <= self._options.faintest
         rng = np.random.default_rng([self._seed, 13])
-        growth = 10.0 ** (_COUNT_SLOPE * max(self._options.faintest - _CATALOGUE_ENDS, 0.0))
+        growth = 10.0 ** (_COUNT_SLOPE * max(self._options.faintest - FAINTEST_V, 0.0))
         faint = int(bright.sum() * (growth - 1.0))
-        magnitude = _CATALOGUE_ENDS + np.log10(rng.uniform(1.0, growth, faint)) / _COUNT_SLOPE
+        magnitude = FAINTEST_V + np.log10(rng.uniform(1.0, growth, faint)) / _COUNT_SLOPE
         anywhere = rng.standard_normal((faint, 3))
         return (
             np.concatenate([place[bright], anywhere / np.linalg.norm(anywhere, axis=-1, keepdims=True)]),

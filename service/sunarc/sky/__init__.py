@@ -5,6 +5,7 @@ from sunarc.sky.days import SECONDS_PER_DEGREE, date_of_day, day_bounds_unix_s, 
 from sunarc.sky.directions import angles_from_direction, angular_distance, direction_from_angles, wrapped_deg
 from sunarc.sky.moon import MoonDisc, moon_disc
 from sunarc.sky.night import (
+    FAINTEST_V,
     STAR,
     SUN,
     WANDERERS,
@@ -32,6 +33,7 @@ __all__ = [
     "ASSUMED_AIR_SD",
     "CLEAR_OPTICAL_DEPTH",
     "DAILY_AIR_SD",
+    "FAINTEST_V",
     "MEASURED_AIR_SD",
     "PA_PER_HPA",
     "PRESSURE_BOUNDS_HPA",

@@ -30,6 +30,8 @@ SUN = "sun"
 STAR = "star:HIP"
 """How the name of a star begins; its Hipparcos number follows."""
 
+FAINTEST_V = 5.5
+"""Where the table of stars ends; fainter neighbours are not known."""
 _EPOCH_YEAR = 2024.0
 _J2000_UNIX_S = 946_728_000.0
 _UNIX_S_OF_EPHEM = -2_209_032_000.0
@@ -109,7 +111,7 @@ class WandererPlace:
 
 
 def star_table() -> StarTable:
-    """Return the 2848 stars to V 5.5."""
+    """Return the 2848 stars to `FAINTEST_V`."""
     text = gzip.decompress(files("sunarc.sky").joinpath("stars.csv.gz").read_bytes()).decode("ascii")
     rows = [line.split(",") for line in text.splitlines() if line[0] not in "#h"]
     columns = np.array([[float(cell) for cell in row] for row in rows])
@@ -182,7 +184,7 @@ def night_sky(unix_s: float, site: Site, *, faintest: float) -> NightSky:
     ----------
     unix_s : seconds since 1970-01-01 UTC.
     site : the place and its air.
-    faintest : V of the faintest; the table ends at 5.5.
+    faintest : V of the faintest; the table ends at `FAINTEST_V`.
 
     Raises
     ------

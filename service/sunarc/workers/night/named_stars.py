@@ -7,8 +7,7 @@ import numpy as np
 from sunarc.array_types import NameArray
 from sunarc.calibration import Calibration, MatchedView, StarView, image_parts, predict_stars, surest_of_parts
 from sunarc.detection import Stars
-from sunarc.sky import Site, night_sky
-from sunarc.workers.night.numbers import FAINTEST_V
+from sunarc.sky import FAINTEST_V, Site, night_sky
 
 BENT_PX = 1.0
 """1-sigma of how far the cold of the night bends a mount, beside the calibration's own uncertainty."""

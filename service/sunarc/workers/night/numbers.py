@@ -24,13 +24,11 @@ from sunarc.detection import (
     trend_of,
     zenith_bands,
 )
-from sunarc.sky import angles_from_direction, relative_air_mass
+from sunarc.sky import FAINTEST_V, angles_from_direction, relative_air_mass
 from sunarc.utc import utc_time
 
 COUNTED_TO_V = 4.0
 """Stars that any clear sky shows; those fainter are lost to the light of towns."""
-FAINTEST_V = 5.5
-"""Where the table of stars ends."""
 _OWN_SHAPE_SNR = 20.0
 _MOST_IMAGES = 72
 """Images of a night whose numbers are stored, spread over it."""
