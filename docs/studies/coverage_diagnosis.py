@@ -4,8 +4,10 @@
 
 Lenses, fields and noise are those of `coverage.py` by the same numbers. Controls: "as served"; "field known", whose
 grid of scales holds the true amplitude and length of the field alone; "scales known", that holds the true scales of
-radial distortion and decentering alone as well. Where a control is right and the service's fit is not, the
-inference of the scales is at fault; where the control is wrong too, the model or the Gaussian approximation is.
+radial distortion and decentering alone as well; "gauge projected", in which the residual radial distortion's prior
+loses its share of a change of focal length by projection, as the lenses of `population.py` do, not by conditioning on
+there being none. Where a control is right and the service's fit is not, what it replaces is at fault; where the scales
+are known and it is wrong still, the model or the Gaussian approximation is.
 
 Printed for each: the share of the sky within the stated 95 %, near the track and far; the 10, 50 and 90 % quantiles
 over lenses of the mean squared error in stated sigmas per axis (1 expected), far from the track; the share of lenses of
@@ -37,14 +39,38 @@ from sunarc.calibration import (
 )
 from sunarc.calibration.fit import robust_fit
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
+from sunarc.calibration.least_squares import priors
 from sunarc.calibration.model.residual_field import wave_basis
-from sunarc.optics import Camera
+from sunarc.optics import Camera, ideal_radius
+from sunarc.optics.camera import RADIAL_ORDERS
 
 FloatArray = NDArray[np.float64]
 _SKY = hemisphere(600)
 _IMPOSSIBLE = -50.0
 """Log prior of the field's floor where a field is known: it stays in the grid, which expects one."""
-CONTROLS = "as served", "field known", "scales known"
+_GAUGE_PX = 0.3
+"""The share of a change of focal length that stays in the residual distortion, 1-sigma, as in the fit's own prior."""
+CONTROLS = "as served", "field known", "scales known", "gauge projected"
+
+
+def projected_radial_basis(camera: Camera, *, length: float, upto: float) -> FloatArray:
+    """Return what `priors.radial_basis` does, the share of a change of focal length taken out by projection."""
+    focal = float(np.mean(camera.focal_length_px))
+    theta = np.linspace(0.0, upto, 181)
+    kernel = np.exp(-0.5 * ((theta[:, None] - theta) / length) ** 2) + 0.25**2 * np.eye(theta.size)
+    powers = (theta / (math.pi / 2))[:, None] ** np.array(RADIAL_ORDERS)
+    ideal = ideal_radius(camera.projection, theta)
+    unit = ideal / np.linalg.norm(ideal)
+    # least squares onto the powers, themselves held orthogonal to the ideal projection
+    normal = np.zeros((9, 9))
+    normal[:8, :8] = powers.T @ powers + 1e-10 * np.eye(8)
+    normal[8, :8] = normal[:8, 8] = ideal @ powers
+    orthogonal = np.vstack([powers.T @ (np.eye(theta.size) - np.outer(unit, unit)), np.zeros((1, theta.size))])
+    to_coefficients = np.linalg.solve(normal, orthogonal)[:8] / focal
+    share = np.linalg.lstsq(powers, unit)[0] * math.sqrt(theta.size) * _GAUGE_PX / focal
+    covariance = to_coefficients @ kernel @ to_coefficients.T + np.outer(share, share)
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 
 
 def known_grid(grid: HyperparameterGrid, scales: tuple[float, float], lens: FloatArray | None) -> HyperparameterGrid:
@@ -79,9 +105,10 @@ def fit_of(case: Case, truth: Camera, points: SunPoints, scales: tuple[float, fl
 
     def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:
         grid = ordinary(template, options)
-        return grid if control == "as served" else known_grid(grid, scales, lens)
+        return known_grid(grid, scales, lens) if control in {"field known", "scales known"} else grid
 
-    with patch.object(robust_fit, "grid_of", grid_of):
+    basis = projected_radial_basis if control == "gauge projected" else priors.radial_basis
+    with patch.object(robust_fit, "grid_of", grid_of), patch.object(priors, "radial_basis", basis):
         options = CalibrationOptions(projection=case.projection)
         return calibrate(points, site=case.site, image_size=case.size, options=options, start=truth)
 

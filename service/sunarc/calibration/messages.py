@@ -152,7 +152,7 @@ MESSAGES = Messages(
         "check that the lens is of this type",
     ),
     lens_prior_contradicted=Message(
-        "the sightings contradict the lens prior: {departure:.1f} times its sigmas (at most {limit:.1f})",
+        "the sightings contradict the lens prior: {part} by {departure:.1f} times its sigmas (at most {limit:.1f})",
         _REFUSED,
         "check the type of lens, clock, site and mirroring; or fit without --lens-prior",
     ),

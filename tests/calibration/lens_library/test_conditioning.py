@@ -101,6 +101,7 @@ def test_another_lens_is_refused_with_its_size(fitted: Fitted, lens: LensType) -
     finding = found.verdict.findings[0]
     assert not found.verdict.accepted
     assert finding.code == "lens_prior_contradicted"
+    assert finding.data["part"] == "focal length"
     assert float(finding.data["departure"]) > float(finding.data["limit"]) > 1.0
     assert with_lens(calibration, lens, points=points, options=OPTIONS).verdict.accepted
 

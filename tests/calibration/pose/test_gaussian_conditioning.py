@@ -199,6 +199,17 @@ def test_conditioning_twice_is_conditioning_on_both(model: CameraErrorModel) -> 
     assert np.trace(at_once.covariance) < np.trace(model.covariance)
 
 
+def test_a_sighting_where_the_camera_has_no_pixel_is_an_error_of_the_equations(model: CameraErrorModel) -> None:
+    at, seen = predicted(model, small_camera(), spread_directions(6)), _seen(np.zeros((6, 2)))
+    at.rows[2] = np.nan
+    with pytest.raises(np.linalg.LinAlgError):
+        conditioned(model, at, seen)
+    covariance = np.eye(12)
+    covariance[3, 3] = np.nan
+    with pytest.raises(np.linalg.LinAlgError):
+        log_normal(covariance, seen, ALL)
+
+
 def test_no_sighting_changes_nothing(model: CameraErrorModel) -> None:
     at = predicted(model, small_camera(), np.zeros((0, 3)))
     assert conditioned(model, at, _seen(np.zeros((0, 2)))) is model

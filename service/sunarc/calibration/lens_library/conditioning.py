@@ -20,9 +20,10 @@ from sunarc.calibration.fit.least_squares_reference import allowed_level
 from sunarc.calibration.least_squares.priors import FREE, N_LENS, LensPrior
 from sunarc.calibration.least_squares.problem import observations, problem_for
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.lens_library.departure import Departure, departure_of
+from sunarc.calibration.lens_library.departure import Departure, largest_departure
 from sunarc.calibration.lens_library.frame import (
     IN_FREE,
+    PARTS,
     Gaussian,
     gaussian_of,
     information_of,
@@ -97,9 +98,7 @@ def conditioned_lens(solved: Calibration, lens: LensType) -> Conditioned:
     inverse = np.linalg.inv(prior.covariance)
     covariance = np.linalg.inv(known.matrix + inverse)
     mean = covariance @ (known.vector + inverse @ prior.mean)
-    root = np.linalg.cholesky(prior.covariance)
-    remaining = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
-    departure = departure_of(np.linalg.solve(root, mean - prior.mean), remaining)
+    departure = largest_departure(mean - prior.mean, prior.covariance, covariance, parts=PARTS)
     return Conditioned(Gaussian(mean, 0.5 * (covariance + covariance.T)), departure)
 
 
@@ -221,6 +220,6 @@ def with_finding(solved: Calibration, finding: Finding) -> Calibration:
 
 def contradicted(solved: Calibration, found: Departure) -> Calibration:
     """Return a fit refused because its sightings contradict its type of lens."""
-    finding = Finding("lens_prior_contradicted", {"departure": found.rms, "limit": found.limit})
+    finding = Finding("lens_prior_contradicted", {"part": found.part, "departure": found.rms, "limit": found.limit})
     others = () if solved.verdict.accepted else solved.verdict.findings
     return replace(solved, verdict=Verdict(accepted=False, findings=(finding, *others)))

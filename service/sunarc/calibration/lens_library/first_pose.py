@@ -21,8 +21,8 @@ from sunarc.bounds import require_bounds
 from sunarc.calibration.fit.assemble import Job, calibration_from_fit, no_field, refused
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, N_LENS
 from sunarc.calibration.lens_library.conditioning import contradicted, lens_finding, with_finding, with_lens
-from sunarc.calibration.lens_library.departure import Departure, departure_of
-from sunarc.calibration.lens_library.frame import IN_FREE
+from sunarc.calibration.lens_library.departure import Departure, largest_departure
+from sunarc.calibration.lens_library.frame import IN_FREE, PARTS
 from sunarc.calibration.lens_library.lens_type import LensType
 from sunarc.calibration.lens_library.mounting import apart_rad, level, levelling, north_sigma_deg, top_azimuth_deg
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mirrored
@@ -318,11 +318,13 @@ def _departure(found: _Found, lens: LensType) -> Departure:
     prior, after = found.prior, found.fit.error_model
     vector = found.fit.camera.to_vector() - found.base.to_vector()
     tilt = prior.rotation[:2]
-    spread = np.sqrt(np.diag(prior.covariance)[tilt])
-    root = np.linalg.cholesky(lens.in_frame().covariance)
-    to_unit = np.zeros((N_LENS + 2, FREE.size))
-    to_unit[:N_LENS, IN_FREE] = np.linalg.solve(root, np.linalg.inv(lens.frame.basis))
-    to_unit[N_LENS + np.arange(2), tilt] = 1.0 / spread
-    change = to_unit[:, IN_FREE] @ vector[FREE][IN_FREE]
-    change[N_LENS:] = -levelling(found.fit.camera)[:2] / spread
-    return departure_of(change, to_unit @ after.covariance @ to_unit.T)
+    to_frame = np.zeros((N_LENS + 2, FREE.size))
+    to_frame[:N_LENS, IN_FREE] = np.linalg.inv(lens.frame.basis)
+    to_frame[N_LENS + np.arange(2), tilt] = 1.0
+    stated = np.diag(np.r_[np.zeros(N_LENS), np.diag(prior.covariance)[tilt]])
+    stated[:N_LENS, :N_LENS] = lens.in_frame().covariance
+    change = to_frame[:, IN_FREE] @ vector[FREE][IN_FREE]
+    change[N_LENS:] = -levelling(found.fit.camera)[:2]
+    return largest_departure(
+        change, stated, to_frame @ after.covariance @ to_frame.T, parts={**PARTS, "tilt": np.arange(N_LENS, N_LENS + 2)}
+    )

@@ -35,6 +35,13 @@ IN_FREE = np.isin(FREE, LENS)
 _RIGHT_ANGLE = math.pi / 2
 _BROAD = [Whitened.FOCAL_LENGTH, Whitened.CENTER_X, Whitened.CENTER_Y]
 """What a fit's prior says next to nothing of, or says by the image circle, which was measured."""
+PARTS = {
+    "focal length": np.array([Whitened.FOCAL_LENGTH]),
+    "centre": np.array([Whitened.CENTER_X, Whitened.CENTER_Y]),
+    "radial distortion": np.arange(RADIAL.start, RADIAL.stop),
+    "decentering": np.arange(DECENTERING.start, HIGHER.stop),
+}
+"""Places of the coordinates whose spread between units has a scale of its own; skew and aspect have none."""
 
 
 class Gaussian(NamedTuple):

@@ -142,10 +142,17 @@ def log_normal(covariance: FloatArray, sightings: Sightings, inlier: BoolArray) 
         return 0.0
     both = np.repeat(inlier, 2)
     total = covariance[np.ix_(both, both)] + np.diag(np.repeat(sightings.variance[inlier], 2))
-    factor = cholesky(total, lower=True)
+    factor = _factored(total)
     residual = sightings.residual[inlier].ravel()
     square = float(residual @ cho_solve((factor, True), residual))
     return -0.5 * square - float(np.sum(np.log(np.diag(factor)))) - 0.5 * residual.size * math.log(2.0 * math.pi)
+
+
+def _factored(covariance: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor; LinAlgError also where a direction has no pixel and its covariance is NaN."""
+    if not np.all(np.isfinite(covariance)):
+        raise np.linalg.LinAlgError("a sighting is where the camera has no pixel")
+    return np.asarray(cholesky(covariance, lower=True))
 
 
 def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: Sightings) -> CameraErrorModel:
@@ -156,7 +163,7 @@ def conditioned(error_model: CameraErrorModel, at: Predicted, sightings: Sightin
     if sightings.variance.size == 0:
         return error_model
     total = joint_covariance(error_model, at) + np.diag(np.repeat(sightings.variance, 2))
-    factor = (cholesky(total, lower=True), True)
+    factor = (_factored(total), True)
     shared = with_parameters(error_model, at)
     # the Kalman gain, all sightings at once
     gain = cho_solve(factor, shared.T).T
