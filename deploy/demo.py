@@ -62,6 +62,13 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--headless", action="store_true", help="end by itself once the days are over")
     parser.add_argument("--days", type=int, default=1, metavar="N", help="simulated days (default 1)")
     parser.add_argument("--speed", type=float, default=240.0, metavar="X", help="times faster than real (default 240)")
+    parser.add_argument(
+        "--cadence",
+        type=float,
+        default=CADENCE_S,
+        metavar="S",
+        help=f"simulated seconds a cycle (default {CADENCE_S:g})",
+    )
     parser.add_argument("--port", type=int, default=8080, metavar="P", help="of the dashboard (default 8080)")
     parser.add_argument("--state", type=Path, metavar="DIR", help="an empty folder (default: a new one)")
     parser.add_argument("--until-calibrated", action="store_true", help="exit 0 only when a calibration is current")
@@ -72,8 +79,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--archive", action="store_true", help="make a small archive of images and analyse it instead")
     parser.add_argument("--setup-only", action="store_true", help="set up and stop")
     options = parser.parse_args()
-    if options.days < 1 or not 1.0 <= options.speed <= 2000.0 or not 0 < options.port < 65536:
-        parser.error("--days must be 1 or more, --speed 1 to 2000, --port 1 to 65535")
+    bounded = 1.0 <= options.speed <= 2000.0 and 30.0 <= options.cadence <= 600.0
+    if options.days < 1 or not bounded or not 0 < options.port < 65536:
+        parser.error("--days must be 1 or more, --speed 1 to 2000, --cadence 30 to 600, --port 1 to 65535")
     return options
 
 
@@ -182,8 +190,8 @@ packet_socket = false
 timestamps = "camera"
 
 [capture]
-cadence_s = {CADENCE_S}
-night_cadence_s = {NIGHT_CADENCE_S if options.nights else CADENCE_S}
+cadence_s = {options.cadence}
+night_cadence_s = {NIGHT_CADENCE_S if options.nights else options.cadence}
 speed = {options.speed}
 
 [night]

@@ -10,10 +10,11 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 from tests.api.test_dashboard import browser, in_a_browser, opened, serving_app
 from tests.api.test_hub import CHECKS, TOKEN, save_checks
+from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
 from sunarc.api import ApiOptions, create_hub_app, token_digest
-from sunarc.archive import Refusal, open_archive, upgrade
+from sunarc.archive import Refusal, open_archive
 from sunarc.runtime.status import StatusSnapshot
 
 pytestmark = [pytest.mark.browser, in_a_browser]
@@ -22,7 +23,7 @@ pytestmark = [pytest.mark.browser, in_a_browser]
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[str]:
     """Serve a hub of three cameras: one with a wrong clock, one that turns slowly, one with nothing."""
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as archive:
         for number, name in enumerate(("gate", "mast", "roof")):
             archive.add_feed_token(name, token_digest(TOKEN + name), now=NOW, former_until=NOW)

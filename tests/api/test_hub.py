@@ -13,12 +13,13 @@ from typing import Any
 import httpx
 import pytest
 from tests.api.conftest import Client
+from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
 
 from sunarc.api import ApiOptions, create_hub_app, token_digest
 from sunarc.api.routes.feed import _MOST_BYTES
 from sunarc.api.routes.fleet import SILENT
-from sunarc.archive import Archive, CrossCheck, Day, NightlyRun, feed_lines, head_revision, open_archive, upgrade
+from sunarc.archive import Archive, CrossCheck, Day, NightlyRun, feed_lines, head_revision, open_archive
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
@@ -73,7 +74,7 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
 
 
 def made(folder: Path, **options: Any) -> Iterator[Hub]:  # noqa: ANN401 - of ApiOptions
-    upgrade(folder / "hub.sqlite")
+    make_empty(folder / "hub.sqlite")
     now = [NOW]
     with open_archive(folder / "hub.sqlite") as archive:
         archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
@@ -335,7 +336,7 @@ def test_cross_checks_of_the_newest_night_that_made_some_are_answered_alarms_fir
 def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:
     board = StatusRegistry(version="1", started_at=NOW, monotonic=lambda: 0.0)
     board.set_condition("nightly_failed", Reason(code="nightly_failed", severity="degraded", text="it", remedy="see"))
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as archive:
         options = ApiOptions(allowed_hosts=("imager",))
         app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: NOW, options=options)

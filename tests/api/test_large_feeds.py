@@ -9,11 +9,12 @@ from pathlib import Path
 
 import httpx
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
 from sunarc.api import ApiOptions, create_hub_app
 from sunarc.api.routes.feed import _LARGE_AT_ONCE, _LARGE_BYTES, FeedReceiver
-from sunarc.archive import head_revision, open_archive, upgrade
+from sunarc.archive import head_revision, open_archive
 from sunarc.runtime.status import StatusSnapshot
 
 CAMERAS = 60  # more than the pool has threads
@@ -47,7 +48,7 @@ def test_small_bodies_are_stored_while_more_large_ones_wait_than_there_are_threa
 ) -> None:
     storing = Storing()
     monkeypatch.setattr(FeedReceiver, "take", lambda _self, **how: storing.take(**how))
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     large = random.Random(0).randbytes(_LARGE_BYTES + 1)
 
     async def scenario() -> tuple[int, list[int]]:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.api.conftest import LENS, NOON, Client, calibration
+from tests.fixtures.archive import make_empty
 
 from sunarc.api import ApiOptions, create_hub_app
-from sunarc.archive import CameraRecord, open_archive, upgrade
+from sunarc.archive import CameraRecord, open_archive
 from sunarc.calibration import to_document
 from sunarc.geolocation.ellipsoid import _frame
 from sunarc.optics import project
@@ -37,7 +38,7 @@ def pixel_of(name: str, place: Site = CLOUD) -> list[float]:
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     folder: Path = tmp_path_factory.mktemp("pairs")
-    upgrade(folder / "hub.sqlite")
+    make_empty(folder / "hub.sqlite")
     with open_archive(folder / "hub.sqlite") as archive:
         for name, site in SITES.items():
             record = CameraRecord(

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.fixtures.archive import HIDDEN, store_sun_point
+from tests.fixtures.archive import HIDDEN, make_empty, store_sun_point
 
 from sunarc.app import Service
 from sunarc.app.last_known import restore_last_known
-from sunarc.archive import CameraRecord, ImageStore, open_archive, upgrade
+from sunarc.archive import CameraRecord, ImageStore, open_archive
 from sunarc.cameras import AravisOptions, SkyCamera
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import StatusRegistry
@@ -31,7 +31,7 @@ def no_camera() -> SkyCamera:
 @pytest.fixture
 def start(tmp_path: Path) -> Callable[[], Service]:
     """Return what starts a service on one state folder."""
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     settings = Settings(
         site=Site(latitude=36.6, longitude=-97.5, altitude=318.0),
         state=tmp_path,

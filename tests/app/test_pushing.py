@@ -6,11 +6,11 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from tests.fixtures.archive import new_archive
+from tests.fixtures.archive import make_empty, new_archive
 from tests.fixtures.fleet import NOW, feed, new_imager, sighting
 
 from sunarc.app.pushing import fleet_states, imager_states, push_workers
-from sunarc.archive import CameraArchive, Refusal, open_archive, upgrade
+from sunarc.archive import CameraArchive, Refusal, open_archive
 from sunarc.errors import ConfigurationError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry
@@ -58,7 +58,7 @@ def test_an_imager_tells_its_conditions_with_their_texts(tmp_path: Path, board: 
 
 
 def test_a_hub_tells_what_imagers_reported_and_what_it_finds(tmp_path: Path) -> None:
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:
         hub.add_feed_token("mast", "digest", now=NOW, former_until=NOW)  # registered, and silent from the beginning
         imager.add_sun_points([sighting(1)])

@@ -9,10 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.cameras import INFO
 
 from sunarc.app import Service
-from sunarc.archive import Archive, open_archive, upgrade
+from sunarc.archive import Archive, open_archive
 from sunarc.cameras import AravisOptions, CameraCondition, CameraInfo, Frame
 from sunarc.errors import InputError
 from sunarc.runtime.clock import VirtualClock
@@ -39,7 +40,7 @@ class Camera:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     opened = open_archive(tmp_path / "sunarc.sqlite")
     yield opened
     opened.close()

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 from tests.finding_codes import codes
+from tests.fixtures.archive import make_empty
 
 from sunarc.app import Service
-from sunarc.archive import CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import CameraRecord, SunPoint, open_archive
 from sunarc.cameras import AravisOptions, SkyCamera
 from sunarc.runtime.clock import ClockState, VirtualClock
 from sunarc.settings import Settings
@@ -33,7 +34,7 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def service(tmp_path: Path, clock: VirtualClock) -> Service:
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     settings = Settings(
         site=Site(latitude=36.6, longitude=-97.5, altitude=318.0),
         state=tmp_path,

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import URL
+from tests.fixtures.archive import make_empty
 from tests.fixtures.postgresql import Server, postgresql
 
-from sunarc.archive import Archive, CameraRecord, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, open_archive
 
 __all__ = ["postgresql"]
 
@@ -39,7 +40,7 @@ def store(engine: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterat
     """Yield where a new database of the head revision is."""
     if engine == "sqlite":
         path = tmp_path / "state" / "sunarc.sqlite"
-        upgrade(path)
+        make_empty(path)
         yield path
         return
     server: Server = request.getfixturevalue("postgresql")

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.fixtures.archive import make_empty
 
-from sunarc.archive import CameraRecord, open_archive, upgrade
+from sunarc.archive import CameraRecord, open_archive
 
 if TYPE_CHECKING:
     from tests.fixtures.command_line import Sunarc
@@ -22,7 +23,7 @@ WRONG = datetime(2100, 5, 13, 12, tzinfo=UTC)
 def config(tmp_path: Path) -> Path:
     path = tmp_path / "sunarc.toml"
     path.write_text(f'name = "roof"\nstate = "{tmp_path}"\n[site]\nlatitude = 36.6\nlongitude = -97.5\n')
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     archive = open_archive(tmp_path / "sunarc.sqlite")
     archive.save_camera(CameraRecord(name="roof", latitude=36.6, longitude=-97.5, altitude=0.0, width=8, height=6))
     archive.epoch_at("roof", FIRST, reason="first frame")

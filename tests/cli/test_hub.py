@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW
 
 from sunarc.api import token_digest
-from sunarc.archive import CrossCheck, Refusal, open_archive, upgrade
+from sunarc.archive import CrossCheck, Refusal, open_archive
 from sunarc.settings import load_hub_settings
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     path = tmp_path / "hub.toml"
     path.write_text(f'state = "{tmp_path}"\n[api]\nport = 8099\n')
     return path

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import current_document, distinctive_calibration
 
 from sunarc.api import ApiOptions, create_hub_app
-from sunarc.archive import open_archive, upgrade
+from sunarc.archive import open_archive
 from sunarc.client import AsyncImager, Hub, Imager, ImagerError, LocalImager
 from sunarc.client.transport import Transport
 from sunarc.runtime.status import StatusSnapshot
@@ -122,7 +123,7 @@ def test_every_route_is_asked_by_its_path_with_parameters_that_it_has(asked: Ima
 
 def test_every_route_of_a_hub_is_asked_by_its_path_with_parameters_that_it_has(asked: Imager, tmp_path: Path) -> None:
     del asked  # its transport answers for the hub too
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as archive:
         document = create_hub_app(
             archive=archive,

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import CameraRecord, SunPoint, lock_state, open_archive, upgrade
+from sunarc.archive import CameraRecord, SunPoint, lock_state, open_archive
 from sunarc.calibration import Calibration, Verdict
 from sunarc.errors import InputError, OutsideError, SchemaError
 from sunarc.findings import Finding
@@ -40,7 +41,7 @@ STATED_PX = 0.5
 def settings(tmp_path: Path) -> Settings:
     """Return settings whose archive has forty sightings in image files, 1 px off each, that state 0.5 px."""
     settings = new_settings(tmp_path)
-    upgrade(settings.database)
+    make_empty(settings.database)
     with open_archive(settings.database) as archive:
         archive.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
         epoch = archive.epoch_at("roof", MORNING, reason="first image").id
@@ -149,7 +150,7 @@ def test_an_archive_without_images_names_what_fills_it(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
     with pytest.raises(SchemaError, match="sunarc ingest"):
         calibrate_archive(settings, clock=VirtualClock(NOW))
-    upgrade(settings.database)
+    make_empty(settings.database)
     with pytest.raises(InputError, match="sunarc ingest"):
         calibrate_archive(settings, clock=VirtualClock(NOW))
 

@@ -6,16 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.settings import SGP, new_settings
 
-from sunarc.archive import Archive, open_archive, upgrade
+from sunarc.archive import Archive, open_archive
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, parse_image_size, register_camera
 
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "state" / "sunarc.sqlite")
+    make_empty(tmp_path / "state" / "sunarc.sqlite")
     with open_archive(tmp_path / "state" / "sunarc.sqlite") as opened:
         yield opened
 

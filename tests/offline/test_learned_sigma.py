@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.calibration import SGP, small_camera, stated_calibration
 from tests.fixtures.settings import new_settings
 
-from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, SunPoint, open_archive
 from sunarc.offline.learned_sigma import ValidCamera, factor_in_force, learn_sigma, sigma_factor
 from sunarc.optics import project
 from sunarc.sky import sun_directions
@@ -69,7 +70,7 @@ def test_few_sightings_teach_nothing() -> None:
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     with open_archive(tmp_path / "sunarc.sqlite") as made:
         made.save_camera(CameraRecord.at(SGP, name="roof", width=CAMERA.width, height=CAMERA.height))
         yield made

@@ -39,7 +39,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Result:
     state = tmp_path_factory.mktemp("demo")
     command = [
         *(sys.executable, str(ROOT / "deploy" / "demo.py"), "--headless", "--until-calibrated"),
-        *("--days", "1", "--speed", "500", "--state", str(state), "--port", str(free_port())),
+        *("--days", "1", "--speed", "500", "--cadence", "240", "--state", str(state), "--port", str(free_port())),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)  # slowed on a busy host
     assert done.returncode == 0, done.stdout + done.stderr

@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tests.fixtures.archive import make_empty
 
 from sunarc.app import Service
-from sunarc.archive import CameraRecord, Event, open_archive, sun_point_of, upgrade
+from sunarc.archive import CameraRecord, Event, open_archive, sun_point_of
 from sunarc.calibration import Calibration, SunPoints, calibrate, from_document, to_document
 from sunarc.cameras import AravisOptions, Frame, SkyCamera
 from sunarc.detection import Detection
@@ -66,7 +67,7 @@ class Imager:
     """The joined service on a clock that is wrong, shown the sun where it truly is."""
 
     def __init__(self, folder: Path, *, seed: int = 1) -> None:
-        upgrade(folder / "sunarc.sqlite")
+        make_empty(folder / "sunarc.sqlite")
         self._settings = Settings(
             name="roof", site=SGP, state=folder, camera=AravisOptions(address="127.0.0.9", timestamps="host")
         )

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image as Pictures
+from tests.fixtures.archive import make_empty
 
-from sunarc.archive import CameraArchive, DiskOptions, ImageStore, open_archive, upgrade
+from sunarc.archive import CameraArchive, DiskOptions, ImageStore, open_archive
 from sunarc.cameras import Frame
 from sunarc.imaging import HdrImage, document_of
 from sunarc.sky import Site
@@ -46,7 +47,7 @@ def cycle(number: int = 0, *, pixel_format: str = "Mono12", size: int = 40) -> l
 
 @pytest.fixture
 def predictor(tmp_path: Path) -> SunPredictor:
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     return SunPredictor(CameraArchive(open_archive(tmp_path / "sunarc.sqlite"), name="roof", site=SGP))
 
 

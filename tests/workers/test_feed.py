@@ -10,6 +10,7 @@ from http import HTTPStatus
 from pathlib import Path
 
 import pytest
+from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, new_imager, sighting
 
 from sunarc.archive import (
@@ -22,7 +23,6 @@ from sunarc.archive import (
     feed_lines,
     open_archive,
     read_feed_lines,
-    upgrade,
 )
 from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import VirtualClock
@@ -84,7 +84,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     clock = VirtualClock(NOW)
     board = StatusRegistry(version="1", started_at=NOW, monotonic=clock.monotonic)
     with new_imager(tmp_path) as imager, open_archive(tmp_path / "hub.sqlite") as hub:

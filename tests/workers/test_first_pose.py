@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.finding_codes import codes
+from tests.fixtures.archive import make_empty
 from tests.workers.test_watch import DAY, NOON, SIZE, TRUTH, Imager, off_in_sigmas, turned
 
-from sunarc.archive import CameraArchive, CameraRecord, open_archive, upgrade
+from sunarc.archive import CameraArchive, CameraRecord, open_archive
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -59,7 +60,7 @@ class NewImager(Imager):
     """A watch over an archive without a calibration, of a camera whose type of lens is known."""
 
     def __init__(self, folder: Path, first: FirstPose | None, board: StatusRegistry) -> None:
-        upgrade(folder / "sunarc.sqlite")
+        make_empty(folder / "sunarc.sqlite")
         self.archive = open_archive(folder / "sunarc.sqlite")
         self.board, self.first = board, first
         self.now = datetime.fromtimestamp(NOON - 3600.0, UTC)

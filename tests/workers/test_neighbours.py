@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cross_checks.cameras import FIRST_NOON, Neighbour, Wrong, neighbours
+from tests.fixtures.archive import make_empty
 
-from sunarc.archive import Archive, CameraRecord, CrossCheck, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraRecord, CrossCheck, SunPoint, open_archive
 from sunarc.calibration import to_document
 from sunarc.sky import Site, solar_date
 from sunarc.workers import cross_check_fleet
@@ -23,7 +24,7 @@ DAYS = 36
 
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
-    upgrade(tmp_path / "hub.sqlite")
+    make_empty(tmp_path / "hub.sqlite")
     with open_archive(tmp_path / "hub.sqlite") as opened:
         yield opened
 

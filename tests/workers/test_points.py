@@ -12,9 +12,10 @@ import pandas as pd
 import pvlib
 import pytest
 from tests.api.conftest import LENS, document
+from tests.fixtures.archive import make_empty
 from tests.fixtures.calibrations import SITE
 
-from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive, upgrade
+from sunarc.archive import Archive, CameraArchive, CameraRecord, DayAir, SunPoint, open_archive
 from sunarc.calibration import CalibrationOptions, SunPoints, measure_day
 from sunarc.optics import project
 from sunarc.sky import sun_angles, sun_directions
@@ -43,7 +44,7 @@ def add_sightings(archive: Archive, *, day: int, method: str = "disc") -> None:
 @pytest.fixture
 def archive(tmp_path: Path) -> Iterator[Archive]:
     """Return an archive with a day of sightings in air of 35 degrees, and one of which nothing was measured."""
-    upgrade(tmp_path / "sunarc.sqlite")
+    make_empty(tmp_path / "sunarc.sqlite")
     opened = open_archive(tmp_path / "sunarc.sqlite")
     opened.save_camera(
         CameraRecord(name="roof", latitude=SITE.latitude, longitude=SITE.longitude, altitude=SITE.altitude,

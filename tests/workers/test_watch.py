@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.finding_codes import codes
+from tests.fixtures.archive import make_empty
 
-from sunarc.archive import CameraArchive, CameraRecord, DayAir, Event, SunPoint, open_archive, upgrade
+from sunarc.archive import CameraArchive, CameraRecord, DayAir, Event, SunPoint, open_archive
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -67,7 +68,7 @@ class Imager:
     """A watch over an archive, shown sightings of a camera that may move."""
 
     def __init__(self, folder: Path, calibration: Calibration, board: StatusRegistry) -> None:
-        upgrade(folder / "sunarc.sqlite")
+        make_empty(folder / "sunarc.sqlite")
         self.archive = open_archive(folder / "sunarc.sqlite")
         self.board = board
         self.now = datetime.fromtimestamp(NOON - 3600.0, UTC)
