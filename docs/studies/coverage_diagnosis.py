@@ -1,6 +1,7 @@
 """Where rows of `coverage.py` come to be too narrow: fits that know the true scales beside fits that infer them.
 
     OMP_NUM_THREADS=1 python docs/studies/coverage_diagnosis.py --lenses 40 [--case NAME]… [--control NAME]…
+    OMP_NUM_THREADS=1 python docs/studies/coverage_diagnosis.py --whitened | --real-like 30
 
 Lenses, fields and noise are those of `coverage.py` by the same numbers. Controls: "as served"; "field known", whose
 grid of scales holds the true amplitude and length of the field alone; "scales known", that holds the true scales of
@@ -27,6 +28,8 @@ import population as pop
 from coverage import CASES, Case, field_of, field_scales, lens_of
 from coverage_statistics import CHI_SQUARE_95, degrees_from_track, every_so_many, squared_sigmas
 from numpy.typing import NDArray
+from real_like_fits import sky_error_px
+from real_like_tracks import real_like_track
 
 from sunarc.calibration import (
     Calibration,
@@ -40,6 +43,7 @@ from sunarc.calibration import (
 from sunarc.calibration.fit import robust_fit
 from sunarc.calibration.fit.hyperparameter_grid import HyperparameterGrid
 from sunarc.calibration.least_squares import priors
+from sunarc.calibration.model.options import LensTolerances
 from sunarc.calibration.model.residual_field import wave_basis
 from sunarc.optics import Camera, ideal_radius
 from sunarc.optics.camera import RADIAL_ORDERS
@@ -50,6 +54,8 @@ _IMPOSSIBLE = -50.0
 """Log prior of the field's floor where a field is known: it stays in the grid, which expects one."""
 _GAUGE_PX = 0.3
 """The share of a change of focal length that stays in the residual distortion, 1-sigma, as in the fit's own prior."""
+_RADIAL_PX = 1.5
+"""Scale of the radial distortion of `population.py`."""
 CONTROLS = "as served", "field known", "scales known", "gauge projected"
 
 
@@ -143,22 +149,41 @@ def one_lens(seed: int, case: Case, controls: tuple[str, ...]) -> FloatArray:
     return np.array(rows)
 
 
-def main() -> None:
+def print_whitened() -> None:
+    """Print the RMS of the eight whitened coordinates of 300 lenses' radial distortion, in sigmas of either prior."""
+    for name, basis in (("as served", priors.radial_basis), ("gauge projected", projected_radial_basis)):
+        found = []
+        for seed in range(300):
+            camera = lens_of(Case(), np.random.default_rng([seed, 20]))
+            radial = basis(camera, length=math.radians(LensTolerances().radial_length_deg), upto=math.pi / 2)
+            found.append(np.linalg.solve(radial, np.array(camera.radial)) / _RADIAL_PX)
+        print(name, np.round(np.sqrt(np.mean(np.square(found), axis=0)), 2))
+
+
+def print_real_like(count: int) -> None:
+    """Print how real-like tracks are fitted with either prior: error over the sky, px, and the verdict."""
+    rows = []
+    for seed in range(count):
+        track, row = real_like_track(seed), list[float]()
+        for basis in (priors.radial_basis, projected_radial_basis):
+            with patch.object(priors, "radial_basis", basis):
+                fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
+            row += [sky_error_px(fit, track), float(fit.verdict.accepted)]
+        rows.append(row)
+    before, kept, after, kept_after = np.array(rows).T
+    both = (kept > 0.0) & (kept_after > 0.0)
+    print(f"median {np.median(before):.2f}, {np.median(after):.2f}; accepted {kept.sum():.0f}, {kept_after.sum():.0f}")
+    print(f"by both accepted: median ratio {np.median(after[both] / before[both]):.3f}")
+
+
+def print_table(cases: list[str], seeds: range, controls: tuple[str, ...]) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--lenses", type=int, default=40)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--case", action="append", choices=list(CASES))
-    parser.add_argument("--control", action="append", choices=CONTROLS)
-    chosen = parser.parse_args()
-    controls = tuple(chosen.control or CONTROLS)
     print(
         "| case | control | coverage | near, far | z² far: 10, 50, 90 % "
         "| lenses < 0.8, their share | others | sky, stated px |"
     )
     print("|---|---|---|---|---|---|---|---|")
-    for name in chosen.case or CASES:
-        seeds = range(chosen.first, chosen.first + chosen.lenses)
+    for name in cases:
         table = np.array([one_lens(seed, CASES[name], controls) for seed in seeds])
         for number, control in enumerate(controls):
             covered, near, far, z, rms, stated = table[:, number].T
@@ -171,6 +196,25 @@ def main() -> None:
                 f"| {np.median(rms):.3f}, {np.median(stated):.3f} |",
                 flush=True,
             )
+
+
+def main() -> None:
+    """Print what is chosen."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lenses", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--case", action="append", choices=list(CASES))
+    parser.add_argument("--control", action="append", choices=CONTROLS)
+    parser.add_argument("--whitened", action="store_true")
+    parser.add_argument("--real-like", type=int, default=0)
+    chosen = parser.parse_args()
+    if chosen.whitened:
+        print_whitened()
+    elif chosen.real_like:
+        print_real_like(chosen.real_like)
+    else:
+        seeds = range(chosen.first, chosen.first + chosen.lenses)
+        print_table(chosen.case or list(CASES), seeds, tuple(chosen.control or CONTROLS))
 
 
 if __name__ == "__main__":
