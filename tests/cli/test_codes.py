@@ -33,10 +33,17 @@ FORMATTED: dict[str, tuple[str, ...]] = {
 """The endings of the codes that a source puts together."""
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return a source, read once for all tests."""
+    return ast.parse(path.read_text())
+
+
 def literals(path: Path) -> set[str]:
     """Return the strings of a source, the fixed parts of formatted ones among them."""
-    tree = ast.parse(path.read_text())
-    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return {
+        node.value for node in ast.walk(tree_of(path)) if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
 
 
 @cache
@@ -47,8 +54,8 @@ def words() -> set[str]:
 
 def codes_made_in(path: Path) -> set[str]:
     """Return the codes that a source gives to findings: strings, constants, and the formatted ones of `FORMATTED`."""
-    tree = ast.parse(path.read_text())
-    return {code for maker in MAKERS for call in calls_of(tree, maker) for code in codes_of(call.args[0], tree)}
+    tree = tree_of(path)
+    return {code for _, call in calls_of(tree) for code in codes_of(call.args[0], tree)}
 
 
 def codes_of(code: ast.expr, tree: ast.AST) -> set[str]:
@@ -82,7 +89,7 @@ def test_every_code_of_a_finding_is_declared() -> None:
 
 def data_made_in(path: Path) -> list[tuple[str, set[str]]]:
     """Return the codes that a source makes findings of, each with the names of its data, where both are written out."""
-    tree = ast.parse(path.read_text())
+    tree = tree_of(path)
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     made = list[tuple[str, set[str]]]()
     for function in [*functions, *(node for node in tree.body if isinstance(node, ast.Assign))]:
@@ -91,17 +98,17 @@ def data_made_in(path: Path) -> list[tuple[str, set[str]]]:
             for node in ast.walk(function)
             if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict)
         }
-        for maker in MAKERS:
-            for call in calls_of(function, maker):
-                names = names_of_data(call, maker, dicts)
-                made += [] if names is None else [(code, names) for code in codes_of(call.args[0], tree)]
+        for maker, call in calls_of(function):
+            names = names_of_data(call, maker, dicts)
+            made += [] if names is None else [(code, names) for code in codes_of(call.args[0], tree)]
     return made
 
 
-def calls_of(tree: ast.AST, function: str) -> list[ast.Call]:
-    """Return the calls of a function that have a positional argument."""
+def calls_of(tree: ast.AST) -> list[tuple[str, ast.Call]]:
+    """Return the calls of `MAKERS` that have a positional argument, each with the maker's name."""
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args]
-    return [call for call in calls if function in {getattr(call.func, "id", ""), getattr(call.func, "attr", "")}]
+    named = [(getattr(call.func, "id", getattr(call.func, "attr", "")), call) for call in calls]
+    return [(name, call) for name, call in named if name in MAKERS]
 
 
 def names_of_data(call: ast.Call, maker: str, dicts: dict[str, ast.Dict]) -> set[str] | None:
@@ -136,9 +143,7 @@ def fields(template: str) -> set[str]:
 
 def test_every_event_is_made_of_a_finding() -> None:
     """Only `Event.of`, beside its class, calls the class; its code is one of a finding."""
-    calls = {
-        path: [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)] for path in FILES
-    }
+    calls = {path: [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)] for path in FILES}
     built = {path for path in FILES for call in calls[path] if getattr(call.func, "id", "") == "Event"}
     assert built == {SERVICE / "archive" / "values.py"}
 

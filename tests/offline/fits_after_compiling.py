@@ -61,6 +61,23 @@ def fitted(points: SunPoints, **given: Any) -> Calibration:  # noqa: ANN401 - wh
     return calibrate(points, site=pop.SGP, image_size=SIZE, options=CalibrationOptions(**given), **named)
 
 
+def of_a_field() -> Calibration:
+    """Return the fit of a record that proves a field of the lens."""
+    times = pop.sun_track(np.arange(0.0, 120.0, 10.0), cadence_s=300.0)
+    field = pop.smooth_field(np.random.default_rng(7), amplitude_px=1.0, length_px=400.0)
+    noise = pop.white_noise(np.random.default_rng(5), times.size, 0.03)
+    found = fitted(with_stars(pop.sightings(CAMERA, times, noise, field=field)))
+    assert found.camera.displacement is not None
+    return found
+
+
+def answers(found: Calibration) -> None:
+    """Look directions and pixels up."""
+    ready = lookup(found)
+    ready.project(hemisphere(50))
+    ready.back_project(project(found.camera, hemisphere(50)))
+
+
 def work() -> dict[str, Callable[[], object]]:
     """Return fits of all kinds by their names; a robust one of a day is made at once, others start from it."""
     first = fitted(day())
@@ -89,7 +106,8 @@ def work() -> dict[str, Callable[[], object]]:
             day(days=2), site=pop.SGP, image_size=SIZE, options=CalibrationOptions(), lens=first
         ),
         "again": lambda: reproduce_calibration(first, day()),
-        "directions": lambda: lookup(first),
+        "directions": lambda: answers(first),
+        "through a field": lambda: answers(of_a_field()),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 import numpy as np
@@ -23,6 +23,7 @@ _DAY = 1_368_403_200.0  # 13 May 2013, 0 h UTC; any day would do
 _CADENCE_S = 600.0
 _NOISE_PX = 0.05
 _STARS = 60
+_FIELD_PX, _FIELD_LENGTH_PX = 1.0, 150.0  # of a field that the sightings prove
 _CAMERA = Camera(
     width=1024,
     height=1024,
@@ -71,15 +72,19 @@ def _drawn_sun(full_scale: int) -> FloatArray:
 
 
 def _fit() -> None:
-    """Fit the sightings of a day by each method, and with those of a night; look directions up in the fit."""
+    """Fit the sightings of a day by each method, and with those of a night; answer by fits without and with a field."""
     day, night = _made_day(), _made_night()
     size = (_CAMERA.width, _CAMERA.height)
     for method in get_args(Method):
         calibrate(day, site=_SITE, image_size=size, options=CalibrationOptions(method=method))
-    both = {
-        column.name: np.concatenate([getattr(day, column.name), getattr(night, column.name)]) for column in fields(day)
-    }
-    lookup(calibrate(SunPoints(**both), site=_SITE, image_size=size))
+    columns = [column.name for column in fields(day)]
+    both = SunPoints(**{name: np.concatenate([getattr(day, name), getattr(night, name)]) for name in columns})
+    through_field = replace(both, pixels=both.pixels + _FIELD_PX * np.sin(both.pixels / _FIELD_LENGTH_PX))
+    for points in (both, through_field):
+        ready = lookup(calibrate(points, site=_SITE, image_size=size))
+        for directions, pixels in ((night.directions, night.pixels), (night.directions.copy(), night.pixels.copy())):
+            ready.project(directions)  # read-only, and not: another type to numba
+            ready.back_project(pixels)
 
 
 def _made_day() -> SunPoints:
