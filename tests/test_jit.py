@@ -22,12 +22,12 @@ print(sum(twice.stats.cache_hits.values()), end="")
 """
 
 
-def run(folder: Path, *, before: str = "") -> subprocess.CompletedProcess[str]:
+def run(folder: Path, *, before: str = "", script: str = KERNEL) -> subprocess.CompletedProcess[str]:
     """Run a kernel in a process of its own, its cache in `folder`."""
-    script = folder.parent / "kernel.py"
-    script.write_text(before + KERNEL)
+    file = folder.parent / "kernel.py"
+    file.write_text(before + script)
     environment = {"NUMBA_CACHE_DIR": str(folder), "PATH": "/usr/bin:/bin", "HOME": "/nonexistent"}
-    return subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run([sys.executable, file], env=environment, capture_output=True, text=True, check=False)
 
 
 def test_a_kernel_is_compiled_once_and_then_read_from_the_disk(tmp_path: Path) -> None:
@@ -45,6 +45,39 @@ def test_a_cache_that_a_power_cut_damaged_is_written_anew(tmp_path: Path, kind: 
     assert (done.returncode, done.stdout) == (0, "0"), done.stderr
     assert "cannot be read" in done.stderr
     assert run(folder).stdout == "1"
+
+
+ARRAYS = """
+import math, sys
+import numpy as np
+from sunarc.jit import njit
+
+@njit()
+def total(values: object) -> float:
+    raised = np.zeros_like(values)
+    for row in range(len(values)):
+        raised[row] = math.expm1(values[row])
+    if len(values) > 5:
+        raise ValueError("too many")
+    return raised.sum()
+
+assert abs(total(np.arange(3.0)) - math.expm1(1.0) - math.expm1(2.0)) < 1e-12
+read = total.stats.cache_hits
+print(len(read), "numba.np.polynomial.polynomial_core" in sys.modules, end=" ")
+try:
+    total(np.arange(6.0))
+except ValueError:
+    print("refused", end=" ")
+print(abs(total(np.arange(3.0, dtype=np.float32)) - 8.1073) < 1e-3, end="")
+"""
+
+
+def test_a_kernel_is_read_without_what_numba_compiles_with(tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    assert run(folder, script=ARRAYS).stdout == "0 True refused True"
+    for stored in folder.rglob("*.2.nbc"):  # of the other type: compiled once more
+        stored.unlink()
+    assert run(folder, script=ARRAYS).stdout == "1 False refused True"
 
 
 CALLED = """

@@ -10,6 +10,7 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 
 _log = logging.getLogger(__name__)
 
@@ -30,8 +31,11 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
             filename_base=self._impl.filename_base,
             source_stamp=tuple(sorted(set(_stamps(self._py_func, set())))),
         )
+        # numba's own begins with all that a compilation may need, which takes longer than to read most kernels. Where
+        # there is nothing to read, the compilation does so; what is read needs the memory of arrays alone.
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            return self._load_overload(sig, target_context)
         except Exception as error:  # noqa: BLE001 - whatever unpickling a damaged file raises
             _log.warning("compiled kernel in %s cannot be read (%s); compiling it again", self.cache_path, error)
             with suppress(OSError):

@@ -25,7 +25,7 @@ from sqlalchemy import cast as sql_cast
 from sunarc.archive import tables
 from sunarc.archive.day_air import air_of_days, within_or_nan
 from sunarc.archive.tables import sun_point
-from sunarc.archive.types import stored_as
+from sunarc.archive.types import is_number, stored_as
 from sunarc.archive.values import SunPointColumns
 from sunarc.array_types import FloatArray, IntArray, NameArray
 from sunarc.calibration import Candidates
@@ -160,7 +160,7 @@ def _numbers(connection: Connection, filters: list[ColumnElement[bool]]) -> np.n
 def _sound() -> list[ColumnElement[bool]]:
     """Return the conditions that a row has a time and a place: what a hand or a bad disk wrote there may be none."""
     c = sun_point.c
-    return [stored_as(c.time, "integer"), *(stored_as(column, "real") for column in (c.x_px, c.y_px))]
+    return [stored_as(c.time, "integer"), is_number(c.x_px), is_number(c.y_px)]
 
 
 def _rows(connection: Connection, statement: Select[Any], columns: np.dtype[np.void]) -> np.ndarray[Any, Any]:
@@ -182,7 +182,7 @@ def _beginning(started_at: ColumnElement[Any]) -> ColumnElement[int]:
 
 def _number_or(column: ColumnElement[Any], otherwise: float) -> ColumnElement[Any]:
     """Return a column's numbers; what a hand wrote there that is none counts as unknown."""
-    return case((stored_as(column, "real"), column), else_=otherwise)
+    return case((is_number(column), column), else_=otherwise)
 
 
 def _nan_for_negative(column: np.ndarray[Any, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
