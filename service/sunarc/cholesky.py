@@ -22,6 +22,16 @@ def halved(factor: FloatArray, vector: FloatArray, size: int) -> float:
 
 
 @njit(nogil=True)
+def turned_back(factor: FloatArray, vector: FloatArray, size: int) -> None:
+    """Replace a vector (size,) by L'⁻¹ v: after `halved` it is M⁻¹ v."""
+    for i in range(size - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, size):
+            total -= factor[k, i] * vector[k]
+        vector[i] = total / factor[i, i]
+
+
+@njit(nogil=True)
 def factored(matrix: FloatArray, size: int, rows: int) -> float:
     """Factor the lower half of a matrix in place (Cholesky), further rows with it; return its log determinant.
 
@@ -54,9 +64,5 @@ def solved(matrix: FloatArray, vector: FloatArray) -> bool:
     if math.isnan(factored(matrix, f, f)):
         return False
     halved(matrix, vector, f)
-    for i in range(f - 1, -1, -1):
-        total = vector[i]
-        for k in range(i + 1, f):
-            total -= matrix[k, i] * vector[k]
-        vector[i] = total / matrix[i, i]
+    turned_back(matrix, vector, f)
     return True

@@ -222,3 +222,21 @@ def test_probes_are_the_directions_within_the_image_to_its_edges(
 def _within(camera: Camera, pixels: FloatArray, *, axis: int) -> NDArray[np.bool_]:
     size = [camera.width, camera.height][axis]
     return np.asarray((pixels[:, axis] > -0.5) & (pixels[:, axis] < size - 0.5))
+
+
+@pytest.mark.parametrize("shift", [-2.9, -0.3, 0.0, 1.4])
+def test_the_root_of_a_rising_function(shift: float) -> None:
+    count = 0
+
+    def rising(at: float) -> float:
+        nonlocal count
+        count += 1
+        return math.tanh(3.0 * (at - shift)) + 0.01 * (at - shift)
+
+    assert module.root_of_rising(rising, -3.0, 1.5, close=1e-6) == pytest.approx(shift, abs=1e-6)
+    assert count <= 16
+
+
+def test_where_a_rising_function_has_no_root_it_is_the_nearer_end() -> None:
+    assert module.root_of_rising(lambda at: at + 9.0, -3.0, 1.5, close=1e-6) == -3.0
+    assert module.root_of_rising(lambda at: at - 9.0, -3.0, 1.5, close=1e-6) == 1.5

@@ -50,6 +50,13 @@ def test_a_bin_spans_at_most_six_minutes() -> None:
     assert time_bins(_usable(360.0 * np.arange(2.0))).count == 2
 
 
+def test_a_slot_of_many_sightings_is_parted_and_one_of_few_is_whole() -> None:
+    every_half_minute = time_bins(_usable(30.0 * np.arange(40.0)))
+    assert np.bincount(every_half_minute.member).tolist() == [12, 12, 12, 4]
+    every_ten_seconds = time_bins(_usable(10.0 * np.arange(80.0)))
+    assert np.bincount(every_ten_seconds.member).tolist() == [16, 16, 4, 16, 16, 4, 8]
+
+
 def test_days_and_epochs_are_never_taken_together() -> None:
     times = np.arange(6.0)
     assert time_bins(_usable(times, day=[0, 0, 1, 1, 1, 2])).member.tolist() == [0, 0, 1, 1, 1, 2]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from tests.fixtures.calibration import ideal_camera, numerical_derivative, small_camera, spread_directions
 
 from sunarc.calibration.model import backward
@@ -100,3 +101,21 @@ def test_a_decentering_that_nothing_determines_is_fitted_as_well() -> None:
     """p1 and p2 next to nothing beside p3 in the thousands, as a noisy day's fit by the paper's method ends."""
     camera = replace(small_camera(), decentering=(8e-8, 1e-8, -4600.0, 1100.0))
     assert fit_backward(camera).max_error_px < 0.05
+
+
+def test_the_coefficients_are_those_of_scipys_least_squares() -> None:
+    """Of a curve whose columns are nearly dependent, as powers of the radius are, from a start that is off."""
+    x = np.linspace(0.0, 1.0, 60)
+    data = np.exp(-1.3 * x) + 0.01 * np.sin(40.0 * x)
+
+    def misfit(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.exp(at[0] * x) + at[1] * x**2 + at[2] * x**3 + at[3] * x**4 - data)
+
+    def slopes(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([x * np.exp(at[0] * x), x**2, x**3, x**4], axis=-1)
+
+    start = np.array([3.0, 0.0, 0.0, 0.0])
+    found = backward._least_squares(misfit, slopes, start)
+    expected = least_squares(misfit, start, jac=slopes, method="lm", ftol=1e-12)
+    assert np.sum(misfit(found) ** 2) == pytest.approx(2.0 * expected.cost, rel=1e-5)
+    assert 2.0 * expected.cost < 1e-3 * np.sum(misfit(start) ** 2)

@@ -9,6 +9,7 @@ factorisation each (generalised least squares, Laplace's approximation of the ma
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -129,6 +130,12 @@ def normal_sums(
     )
 
 
+def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Return the sums over the sightings of several parts together, at least one, made at the same unknowns."""
+    total = {name: sum(getattr(part, name) for part in parts) for name in ("jj", "jf", "jr", "fr", "rr")}
+    return replace(parts[0], ff=BasisProducts(matrix=np.sum([part.ff.matrix for part in parts], axis=0)), **total)
+
+
 def prior_precision(size: int, radial_px: float, decentering_px: float, *, n_unit: int = 0) -> FloatArray:
     """Return the prior precisions of all unknowns, (size,): lens, poses, and the refraction's."""
     poses = np.full(size - N_LENS - n_unit, _POSE_PRECISION)
@@ -174,10 +181,10 @@ def inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
 
 def general_inverses(matrix: FloatArray, diagonal: FloatArray) -> FloatArray:
     """Return (k, p, p): what `inverses` does, also where rounding makes a matrix negative."""
-    matrices = matrix + diagonal[:, :, None] * np.eye(matrix.shape[0])
+    matrices = matrix + diagonal[:, :, None] * np.eye(matrix.shape[-1])
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     both = scale[:, :, None] * scale[:, None, :]
-    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(matrix.shape[0])) * both
+    covariance = np.linalg.inv(matrices * both + RIDGE * np.eye(matrix.shape[-1])) * both
     return np.asarray(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 

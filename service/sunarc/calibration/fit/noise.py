@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.robust_statistics import median_of
 
 _LARGEST = 0.995
 _GAP = 1.6
@@ -38,37 +39,50 @@ def lag_one(residual: FloatArray, weight: FloatArray, follows: BoolArray) -> tup
     weight : (n,) 0 where a sighting does not count.
     follows : (n - 1,) see `neighbours`.
     """
+    rho, error = _correlation(*(np.array([np.sum(one)]) for one in _pairs(residual, weight, follows)))
+    return float(rho[0]), float(error[0])
+
+
+def _pairs(residual: FloatArray, weight: FloatArray, follows: BoolArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Return (n - 1,): which sightings make a pair with the next one, its product and its mean power; 0 for the rest.
+
+    The mean power of both members, so that a correlation lies within -1 and 1.
+    """
     pair = follows & (weight[:-1] > 0.0) & (weight[1:] > 0.0)
-    count = 2 * int(pair.sum())
-    if count < _ENOUGH:
-        return 0.0, 1.0
-    first, second = residual[:-1][pair], residual[1:][pair]
-    # the mean power of both members, so that the estimate lies within -1 and 1
-    power = 0.5 * (np.sum(first**2) + np.sum(second**2))
-    rho = float(np.sum(first * second) / power) if power > 0.0 else 0.0
-    return rho, float(np.sqrt(max(1.0 - rho**2, 1e-6) / count))
+    x, y = np.ascontiguousarray(residual.T)
+    square = x * x + y * y
+    return pair, pair * (x[:-1] * x[1:] + y[:-1] * y[1:]), pair * (0.5 * (square[:-1] + square[1:]))
+
+
+def _correlation(pairs: FloatArray, product: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (k,): correlations and their standard errors from sums over pairs of two axes; 0 and 1 of too few."""
+    count = np.maximum(2 * pairs, 1)
+    rho = product / np.where(power > 0.0, power, 1.0)
+    enough = 2 * pairs >= _ENOUGH
+    error = np.sqrt(np.maximum(1.0 - rho**2, 1e-6) / count)
+    return np.where(enough, rho, 0.0), np.where(enough, error, 1.0)
 
 
 def inflation(residual: FloatArray, weight: FloatArray, follows: BoolArray, run: IntArray) -> FloatArray:
     """Return (n,): by how much each run's variance grows because neighbours err alike, (1 + ρ) / (1 - ρ) >= 1.
 
-    A run's own lag-1 correlation is drawn towards that of all runs by how well it is known.
+    A run's own lag-1 correlation is drawn towards that of all runs by how well it is known. The sightings of a run lie
+    together.
     """
+    if run.size == 0:
+        return np.ones(0)
     overall, error = lag_one(residual, weight, follows)
     # below two standard errors it is as likely to be 0, and must not inflate every variance
     overall = overall if overall > 2.0 * error else 0.0
-    result = np.ones(residual.shape[0])
-    for one in np.unique(run):
-        in_run = run == one
-        first = np.flatnonzero(in_run)
-        span = slice(first[0], first[-1] + 1)
-        rho, run_error = lag_one(residual[span], weight[span], follows[first[0] : first[-1]])
-        # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
-        share = 0.05**2 / (0.05**2 + run_error**2)
-        rho = min(max(overall + share * (rho - overall), 0.0), _LARGEST)
-        rho = rho if rho > 2.0 * run_error or overall > 0.0 else 0.0
-        result[in_run] = (1.0 + rho) / (1.0 - rho)
-    return result
+    same = np.diff(run) == 0
+    begin = np.flatnonzero(np.r_[True, ~same])
+    sums = (np.add.reduceat(np.r_[one, 0.0], begin) for one in _pairs(residual, weight, follows & same))
+    rho, run_error = _correlation(*sums)
+    # 0.05: by how much days differ in their correlation; a short run is drawn to the common one
+    share = 0.05**2 / (0.05**2 + run_error**2)
+    rho = np.clip(overall + share * (rho - overall), 0.0, _LARGEST)
+    rho = np.where((rho > 2.0 * run_error) | (overall > 0.0), rho, 0.0)
+    return np.repeat((1.0 + rho) / (1.0 - rho), np.diff(np.r_[begin, run.size]))
 
 
 def growth_rate(distance: FloatArray, zenith: FloatArray, rho: float) -> float:
@@ -86,7 +100,7 @@ def growth_rate(distance: FloatArray, zenith: FloatArray, rho: float) -> float:
     power = float(offset @ offset)
     if distance.size < _ENOUGH or power == 0.0:
         return 0.0
-    least = max(_LEAST_DISTANCE * float(np.median(distance)), float(np.finfo(np.float64).tiny))
+    least = max(_LEAST_DISTANCE * median_of(distance), float(np.finfo(np.float64).tiny))
     slope = 2.0 * float(offset @ np.log(np.maximum(distance, least))) / power
     error = _SPREAD_OF_LOG * math.sqrt((1.0 + rho**2) / max(1.0 - rho**2, 1e-6) / power)
     # beyond three standard errors chance alone is one in 400: even noise is to keep even weights

@@ -91,6 +91,8 @@ def measured_noise(
 def _scale(distance: FloatArray, course: Course) -> FloatArray:
     """Return (n,): the scale of each sighting's noise, by those of its sort."""
     scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
+    if np.all(course.sort == course.sort[:1]):
+        return scale
     for one in np.unique(course.sort):
         # sigmas stated with directions, by the sun's detector and by that of stars may be wrong by different factors
         alike = course.sort == one

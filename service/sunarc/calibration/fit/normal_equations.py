@@ -111,13 +111,14 @@ def linear_system(
     gathered, residual = bins.gathered(observed, problem.residuals(unknowns, observed), information)
     offset, rows = problem.linearised(unknowns, gathered)
     basis_values = basis.values(gathered.pixels - offset)
+    weighed = basis_values * np.sqrt(gathered.information)[:, None]
     return LinearSystem(
         observed=replace(gathered, pixels=gathered.pixels + residual - offset),
         rows=rows,
         basis_values=basis_values,
         residual=residual,
         at=unknowns,
-        basis_products=BasisProducts(matrix=basis_values.T @ (basis_values * gathered.information[:, None])),
+        basis_products=BasisProducts(matrix=weighed.T @ weighed),
         basis=basis,
         member=bins.member,
         n_unit=problem.n_unit,
@@ -181,13 +182,9 @@ def converged_in_axes(
     start: FloatArray,
     *,
     steps: int = _STEPS,
-    weighing: Weighing | None = None,
 ) -> AtRest:
-    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients.
-
-    `weighing`: that of `weighing_of`, where it is there already.
-    """
-    weighing = weighing_of(problem, system, scales) if weighing is None else weighing
+    """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
+    weighing = weighing_of(problem, system, scales)
     lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
     shared = problem.optics(), lens, problem.sighted(system.observed), weighing
     begin = np.array(start, dtype=np.float64)
@@ -198,8 +195,6 @@ def converged_in_axes(
 
 def _at_rest(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArray) -> tuple[MarginalFit, float]:
     """Return the linear fit from some unknowns, and their log evidence but for a constant (Laplace's approximation)."""
-    scale = 1.0 / np.sqrt(np.diag(sums.matrix))
-    scaled = sums.matrix * scale[:, None] * scale + RIDGE * np.eye(at.size)
     covariance = inverses(sums.matrix, np.zeros((1, at.size)))[0]
     step = covariance @ sums.vector
     gain = float(step @ sums.vector)
@@ -210,5 +205,12 @@ def _at_rest(at: FloatArray, sums: Sums, spread: FloatArray, precision: FloatArr
         covariance=covariance,
         cross=-(covariance @ np.swapaxes(sums.rows, -1, -2)) * spread,
     )
-    determinant = float(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale)) - np.sum(np.log(precision)))
+    determinant = float(log_determinants(sums.matrix) - np.sum(np.log(precision)))
     return fit, -0.5 * (float(sums.penalty[0]) - gain + determinant)
+
+
+def log_determinants(matrices: FloatArray) -> FloatArray:
+    """Return (...,): log determinants of positive matrices (..., p, p), with a ridge, see `RIDGE`."""
+    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    scaled = matrices * scale[..., :, None] * scale[..., None, :] + RIDGE * np.eye(matrices.shape[-1])
+    return np.asarray(np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale), axis=-1))

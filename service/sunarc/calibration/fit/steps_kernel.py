@@ -14,7 +14,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.least_squares.priors import N_LENS
 from sunarc.calibration.least_squares.row_kernels import Optics, Sighted, residuals_and_columns_of, vectors_of
-from sunarc.cholesky import factored, halved
+from sunarc.cholesky import factored, halved, turned_back
 from sunarc.jit import njit
 
 
@@ -142,11 +142,7 @@ def _write_step(matrix: FloatArray, vector: FloatArray, ridge: float, work: Floa
     if math.isnan(factored(work, p, p)):
         return 0.0
     promise = halved(work, step, p)
-    for i in range(p - 1, -1, -1):
-        total = step[i]
-        for k in range(i + 1, p):
-            total -= work[k, i] * step[k]
-        step[i] = total / work[i, i]
+    turned_back(work, step, p)
     for i in range(p):
         step[i] *= scale[i]
     return float(promise)

@@ -89,6 +89,11 @@ class Bins:
         return np.asarray(np.bincount(self.member, weights=values, minlength=self.count))
 
 
+def _begin(first: BoolArray) -> IntArray:
+    """Return (n,): the row that begins the part which each belongs to; a mask (n,) marks those that begin one."""
+    return np.asarray(np.maximum.accumulate(np.where(first, np.arange(first.size), 0)))
+
+
 def time_bins(usable: FilteredSightings) -> Bins:
     """Return bins of consecutive sightings of one day and epoch, at most 16 sightings and 6 minutes each.
 
@@ -98,9 +103,8 @@ def time_bins(usable: FilteredSightings) -> Bins:
     if n == 0:
         return Bins(member=np.zeros(0, dtype=np.int64), count=0)
     run = np.r_[True, (np.diff(usable.day) != 0) | (np.diff(usable.epoch) != 0) | np.diff(usable.alone)]
-    start_of_run = np.maximum.accumulate(np.where(run, np.arange(n), 0))
-    slot = np.floor((usable.unix_s - usable.unix_s[start_of_run]) / _SECONDS).astype(np.int64)
-    position = (np.arange(n) - start_of_run) // _MOST
-    fresh = run | usable.alone | np.r_[True, (np.diff(slot) != 0) | (np.diff(position) != 0)]
+    slot = np.floor((usable.unix_s - usable.unix_s[_begin(run)]) / _SECONDS).astype(np.int64)
+    part = run | usable.alone | np.r_[True, np.diff(slot) != 0]
+    fresh = part | ((np.arange(n) - _begin(part)) % _MOST == 0)
     member = np.cumsum(fresh) - 1
     return Bins(member=member, count=int(member[-1]) + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,9 @@ from sunarc.optics.inverse import calibrated
 _ORDERS = np.arange(2, 10)
 _ANGLES = 46
 _AZIMUTHS = 24
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e8
+"""Shares of the squared columns: the first one is what rounding leaves, since the start is close."""
+_STEPS = 50
 _GAIN = 1e-6
 """Relative gain of the squares below which it rests: with q1 and q2 next to nothing, q3 to q5 are not determined."""
 
@@ -60,17 +64,39 @@ def fit_backward(camera: Camera) -> BackwardModel:
     def slopes(coefficients: FloatArray) -> FloatArray:
         return np.asarray(focal * _slopes(camera, coefficients, x_hat, y_hat)).reshape(-1, coefficients.size)
 
-    from scipy.optimize import least_squares  # noqa: PLC0415 - the service starts sooner without it
-
-    # x_scale: radial coefficients are of the order of 1e-3, the ratios q3 to q5 of 0.1
-    scale = np.r_[np.full(10, 1e-3), np.full(3, 0.1)]
-    fitted = least_squares(
-        misfit, _first(camera, x_hat, y_hat, target_point), jac=slopes, method="lm", x_scale=scale, ftol=_GAIN
-    )
-    found = fitted.x
+    found = _least_squares(misfit, slopes, _first(camera, x_hat, y_hat, target_point))
     worst = float(np.max(np.linalg.norm(misfit(found).reshape(-1, 2), axis=-1)))
     radial = found[2:10] / _scale(camera) ** _ORDERS
     return BackwardModel(radial=tuple(map(float, radial)), decentering=_decentering(found), max_error_px=worst)
+
+
+def _least_squares(
+    misfit: Callable[[FloatArray], FloatArray], slopes: Callable[[FloatArray], FloatArray], start: FloatArray
+) -> FloatArray:
+    """Return the coefficients of the least squares by Levenberg-Marquardt, from a start (k,).
+
+    By orthogonal decomposition, since powers of the radius are nearly dependent: the normal equations would lose twice
+    the digits.
+    """
+    at, left, damping, size = start, misfit(start), _FIRST_DAMPING, start.size
+    for _ in range(_STEPS):
+        upper = np.asarray(np.linalg.qr(np.column_stack([slopes(at), left]), mode="r"))
+        factor, pull = upper[:size, :size], upper[:size, size]
+        scale = np.diag(np.linalg.norm(factor, axis=0))
+        gain = -1.0
+        while gain < 0.0 and damping < _LARGEST_DAMPING:
+            damped = np.concatenate([factor, math.sqrt(damping) * scale])
+            trial = at - np.linalg.lstsq(damped, np.r_[pull, np.zeros(size)])[0]
+            left_there = misfit(trial)
+            gain = float(left @ left - left_there @ left_there)
+            damping *= 0.1 if gain >= 0.0 else 10.0
+        if gain < 0.0:
+            break
+        rest = gain <= _GAIN * float(left @ left)
+        at, left = trial, left_there
+        if rest:
+            break
+    return at
 
 
 def back_project(camera: Camera, model: BackwardModel, pixels: ArrayLike) -> FloatArray:

@@ -157,6 +157,8 @@ class Field:
 
         They are 0.15 % short of it, and shorter near the box's edge: what is known is a share of what there is.
         """
+        if self.known.shape[0] == 0:
+            return np.zeros((values.shape[0], 0))
         own = values**2 @ self.basis.variances(length_px=self.length_px)
         return np.asarray((values @ self.known.T) / np.sqrt(np.where(own > 0.0, own, 1.0))[:, None])
 
