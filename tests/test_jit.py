@@ -114,6 +114,23 @@ def test_a_kernel_is_compiled_again_where_one_that_it_calls_has_changed(tmp_path
         assert (done.returncode, done.stdout) == (0, expected), done.stderr
 
 
+OUT_OF_REACH = """
+import os
+os.chmod(os.environ["NUMBA_CACHE_DIR"], 0)
+if os.geteuid() == 0:
+    os.seteuid(65534)
+print(scaled(21.0), sum(scaled.stats.cache_hits.values()), end="")
+"""
+
+
+def test_a_cache_out_of_reach_since_the_start_leaves_kernels_in_memory(tmp_path: Path) -> None:
+    """Also one that calls another: its files are read, its folder is not."""
+    folder = tmp_path / "cache"
+    (tmp_path / "called.py").write_text(CALLED.format(factor=2.0))
+    done = run(folder, script=CALLING.rsplit("print", 1)[0] + OUT_OF_REACH)
+    assert (done.returncode, done.stdout) == (0, "42.0 0"), done.stderr
+
+
 FULL = """
 import errno, os, numba.core.caching as caching
 def full(self, name, data):

@@ -5,6 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numba
@@ -25,18 +29,18 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the stored kernel; None where there is none that can be read."""
-        # not before the first call: what the kernel calls may be defined below it
-        self._cache_file = IndexDataCacheFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=tuple(sorted(set(_stamps(self._py_func, set())))),
-        )
         # numba's own begins with all that a compilation may need, which takes longer than to read most kernels. Where
         # there is nothing to read, the compilation does so; what is read needs the memory of arrays alone.
         rtsys.initialize(target_context)
         try:
+            # not before the first call: what the kernel calls may be defined below it
+            self._cache_file = IndexDataCacheFile(
+                cache_path=self._cache_path,
+                filename_base=self._impl.filename_base,
+                source_stamp=tuple(sorted(set(_stamps(self._py_func, set())))),
+            )
             return self._load_overload(sig, target_context)
-        except Exception as error:  # noqa: BLE001 - whatever unpickling a damaged file raises
+        except Exception as error:  # noqa: BLE001 - of the disk, or whatever unpickling a damaged file raises
             _log.warning("compiled kernel in %s cannot be read (%s); compiling it again", self.cache_path, error)
             with suppress(OSError):
                 self.flush()  # else the damaged index would be read again to store the kernel
@@ -51,16 +55,22 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
             _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
 
 
-def _stamps(function: Any, visited: set[object]) -> Iterator[str]:  # noqa: ANN401 - functions have no common type
-    """Yield what numba takes for the state of the source file, of a function and of all kernels that it calls."""
+def _stamps(function: FunctionType, visited: set[FunctionType]) -> Iterator[str]:
+    """Yield what stands for the contents of the source file, of a function and of all kernels that it calls."""
     if function in visited:
         return
     visited.add(function)
-    yield str(FunctionCache._impl_class(function).locator.get_source_stamp())  # noqa: SLF001 - as numba's own cache does
+    yield _stamp(function.__code__.co_filename)
     for name in function.__code__.co_names:
         called = function.__globals__.get(name)
         if isinstance(called, Dispatcher):
             yield from _stamps(called.py_func, visited)
+
+
+@cache
+def _stamp(file: str) -> str:
+    """Return a digest of a source file: a package gives the files of all its versions one time."""
+    return sha256(Path(file).read_bytes()).hexdigest()
 
 
 def njit(**options: object) -> Callable[[Callable[..., Any]], Any]:
