@@ -1,11 +1,13 @@
-"""Rows spread evenly over a sequence."""
+"""Rows spread evenly over a sequence, picked from a table, and stacked again."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from sunarc.array_types import evenly_spread
+from sunarc.array_types import FloatArray, IntArray, evenly_spread, picked, stacked
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 7, 60, 61, 1000])
@@ -20,3 +22,18 @@ def test_rows_are_spread_evenly_from_the_first_to_the_last(size: int, most: int)
         assert np.ptp(np.diff(rows)) <= 1
     elif size:
         assert rows.tolist() == [0]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one and of two values a row."""
+
+    number: IntArray
+    place: FloatArray
+
+
+def test_rows_that_were_picked_are_stacked_in_the_order_of_the_parts() -> None:
+    table = Table(number=np.arange(5), place=np.arange(10.0).reshape(5, 2))
+    again = stacked([picked(table, slice(3, None)), picked(table, slice(0, 0)), picked(table, slice(0, 3))])
+    assert again.number.tolist() == [3, 4, 0, 1, 2]
+    np.testing.assert_array_equal(again.place, table.place[again.number])

@@ -22,6 +22,7 @@ import population as pop
 from coverage_statistics import CHI_SQUARE_95, bootstrap_interval, squared_sigmas
 from numpy.typing import NDArray
 
+from sunarc.array_types import stacked
 from sunarc.calibration import (
     MOST_STARS,
     Calibration,
@@ -148,8 +149,7 @@ def detected(camera: Camera, times: FloatArray, noise: FloatArray, *, field: pop
 
 def together(first: SunPoints, second: SunPoints) -> SunPoints:
     """Return both."""
-    names = [column.name for column in dataclasses.fields(SunPoints)]
-    return SunPoints(**{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names})
+    return stacked([first, second])
 
 
 def error_of(fit: Calibration, camera: Camera, field: pop.Field | None) -> FloatArray:

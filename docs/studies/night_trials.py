@@ -30,6 +30,7 @@ from night_matching import WRONG, wrong_camera
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from sunarc.array_types import stacked
 from sunarc.calibration import (
     MOST_STARS,
     Calibration,
@@ -215,8 +216,7 @@ class Made:
             when = begin + number * 6.0 * 3600.0 / count
             stars, names = nights.detections(rng, self.lens, nights.sky_of(when), night)
             lit = lamps.select(rng.uniform(size=len(lamps)) < 0.6)
-            names_of = Stars.__dataclass_fields__
-            both = Stars(**{name: np.concatenate([getattr(stars, name), getattr(lit, name)]) for name in names_of})
+            both = stacked([stars, lit])
             order = np.argsort(-both.flux, kind="stable")
             names = names + [""] * len(lit)
             found.append((when, both.select(order), [names[row] for row in order]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -29,4 +30,14 @@ def picked(table: _Table, which: Rows) -> _Table:
     """Return a frozen dataclass of columns, each (n, ...), with some of its rows."""
     columns: Any = table
     rows: _Table = replace(columns, **{field.name: getattr(table, field.name)[which] for field in fields(columns)})
+    return rows
+
+
+def stacked(parts: Sequence[_Table]) -> _Table:
+    """Return a frozen dataclass of columns, each (n, ...), with the rows of several, at least one, in their order."""
+    columns: Any = parts[0]
+    rows: _Table = replace(
+        columns,
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(columns)},
+    )
     return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import current_document
 
+from sunarc.array_types import stacked
 from sunarc.calibration import Calibration, Kind, SunPoints, calibrate, from_document, hemisphere, reproduce_calibration
 from sunarc.calibration.model.sightings import filter_sightings
 from sunarc.optics import Camera, ideal_radius, project, rotation_matrix, rotation_vector
@@ -71,9 +72,7 @@ def stars(night: Night) -> SunPoints:
 
 def both(night: Night) -> SunPoints:
     """Return the sightings of the day and of the night."""
-    second = stars(night)
-    names = [column.name for column in fields(SunPoints)]
-    return SunPoints(**{name: np.concatenate([getattr(SUN, name), getattr(second, name)]) for name in names})
+    return stacked([SUN, stars(night)])
 
 
 def fitted(points: SunPoints) -> Calibration:

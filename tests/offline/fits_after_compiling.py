@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import population as pop
 
+from sunarc.array_types import stacked
 from sunarc.calibration import (
     Calibration,
     CalibrationOptions,
@@ -51,8 +52,7 @@ def with_stars(sun: SunPoints, *, wrong_px: float = 0.0) -> SunPoints:
         directions=directions,
         kind=np.full(len(directions), Kind.STAR),
     )
-    names = [column.name for column in fields(SunPoints)]
-    return SunPoints(**{name: np.concatenate([getattr(sun, name), getattr(night, name)]) for name in names})
+    return stacked([sun, night])
 
 
 def fitted(points: SunPoints, **given: Any) -> Calibration:  # noqa: ANN401 - whatever `calibrate` takes

@@ -11,10 +11,10 @@ import sys
 import numpy as np
 import pytest
 
-from sunarc.calibration import Calibration, CalibrationOptions, SunPoints
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
 from sunarc.runtime.child_process import answer_call
 from sunarc.sky import Site
-from sunarc.workers.calibrating.solver_process import Problem, calibrate_call
+from sunarc.workers.calibrating.solver_process import Problem, call_on
 
 
 def refuse(increment: int) -> int:
@@ -27,7 +27,7 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
     nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
     problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
-    receiving.send(calibrate_call(problem))
+    receiving.send(call_on(problem, calibrate))
     answer_call(sending)
     assert receiving.poll(1.0)
     assert isinstance(receiving.recv(), Calibration)  # refused, and told why; without it, a broken pipe
@@ -36,7 +36,8 @@ def test_a_solve_that_may_not_step_back_is_solved_as_an_equal(monkeypatch: pytes
 def test_the_process_of_a_solve_imports_the_core_and_neither_workers_nor_the_database() -> None:
     nothing = SunPoints(unix_s=np.empty(0), pixels=np.empty((0, 2)))
     site = Site(latitude=36.6, longitude=-97.5, altitude=318.0)
-    call = calibrate_call(Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions()))
+    problem = Problem(points=nothing, site=site, image_size=(1748, 1748), options=CalibrationOptions())
+    call = call_on(problem, calibrate)
     listing = (
         "import pickle, sys; from sunarc.runtime.child_process import answer_call; pickle.load(sys.stdin.buffer);"
         "print(*sys.modules)"

@@ -171,11 +171,6 @@ def _compare_type(element: stored_as, compiler: SQLCompiler, **options: Any) -> 
     return f"(typeof({compiler.process(column, **options)}) = {compiler.process(kind, **options)})"
 
 
-@compiles(stored_as, "postgresql")
-def _compare_null(element: stored_as, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
-    return f"({compiler.process(next(iter(element.clauses)), **options)} IS NOT NULL)"
-
-
 class is_number(GenericFunction[bool]):  # noqa: N801 - a function of SQL
     """Whether a column's value is a number; on PostgreSQL: whether there is one."""
 
@@ -189,8 +184,9 @@ def _compare_order(element: is_number, compiler: SQLCompiler, **options: Any) ->
     return f"({compiler.process(next(iter(element.clauses)), **options)} <= 9e999)"
 
 
+@compiles(stored_as, "postgresql")
 @compiles(is_number, "postgresql")
-def _compare_no_null(element: is_number, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
+def _compare_null(element: stored_as | is_number, compiler: SQLCompiler, **options: Any) -> str:  # noqa: ANN401 - SQLAlchemy's
     return f"({compiler.process(next(iter(element.clauses)), **options)} IS NOT NULL)"
 
 

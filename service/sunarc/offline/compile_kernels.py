@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 
-from sunarc.array_types import FloatArray, Image
+from sunarc.array_types import FloatArray, Image, stacked
 from sunarc.calibration import CalibrationOptions, Kind, Method, SunPoints, calibrate, hemisphere, lookup
 from sunarc.detection import Expectation, Sensor, detect_sun
 from sunarc.imaging import merge_hdr
@@ -77,8 +77,7 @@ def _fit() -> None:
     size = (_CAMERA.width, _CAMERA.height)
     for method in get_args(Method):
         calibrate(day, site=_SITE, image_size=size, options=CalibrationOptions(method=method))
-    columns = [column.name for column in fields(day)]
-    both = SunPoints(**{name: np.concatenate([getattr(day, name), getattr(night, name)]) for name in columns})
+    both = stacked([day, night])
     through_field = replace(both, pixels=both.pixels + _FIELD_PX * np.sin(both.pixels / _FIELD_LENGTH_PX))
     for points in (both, through_field):
         ready = lookup(calibrate(points, site=_SITE, image_size=size))

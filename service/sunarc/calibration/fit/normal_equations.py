@@ -157,7 +157,7 @@ def irls_converged(problem: Problem, system: LinearSystem, scales: Scales) -> At
     return rest._replace(fit=rest.fit.with_coefficients_on(transform))
 
 
-def weighing_of(problem: Problem, system: LinearSystem, scales: Scales) -> Weighing:
+def _weighing(problem: Problem, system: LinearSystem, scales: Scales) -> Weighing:
     """Return how the bins of a system in the field's axes count under some scales."""
     root = np.sqrt(system.observed.information)
     return Weighing(
@@ -184,7 +184,7 @@ def converged_in_axes(
     steps: int = _STEPS,
 ) -> AtRest:
     """Return what `irls_converged` does from a start, for a system in the field's axes and its coefficients."""
-    weighing = weighing_of(problem, system, scales)
+    weighing = _weighing(problem, system, scales)
     lens = LensBasis(problem.prior.mean, np.ascontiguousarray(problem.prior.basis))
     shared = problem.optics(), lens, problem.sighted(system.observed), weighing
     begin = np.array(start, dtype=np.float64)

@@ -8,11 +8,12 @@ its own fit given what all the others say of the type (`further_unit`); no syste
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.array_types import stacked
 from sunarc.calibration.calibrate import calibrate
 from sunarc.calibration.lens_library.combination import Unit, lens_type_of, require_one_type
 from sunarc.calibration.lens_library.conditioning import with_lens
@@ -129,6 +130,4 @@ def _stacked(entries: Sequence[Entry], latest: Entry) -> SunPoints:
     """Return the sightings of all epochs of a camera, one of them numbered last: a fit is of the last one's pose."""
     ordered = [*(entry for entry in entries if entry is not latest), latest]
     parts = [replace(entry.points, epoch=np.full(len(entry.points), k)) for k, entry in enumerate(ordered)]
-    return SunPoints(
-        **{column.name: np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(SunPoints)}
-    )
+    return stacked(parts)

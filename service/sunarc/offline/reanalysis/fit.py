@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import sunarc
-from sunarc.array_types import IntArray
+from sunarc.array_types import IntArray, stacked
 from sunarc.calibration import (
     Calibration,
     SunPoints,
@@ -124,10 +124,7 @@ def _stars_beside(stars: SunPoints, order: Sequence[int], camera: Camera) -> Sun
 
 def _merged(suns: SunPoints, stars: SunPoints) -> SunPoints:
     """Return sightings of both in the order of time."""
-    columns = {
-        one.name: np.concatenate([getattr(suns, one.name), getattr(stars, one.name)]) for one in fields(SunPoints)
-    }
-    merged = SunPoints(**columns)
+    merged = stacked([suns, stars])
     return merged.select(np.argsort(merged.unix_s, kind="stable"))
 
 

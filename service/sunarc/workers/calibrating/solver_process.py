@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from typing import TypeVar
 
 from sunarc.calibration import (
     Calibration,
@@ -25,6 +26,8 @@ from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
 from sunarc.workers.messages import text_of
+
+_Answer = TypeVar("_Answer")
 
 _POLL_S = 0.25
 _STOP_FOLLOWS_S = 1.0
@@ -78,7 +81,7 @@ def solve_in_child(
     SolverDiedError : when the process died.
     SolveFailedError : when it failed, or took longer than `time_limit_s`.
     """
-    call = calibrate_call(problem)
+    call = call_on(problem, calibrate)
     answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, Calibration):
         raise SolveFailedError(Finding("solve_failed", {"error": str(answer)}))
@@ -99,25 +102,17 @@ def search_in_child(
     ------
     SolveFailedError : when the process died or took longer than `time_limit_s`.
     """
-    call = partial(
-        find_pose_steps,
-        problem.points,
-        site=problem.site,
-        image_size=problem.image_size,
-        options=problem.options,
-        circle=problem.circle,
-        lens=problem.lens,
-    )
+    call = partial(call_on(problem, find_pose_steps), lens=problem.lens)
     answer = _in_child(call, clock=clock, time_limit_s=time_limit_s, stop=stop, heartbeat=heartbeat)
     if answer is not None and not isinstance(answer, tuple):
         raise SolveFailedError(Finding("search_failed", {"error": str(answer)}))
     return answer
 
 
-def calibrate_call(problem: Problem) -> partial[Calibration]:
-    """Return the call that solves a problem: of the core alone, so that the child imports no more than that."""
+def call_on(problem: Problem, function: Callable[..., _Answer]) -> partial[_Answer]:
+    """Return the call of a function of the core on a problem, so that the child imports no more than the core."""
     return partial(
-        calibrate,
+        function,
         problem.points,
         site=problem.site,
         image_size=problem.image_size,
