@@ -30,26 +30,6 @@ def texts(root: Path, tracked_files: list[Path]) -> dict[str, str]:
     return {name: content.decode() for name, content in contents.items() if b"\0" not in content}
 
 
-def test_no_file_is_longer_than_one_sitting(sources: list[Path]) -> None:
-    assert [path.name for path in sources if len(path.read_text().splitlines()) > 350] == []
-
-
-def test_no_function_is_longer_than_a_screen(sources: list[Path]) -> None:
-    functions = [
-        (f"{path.name}: {node.name}", node)
-        for path in sources
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-    ]
-    assert [name for name, node in functions if lines_of_code(node) > 50] == []
-
-
-def lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Count the lines of a function's body, its docstring apart."""
-    body = function.body[1:] if ast.get_docstring(function) else function.body
-    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
-
-
 def test_a_string_that_describes_a_constant_stands_right_under_it(sources: list[Path]) -> None:
     assert [f"{path.name}:{line}" for path in sources for line in stray_strings(ast.parse(path.read_text()))] == []
 
