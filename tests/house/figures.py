@@ -1,0 +1,418 @@
+"""Figures of the code's size and shape: `python -m tests.house.figures [--json FILE]`, beside those of figures.json.
+
+Each function below is the definition of its figure. The package is `service/sunarc`; `client` is left out where said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import dataclasses
+import importlib
+import io
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import tokenize
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "service" / "sunarc"
+BEFORE = Path(__file__).with_name("figures.json")
+"""The figures of the tree that the decision on its size began with."""
+NATIVE = {".c", ".cc", ".cpp", ".h", ".hpp", ".pyx"}
+SHORT_LINES = 80
+LONG_SIGNATURE = 7
+ROW = re.compile(r"assert .*(?:match|in|==) *r?f?[\"'][^\"']* [^\"']* [^\"']*[\"']|match=r?f?[\"'][^\"']* [^\"']* ")
+
+
+class Module(NamedTuple):
+    """One file of the package."""
+
+    name: str
+    text: str
+    tree: ast.Module
+
+    @property
+    def room(self) -> str:
+        """Return the top-level folder, or the file's own name."""
+        return self.name.split(".")[1] if "." in self.name else self.name
+
+
+def modules() -> dict[str, Module]:
+    """Return every Python file of the package, by its dotted name."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        text = path.read_text("utf-8")
+        found[name] = Module(name, text, ast.parse(text))
+    return found
+
+
+def imports(module: Module, names: Mapping[str, Module]) -> set[str]:
+    """Return the modules of the package that a module imports, also within functions: the innermost file of each."""
+    found = set()
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Import):
+            candidates = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            candidates = [
+                full if (full := f"{node.module}.{alias.name}") in names else node.module for alias in node.names
+            ]
+        else:
+            continue
+        found |= {name for name in candidates if name in names}
+    return found - {module.name}
+
+
+def importers(found: Mapping[str, Module]) -> dict[str, set[str]]:
+    """Return which modules import each module."""
+    users: dict[str, set[str]] = defaultdict(set)
+    for module in found.values():
+        for name in imports(module, found):
+            users[name].add(module.name)
+    return users
+
+
+def code_lines(text: str) -> set[int]:
+    """Return the lines that hold code: not blank, no comment, no docstring, no import."""
+    tree = ast.parse(text)
+    lines = {
+        line
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type not in _EMPTY_TOKENS
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    return lines - _lines_of(tree, _is_string) - import_lines(tree)
+
+
+_EMPTY_TOKENS = {
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,
+}  # fmt: skip
+
+
+def _is_string(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _is_import(node: ast.AST) -> bool:
+    return isinstance(node, ast.Import | ast.ImportFrom)
+
+
+def _lines_of(tree: ast.Module, wanted: object) -> set[int]:
+    return {
+        line
+        for node in ast.walk(tree)
+        if callable(wanted) and wanted(node)
+        for line in range(node.lineno, node.end_lineno + 1)  # type: ignore[attr-defined]
+    }
+
+
+def import_lines(tree: ast.Module) -> set[int]:
+    """Return the lines of import statements."""
+    return _lines_of(tree, _is_import)
+
+
+def native_code_lines() -> int:
+    """Return the lines of compiled sources that are neither blank nor a comment of their own."""
+    files = [path for path in PACKAGE.rglob("*") if path.suffix in NATIVE]
+    lines = [line.strip() for path in files for line in path.read_text("utf-8").splitlines()]
+    return sum(bool(line) and not line.startswith(("//", "/*", "*")) for line in lines)
+
+
+def comment_lines(text: str) -> int:
+    """Return the lines with a comment, directives of tools apart."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(
+        token.type == tokenize.COMMENT and not re.match(r"# *(?:noqa|type:|fmt:|pragma)", token.string)
+        for token in tokens
+    )
+
+
+def class_names(found: Mapping[str, Module]) -> Counter[str]:
+    """Return how often each class name is defined in the package, the client apart."""
+    return Counter(
+        node.name
+        for module in found.values()
+        if module.room != "client"
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.ClassDef)
+    )
+
+
+def classes_of_sightings(found: Mapping[str, Module]) -> list[str]:
+    """Return the classes that have a pixel and a time or a direction as fields: each is a table or row of sightings."""
+    pixel = {"x_px", "y_px", "x", "y", "pixels", "pixel", "pixel_px"}
+    where = {"times", "time", "time_utc", "directions", "direction", "unix_s", "time_s"}
+    found_here = []
+    for module in found.values():
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.ClassDef) and module.room != "client":
+                names = {
+                    field.target.id
+                    for field in node.body
+                    if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+                }
+                if names & pixel and names & where:
+                    found_here.append(f"{module.name}.{node.name}")
+    return found_here
+
+
+def functions(found: Mapping[str, Module]) -> Iterator[tuple[Module, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Yield every function of the package with its module."""
+    for module in found.values():
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield module, node
+
+
+def n_arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return how many arguments a function has, `self` and `cls` apart."""
+    names = [argument.arg for argument in (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)]
+    return len([name for name in names if name not in {"self", "cls"}])
+
+
+def faces(found: Mapping[str, Module], users: Mapping[str, set[str]]) -> dict[str, int]:
+    """Return the number of names in `__all__` of each package that is imported from outside itself."""
+    sizes = {}
+    for name, module in found.items():
+        outside = any(not user.startswith(name + ".") for user in users.get(name, ()))
+        if _is_package(name) and outside:
+            exported = [
+                len(node.value.elts)
+                for node in module.tree.body
+                if isinstance(node, ast.Assign)
+                and ast.unparse(node.targets[0]) == "__all__"
+                and isinstance(node.value, ast.List | ast.Tuple)
+            ]
+            sizes[name] = sum(exported)
+    return sizes
+
+
+def private_names_in_tests() -> int:
+    """Return the uses of names with a leading underscore that tests import from the package or read from an object."""
+    count = 0
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sunarc"):
+                count += sum(re.match(r"_[^_]", alias.name) is not None for alias in node.names)
+            elif isinstance(node, ast.Attribute) and re.match(r"_[^_]", node.attr):
+                own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
+                count += not own
+    return count
+
+
+def asserts_on_phrases() -> int:
+    """Return the lines of tests that compare with, or match, an English phrase of three words or more."""
+    return sum(
+        ROW.search(line) is not None
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for line in path.read_text("utf-8").splitlines()
+    )
+
+
+def words_of_documents() -> dict[str, int]:
+    """Return the words of README and docs: pages by hand, decisions, generated pages (codes, settings, metrics)."""
+    counts = {"by hand": 0, "decisions": 0, "generated": 0}
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        kind = "decisions" if path.parent.name == "decisions" else "by hand"
+        kind = "generated" if path.name in {"codes.md", "settings.md", "metrics.md"} else kind
+        counts[kind] += len(path.read_text("utf-8").split())
+    return counts
+
+
+def cost_of(*command: str) -> tuple[float, float]:
+    """Return processor time in s and the largest resident memory in MB of a command, the second of two runs."""
+    script = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, check=True); "
+        "u = resource.getrusage(resource.RUSAGE_CHILDREN); print(u.ru_utime + u.ru_stime, u.ru_maxrss / 1024)"
+    )
+    for _ in range(2):
+        answer = subprocess.run([sys.executable, "-c", script, *command], capture_output=True, text=True, check=True)
+    seconds, megabytes = map(float, answer.stdout.split())
+    return round(seconds, 2), round(megabytes)
+
+
+def loaded_by(statement: str) -> list[str]:
+    """Return the modules that are loaded after a statement in a new process."""
+    code = f"{statement}\nimport sys\nprint('\\n'.join(sorted(sys.modules)))"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+
+
+class Way(NamedTuple):
+    """Where an array of sightings comes by on its way from a CSV file to a calibration."""
+
+    functions: set[str]
+    files: set[str]
+    rooms: set[str]
+    returns: set[str]
+    names: set[str]
+
+
+N_SIGHTINGS = 457
+"""Rows of the fixed CSV file; nothing else in a fit has this length."""
+MOST_LOOKS = 20
+"""Calls of one function that are looked at."""
+
+
+def way_of_sightings() -> Way:
+    """Return the functions that receive an array of the length of the file's rows, in `sunarc calibrate`.
+
+    A function receives it as an argument, or within an argument that is a tuple, a list or a value with fields. Their
+    packages are the rooms, the arguments' names the names; `returns` are the functions that give it back. The camera is
+    an equidistant lens of 600 px/rad that looks up, at latitude 36.6, longitude -97.5, on 2024-06-21.
+    """
+    way = Way(set(), set(), set(), set(), set())
+    package = str(PACKAGE)
+    looks: Counter[tuple[object, str]] = Counter()
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        looks[code, event] += 1
+        if looks[code, event] > MOST_LOOKS or not code.co_filename.startswith(package) or code.co_name.startswith("<"):
+            return
+        place = str(Path(code.co_filename).relative_to(package))
+        if event == "call":
+            names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+            received = [name for name in names if _holds_sightings(frame.f_locals.get(name))]
+            way.names.update(received)
+            if received:
+                way.functions.add(f"{place}:{code.co_qualname}")
+                way.files.add(place)
+                way.rooms.add(str(Path(place).parent))
+        elif event == "return" and _holds_sightings(argument):
+            way.returns.add(f"{place}:{code.co_qualname}")
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = _write_track(Path(folder) / "track.csv")
+        options = shlex.split("--latitude 36.6 --longitude -97.5 --altitude 300 --image-size 1800,1800 --json")
+        command = importlib.import_module("sunarc.cli.main").main
+        arguments, sys.argv = sys.argv, ["sunarc", "calibrate", str(path), *options]
+        sys.setprofile(note)
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+                command()
+        finally:
+            sys.setprofile(None)
+            sys.argv = arguments
+    return way
+
+
+def _holds_sightings(value: object, depth: int = 2) -> bool:
+    if isinstance(value, np.ndarray):
+        return N_SIGHTINGS in value.shape
+    if depth and isinstance(value, tuple | list):
+        return any(_holds_sightings(item, depth - 1) for item in value[:50])
+    if depth and dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return any(_holds_sightings(getattr(value, field.name, None), depth - 1) for field in dataclasses.fields(value))
+    return False
+
+
+def _write_track(path: Path) -> Path:
+    sky = importlib.import_module("pvlib.solarposition")
+    times = pd.date_range("2024-06-21T12:30", periods=N_SIGHTINGS, freq="93s", tz="UTC")
+    sun = sky.spa_python(times, 36.6, -97.5, 300)
+    zenith, azimuth = np.radians(sun["apparent_zenith"]), np.radians(sun["azimuth"])
+    x, y = 900 - 600 * zenith * np.sin(azimuth), 900 - 600 * zenith * np.cos(azimuth)
+    noise = np.random.default_rng(1).normal(0, 0.3, (2, N_SIGHTINGS))
+    rows = [
+        f"{t:%Y-%m-%dT%H:%M:%SZ},{a:.4f},{b:.4f}" for t, a, b in zip(times, x + noise[0], y + noise[1], strict=True)
+    ]
+    path.write_text("\n".join(["time_utc,x_px,y_px", *rows]) + "\n", "utf-8")
+    return path
+
+
+PIXEL = "sunarc.calibration.answers" if (PACKAGE / "calibration" / "answers").is_dir() else "sunarc.calibration"
+"""The package that answers which direction a pixel has."""
+
+
+def figures() -> dict[str, object]:
+    """Return all figures by name."""
+    found = modules()
+    users = importers(found)
+    code = {name: code_lines(module.text) for name, module in found.items()}
+    n_code = sum(map(len, code.values())) + native_code_lines()
+    lines = {name: module.text.count("\n") for name, module in found.items()}
+    rooms: Counter[str] = Counter()
+    for name, module in found.items():
+        rooms[module.room] += len(code[name])
+    single = [n for n in found if len(users[n]) == 1]
+    face_sizes, way = faces(found, users), way_of_sightings()
+    version, pixel = cost_of(sys.executable, "-m", "sunarc", "--version"), loaded_by(f"import {PIXEL}")
+    return {
+        "modules": len(found),
+        "lines a module": round(sum(lines.values()) / len(found)),
+        "modules that one other imports": len(single),
+        "of them below 150 lines, no __init__": len([n for n in single if lines[n] < 150 and not _is_package(n)]),
+        "modules below 80 lines": sum(count < SHORT_LINES for count in lines.values()),
+        "import lines over code, %": _percent(sum(len(import_lines(m.tree)) for m in found.values()), n_code),
+        "code lines": n_code,
+        "comment lines over code, %": _percent(sum(comment_lines(m.text) for m in found.values()), n_code),
+        "classes that hold sightings": len(classes_of_sightings(found)),
+        "class names defined twice": sum(count > 1 for count in class_names(found).values()),
+        "functions with 7 arguments or more, cli apart": sum(
+            n_arguments(function) >= LONG_SIGNATURE for module, function in functions(found) if module.room != "cli"
+        ),
+        "functions with 7 arguments or more": sum(n_arguments(f) >= LONG_SIGNATURE for _, f in functions(found)),
+        "faces": len(face_sizes),
+        "faces with more than 20 names": sum(size > 20 for size in face_sizes.values()),
+        "sunarc --version, processor s": version[0],
+        "sunarc --version, memory MB": version[1],
+        "modules of ours loaded by what answers a pixel": sum(name.startswith("sunarc") for name in pixel),
+        "heavy modules among them": sorted({"numba", "scipy", "cv2", "pandas"} & set(pixel)),
+        "sightings' way into the fit: functions": len(way.functions),
+        "sightings' way into the fit: files": len(way.files),
+        "sightings' way into the fit: rooms": len(way.rooms),
+        "sightings' way into the fit: returns": len(way.returns),
+        "sightings' way into the fit: names": len(way.names),
+        "private names in tests": private_names_in_tests(),
+        "asserts on a phrase": asserts_on_phrases(),
+        "words of documents": words_of_documents(),
+        "code lines by room": dict(sorted(rooms.items())),
+    }
+
+
+def _is_package(name: str) -> bool:
+    return (PACKAGE.parent / Path(*name.split("."))).is_dir()
+
+
+def _percent(part: int, whole: int) -> float:
+    return round(100 * part / whole, 1)
+
+
+def main() -> None:
+    """Print the figures beside those of figures.json, or write them to a file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
+    target = parser.parse_args().json
+    now = figures()
+    if target:
+        target.write_text(json.dumps(now, indent=1) + "\n", "utf-8")
+    before = json.loads(BEFORE.read_text("utf-8")) if BEFORE.exists() else {}
+    for name, value in now.items():
+        if isinstance(value, dict):
+            earlier = before.get(name, {})
+            for part in {**earlier, **value}:
+                _show(f"{name}: {part}", earlier.get(part, 0), value.get(part, 0))
+        else:
+            _show(name, before.get(name, ""), value)
+
+
+def _show(name: str, before: object, now: object) -> None:
+    sys.stdout.write(f"{name:56s} {before!s:>12} {now!s:>12}\n")
+
+
+if __name__ == "__main__":
+    main()
