@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,6 +195,13 @@ class FilteredSightings:
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
+
+    def select(self, which: Rows) -> FilteredSightings:
+        """Return the sightings that a slice, an index or a mask picks."""
+        columns = {
+            name: value[which] for name in self.__slots__ if isinstance(value := getattr(self, name), np.ndarray)
+        }
+        return replace(self, **columns)
 
 
 def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
