@@ -12,9 +12,9 @@ radius has a kink, a camera on its side, detections that wander, a clock that dr
 
 Printed for every case, before (the fit alone) and after (with parts held against the fit, and a thinned set): parts,
 how many are accepted, the share of their held-out sightings within the stated 95 %, how many accepted fits have one
-beyond 5 sigma; and how many of those accepted before were right over the sky (error at most twice what they state, root mean
-squares over the sky that the image shows), and how many of these are refused. With --most DEG fits that state more are
-not counted, before and after.
+beyond 5 sigma; and how many of those accepted before were right over the sky (error at most twice what they state, root
+mean squares over the sky that the image shows), and how many of these are refused. With --most DEG fits that state more
+are not counted, before and after.
 """
 
 from __future__ import annotations
