@@ -12,9 +12,9 @@ radius has a kink, a camera on its side, detections that wander, a clock that dr
 
 Printed for every case, before (the fit alone) and after (with parts held against the fit, and a thinned set): parts,
 how many are accepted, the share of their held-out sightings within the stated 95 %, how many accepted fits have one
-beyond 5 sigma; and how many of those accepted before were right over the sky (error at most twice what they state, root
-mean squares over the sky that the image shows), and how many of these are refused. With --most DEG fits that state more
-are not counted, before and after.
+beyond 5 sigma; and how many of those accepted before were right (error at most twice what they state, root mean squares
+over the sky that the image shows, and no held-out sighting beyond 5 sigma), and how many of these are refused. With
+--most DEG fits that state more are not counted, before and after.
 """
 
 from __future__ import annotations
@@ -235,8 +235,8 @@ def line(name: str, parts: list[Part]) -> str:
         held = [part for part in mine if part.n and math.isfinite(part.shares[after])]
         within = sum(part.shares[after] * part.n for part in held) / max(sum(part.n for part in held), 1)
         far = sum(part.furthest[after] > _FAR for part in held)
-        cells.append(f"{len(mine)} | {within:.3f} | {far} of {len(held)}")
-    right = [part for part in parts if part.accepted[0] and part.ratio <= _RIGHT]
+        cells.append(f"{len(mine)} | {within:.3f} | {far} of {len(held)}" if held else f"{len(mine)} | - | -")
+    right = [part for part in parts if part.accepted[0] and part.ratio <= _RIGHT and not part.furthest[0] > _FAR]
     refused = sum(not part.accepted[1] for part in right)
     return f"| {name} | {len(parts)} | {cells[0]} | {cells[1]} | {refused} of {len(right)} |"
 
