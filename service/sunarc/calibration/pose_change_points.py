@@ -96,12 +96,14 @@ def calibrate_moved(
     no_track = bool(np.any(np.isfinite(points.directions)))
     if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
         return Moved(solved, points)
-    usable, begin = filter_sightings(points, site=site), None
+    usable = filter_sightings(points, site=site)
+    begin: Camera | None = None
     for _ in range(_MOST):
         found = _with_one_more(points, usable, solved, fit)
         if found is None:
             break
-        begin, solved, points = solved.camera, *found
+        begin = solved.camera
+        solved, points = found
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
         solved = fit(points, begin, parts=True)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -198,9 +199,8 @@ class FilteredSightings:
 
     def select(self, which: Rows) -> FilteredSightings:
         """Return the sightings that a slice, an index or a mask picks."""
-        columns = {
-            name: value[which] for name in self.__slots__ if isinstance(value := getattr(self, name), np.ndarray)
-        }
+        values: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        columns: dict[str, Any] = {name: one[which] for name, one in values.items() if isinstance(one, np.ndarray)}
         return replace(self, **columns)
 
 
