@@ -61,14 +61,14 @@ class Lens:
     ----------
     projection : the ideal projection.
     focal_px, center_px : px.
-    residual_px : spline of the radial residual over the angle off the axis in radians, px.
+    residual_px : the radial residual over the angle off the axis in radians, px; a cubic spline where it is drawn.
     waves : (2, k, 4) amplitude in px, wave vector in 1/px and phase of the displacement field, for x and y.
     """
 
     projection: Projection
     focal_px: float
     center_px: tuple[float, float]
-    residual_px: CubicSpline
+    residual_px: Callable[[FloatArray], FloatArray]
     waves: FloatArray
 
     def project(self, rays: FloatArray) -> FloatArray:

@@ -39,6 +39,14 @@ def test_one_clear_day_is_right_on_the_track_and_over_the_sky(clear_day: Simulat
     assert clear_day.sky_error_px(calibrated.camera) < 0.15
 
 
+def test_parts_of_a_clear_day_are_predicted_as_stated(calibrated: Calibration) -> None:
+    held_out = calibrated.evidence.held_out
+    assert calibrated.evidence.n_used / 4 < held_out["n"] < calibrated.evidence.n_used / 2
+    assert held_out["rmse_px"] < 3.0 * held_out["stated_px"]
+    assert 0.0 < held_out["excess"] < 1.0
+    assert held_out["widening"] == 1.0
+
+
 def test_metrics_speak_of_the_noise(calibrated: Calibration) -> None:
     metrics = calibrated.metrics
     assert metrics.rmse_px == pytest.approx(0.02 * math.sqrt(2.0), rel=0.15)

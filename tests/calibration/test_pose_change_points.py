@@ -123,6 +123,9 @@ def test_a_document_tells_the_moves(simulator: Simulator) -> None:
     )
     assert calibration.evidence.moves
     assert from_document(document).evidence.moves == calibration.evidence.moves
+    # the fit with the move is held against parts of its sightings, too, and the document says so
+    assert calibration.evidence.held_out["n"] > 0
+    assert from_document(document).evidence.held_out == calibration.evidence.held_out
 
 
 @pytest.mark.real

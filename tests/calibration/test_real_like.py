@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from real_like_fits import compared, sky_error_px
 from real_like_tracks import Draw, drawn_aside, real_like_track
 
-from sunarc.calibration import CalibrationOptions, SunPoints, calibrate
+from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, hemisphere, project_with_covariance
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
 from sunarc.calibration.initial_guess.multistart import lowest
@@ -51,6 +51,37 @@ def test_a_camera_that_does_not_answer_for_part_of_the_sun_s_track_does_not_win(
     lean = np.degrees(np.arccos(rotation_matrix(fit.camera.rotation_cam_enu)[2, 2]))
     assert lean == pytest.approx(track.drawn.tilt_deg, abs=3.0)
     assert 1.0 < sky_error_px(fit, track) < 10.0
+
+
+def test_a_fit_that_parts_of_its_sightings_contradict_is_refused() -> None:
+    # A camera tilted by 31 degrees: 136 of its 204 sightings fit, and the others are 4.7 sigmas off.
+    track = real_like_track(1)
+    third = 3 * np.arange(len(track.points)) // len(track.points)
+    points = track.points.select(third != 1)
+    fit = calibrate(points, site=track.site, image_size=track.image_size, options=track.options)
+    assert not fit.verdict.accepted
+    (finding,) = (one for one in fit.verdict.findings if one.code == "held_out_contradicts")
+    assert finding.data["excess"] == fit.evidence.held_out["excess"] > finding.data["limit"]
+    unasked = calibrate(points, site=track.site, image_size=track.image_size, options=track.options, parts=False)
+    assert unasked.verdict.accepted
+    assert not unasked.evidence.held_out
+
+
+def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
+    track = real_like_track(44)
+    one, other = (
+        calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options, parts=parts)
+        for parts in (False, True)
+    )
+    factor = other.evidence.held_out["widening"]
+    assert factor > 4.0
+    assert other.sky_rms_deg == pytest.approx(factor * one.sky_rms_deg, rel=1e-3)
+    sky = hemisphere(50)
+    narrow, wide = (project_with_covariance(fit, sky)[1] for fit in (one, other))
+    np.testing.assert_allclose(wide, factor**2 * narrow, rtol=1e-3, atol=1e-3)
+    assert other.camera == one.camera
+    (finding,) = (each for each in other.verdict.findings if each.code == "sigma_of_thinned_set")
+    assert finding.data["factor"] == factor
 
 
 def _problem(track_seed: int) -> tuple[Problem, Observations, NDArray[np.float64]]:

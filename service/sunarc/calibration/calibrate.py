@@ -41,6 +41,7 @@ def calibrate(
     options: CalibrationOptions | None = None,
     circle: ImageCircle | None = None,
     start: Camera | None = None,
+    parts: bool = True,
 ) -> Calibration:
     """Fit a camera to sightings of the sun.
 
@@ -54,6 +55,7 @@ def calibrate(
     options : how to fit; the defaults are the service's.
     circle : the image circle, where it is known.
     start : a camera to start from, in place of a search.
+    parts : whether parts of the sightings are held against the fit; one that is only compared with others needs it not.
 
     Raises
     ------
@@ -68,7 +70,14 @@ def calibrate(
         effective = replace(effective, projection=start.projection)
     usable = filter_sightings(points, site=site)
     job = Job(
-        points=points, usable=usable, site=site, image_size=image_size, options=effective, circle=circle, start=start
+        points=points,
+        usable=usable,
+        site=site,
+        image_size=image_size,
+        options=effective,
+        circle=circle,
+        start=start,
+        parts=parts,
     )
     return _calibrated(job)
 
@@ -95,7 +104,7 @@ def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted |
         return fit_as_paper(observed, job.usable, cameras, options=options)
     fit = robust_fit(observed, job, cameras)
     found = contradiction(fit, job.usable)
-    return robust_outcome(fit, job.usable, options) if found is None else found
+    return robust_outcome(fit, job.usable, options, parts=job.parts) if found is None else found
 
 
 def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:

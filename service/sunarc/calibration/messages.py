@@ -58,6 +58,11 @@ MESSAGES = Messages(
         "sun's track over that of its own fit; sky: change over the sky in 1-sigma of the day's fit.",
         "check the mount and the clock of the night",
     ),
+    sigma_of_thinned_set=Message(
+        "every second sighting alone states {factor:.2g} times the uncertainty of all for its count, and it is stated",
+        "The fit is used, its covariance widened.",
+        _MORE_DAYS,
+    ),
     static_positions=Message(
         "a text overlay, a reflection or a hot pixel at {places}",
         "The fit is used, without these sightings.",
@@ -100,6 +105,13 @@ MESSAGES = Messages(
         "direction uncertainty {sigma_deg:.2f}° (at most {limit_deg:g}°): the sightings cover too little of the sky",
         _REFUSED,
         _MORE_DAYS,
+    ),
+    held_out_contradicts=Message(
+        "the fit contradicts parts of its sightings: one without {n} of them misses these by {rmse_px:.2f} px and "
+        "states {stated_px:.2f} px; their errors are {excess:.1f} times what chance allows (at most {limit:g})",
+        "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings, and the "
+        "errors compared with what these fits state, together and one by one.",
+        "collect sightings of whole clear days; check the clock, the mount and the projection",
     ),
     tilt_too_large=Message(
         "camera tilt {tilt_deg:.1f}° (at most {limit_deg:g}°, --level-within): if the camera is level, the times "

@@ -87,20 +87,26 @@ def calibrate_moved(
     """
     effective = CalibrationOptions() if options is None else options
 
-    def fit(given: SunPoints, begin: Camera | None) -> Calibration:
-        return calibrate(given, site=site, image_size=image_size, options=effective, circle=circle, start=begin)
+    def fit(given: SunPoints, begin: Camera | None, *, parts: bool = False) -> Calibration:
+        return calibrate(
+            given, site=site, image_size=image_size, options=effective, circle=circle, start=begin, parts=parts
+        )
 
-    solved = fit(points, start)
+    solved = fit(points, start, parts=True)
     no_track = bool(np.any(np.isfinite(points.directions)))
     if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
         return Moved(solved, points)
     usable = filter_sightings(points, site=site)
+    begin: Camera | None = None
     for _ in range(_MOST):
         found = _with_one_more(points, usable, solved, fit)
         if found is None:
             break
+        begin = solved.camera
         solved, points = found
         usable = replace(usable, epoch=points.epoch[usable.index])
+    if begin is not None:
+        solved = fit(points, begin, parts=True)
     return Moved(_with_moves(solved, usable), points)
 
 

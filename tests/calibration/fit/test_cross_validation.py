@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
-from sunarc.calibration.fit.cross_validation import held_out
+from sunarc.calibration.fit.cross_validation import doubts, held_out
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
@@ -44,6 +44,7 @@ def _fit(
     fit = marginal_fit(system.normal(), grid.basis, SCALES)
     robust = RobustFit(
         problem=problem,
+        observed=seen,
         system=system,
         unknowns=unknowns,
         posterior=PosteriorCovariance(
@@ -153,3 +154,26 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
     # 0.28 px are the noise; 120 sightings tell most of the field
     assert 0.28 < with_field.rmse_px < 0.6 * camera_alone.rmse_px
     assert with_field.rmse_px / with_field.expected_px == pytest.approx(1.0, abs=0.15)
+
+
+def _apart(usable: FilteredSightings) -> FilteredSightings:
+    """Return sightings ten minutes apart: each has a bin of its own."""
+    return replace(usable, unix_s=600.0 * np.arange(len(usable)))
+
+
+def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() -> None:
+    fit, usable = _fit(4)
+    found = doubts(fit, _apart(usable))
+    assert found.n == PER_DAY
+    assert found.excess < 1.0
+    assert found.widening == 1.0
+    moved = fit.observed.pixels + np.where(usable.day == 3, 5.0, 0.0)[:, None]
+    elsewhere = replace(fit, observed=replace(fit.observed, pixels=moved))
+    assert doubts(elsewhere, _apart(usable)).excess > 1.0
+
+
+def test_one_day_is_left_out_in_thirds_and_a_pose_of_its_own_is_not_left_out() -> None:
+    fit, usable = _fit(1)
+    assert doubts(fit, _apart(usable)).n == pytest.approx(PER_DAY / 3, abs=1)
+    fit, usable = _fit(3)
+    assert doubts(fit, _apart(replace(usable, epoch=usable.day))).n == 0

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray
-from sunarc.calibration.fit.cross_validation import HeldOut
+from sunarc.calibration.fit.cross_validation import Doubts, HeldOut
 from sunarc.calibration.initial_guess.candidates import camera_from_circle, camera_from_size
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, lens_prior, precisions
 from sunarc.calibration.model.backward import NO_BACKWARD, fit_backward
@@ -31,7 +31,7 @@ _UNKNOWN_POSE = math.pi**2
 
 
 class Job(NamedTuple):
-    """Input of a calibration, and the sightings that it can use."""
+    """Input of a calibration, and the sightings that it can use; `parts`: whether parts of them are held against it."""
 
     points: SunPoints
     usable: FilteredSightings
@@ -41,13 +41,15 @@ class Job(NamedTuple):
     circle: ImageCircle | None
     start: Camera | None = None
     free: Literal["all", "pose", "prior"] = "all"
+    parts: bool = True
 
 
 class Fitted(NamedTuple):
     """What every method hands over.
 
     cameras: one an epoch. parameter_names, covariance (p, p), cross (2, p, m): of the last one, errors that no residual
-    shows not yet folded in. scales: of the field. residual (n, 2) px; used (n,): whether a sighting counted.
+    shows not yet folded in. residual (n, 2) px; used (n,): whether a sighting counted. doubts: what parts of the
+    sightings say of the fit; None where that is not asked.
     """
 
     cameras: list[Camera]
@@ -62,6 +64,7 @@ class Fitted(NamedTuple):
     held_out: HeldOut | None
     log_odds: Mapping[str, float] = MappingProxyType({})
     night: NightDifference | None = None
+    doubts: Doubts | None = None
 
 
 def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Calibration:
@@ -91,6 +94,7 @@ def calibration_from_fit(fitted: Fitted, job: Job, handedness: Handedness) -> Ca
             inflation=fitted.inflation,
             radial_px=fitted.radial_px,
             log_odds=fitted.log_odds,
+            held_out={} if fitted.doubts is None else fitted.doubts._asdict(),
         ),
         verdict=Verdict(accepted=False, findings=(Finding("not_evaluated"),)),
         method=options.method,
@@ -147,6 +151,7 @@ def _evidence(
     inflation: float,
     radial_px: float,
     log_odds: Mapping[str, float] = MappingProxyType({}),
+    held_out: Mapping[str, float] = MappingProxyType({}),
 ) -> Provenance:
     return Provenance(
         days=tuple(date_of_day(int(day)).isoformat() for day in np.unique(job.usable.day)),
@@ -161,6 +166,7 @@ def _evidence(
         circle=None if job.circle is None else asdict(job.circle),
         start=None if job.start is None else asdict(job.start.lens_alone()),
         log_odds=dict(log_odds),
+        held_out=dict(held_out),
     )
 
 

@@ -1,18 +1,39 @@
-"""Cross-validation: RMSE of days left out, and the RMSE expected from the stated uncertainty."""
+"""Cross-validation: how sightings left out are met, against what fits without them state; and thinned sets."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from sunarc.calibration.fit.field_posterior import prediction_variance
+from sunarc.array_types import BoolArray, FloatArray, IntArray
+from sunarc.calibration.fit.field_posterior import joint_covariance, prediction_variance
+from sunarc.calibration.fit.hyperparameter_marginalisation import PosteriorCovariance, sky_rows
 from sunarc.calibration.fit.marginal_likelihood import marginal_fit, summed
-from sunarc.calibration.fit.robust_fit import RobustFit
+from sunarc.calibration.fit.noise_by_sort import Course
+from sunarc.calibration.fit.robust_fit import RobustFit, stated_posterior
+from sunarc.calibration.fit.robust_rounds import robust_camera
+from sunarc.calibration.least_squares.problem import Problem
+from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import FilteredSightings
 
 _FOLDS = 5
+
+
+_THIRDS = 3
+_FURTHEST = 7.0
+"""Distance of a bin of sightings from its prediction, in stated sigmas, that is no chance."""
+_CHANCE = 1e-4
+_NOISE_KNOWN = 1.1
+"""By how much the noise of the parts may be larger than that of all, as a variance."""
+_FEWEST_THINNED = 40
+"""Sightings of a thinned set, at least: the scales of a smaller one are a matter of chance."""
+_OTHER_SIGMA = 4.0
+"""Ratio of the sigmas of a thinned set and of all from which on it is no chance. The three limits are chosen by
+docs/studies/held_out.py: beyond them lie 3 in 100 of the fits that are right."""
 
 
 class HeldOut(NamedTuple):
@@ -27,15 +48,13 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
 
     Each fold is solved by one linear step from the whole fit, with the same scales and weights.
     """
-    days = np.unique(usable.day)
-    if days.size < 2:
+    fold = _folds_of_days(usable)
+    if fold is None:
         return None
-    fold_of_day = np.arange(days.size) * min(_FOLDS, days.size) // days.size
-    fold = fold_of_day[np.searchsorted(days, usable.day)]
     system = fit.system
     fold_of_bin = np.zeros(system.rows.shape[0], dtype=np.int64)
     fold_of_bin[system.member] = fold  # bins are of one day
-    sums = [system.normal_of(fold_of_bin == one) for one in range(int(fold_of_day[-1]) + 1)]
+    sums = [system.normal_of(fold_of_bin == one) for one in range(int(fold.max()) + 1)]
     found, expected, count = 0.0, 0.0, 0
     for one_fold in range(len(sums)):
         in_fold = fold == one_fold
@@ -65,3 +84,138 @@ def held_out(fit: RobustFit, usable: FilteredSightings) -> HeldOut | None:
         expected += float(np.sum(variance[bin_of] + noise))
         count += int(counted.sum())
     return HeldOut(math.sqrt(found / count), math.sqrt(expected / count)) if count else None
+
+
+def _folds_of_days(usable: FilteredSightings) -> IntArray | None:
+    """Return (n,): the part of each sighting where whole days are left out, five parts at most; None with one day."""
+    days = np.unique(usable.day)
+    if days.size < 2:
+        return None
+    return np.asarray((np.arange(days.size) * min(_FOLDS, days.size) // days.size)[np.searchsorted(days, usable.day)])
+
+
+class Doubts(NamedTuple):
+    """What parts of the sightings say of the fit of all.
+
+    n, rmse_px, stated_px : sightings of the part that was predicted worst, by what root mean square distance they were
+        missed, and by what the fit without them states.
+    excess : errors of all parts over what chance allows.
+    widening : by how much a thinned set's sigma over the sky is larger than this fit's, 1 or more.
+    """
+
+    n: int
+    rmse_px: float
+    stated_px: float
+    excess: float
+    widening: float
+
+
+class _Part(NamedTuple):
+    """How a part was predicted: see `Doubts`; bins, chi-square of all errors together, the furthest bin in sigmas."""
+
+    n: int
+    rmse_px: float
+    stated_px: float
+    bins: int
+    together: float
+    furthest: float
+
+
+class _Partial(NamedTuple):
+    """A fit of some of the sightings: its unknowns and the field's mean (2, m) or None, and how far it may be off."""
+
+    problem: Problem
+    unknowns: FloatArray
+    mean: FloatArray | None
+    posterior: PosteriorCovariance
+
+    def sky_px(self, basis: WaveBasis) -> float:
+        """Return the stated error over the sky, root mean square distance, px; NaN where the image shows none."""
+        rows, values = sky_rows(self.problem, self.unknowns, basis)
+        if rows.shape[0] == 0:
+            return math.nan
+        by_unknowns = np.einsum("nap,pq,naq->n", rows, self.posterior.covariance, rows, optimize=True)
+        by_field = np.trace(self.posterior.field.covariance(rows, values), axis1=1, axis2=2)
+        return math.sqrt(float(np.mean(np.maximum(by_unknowns + by_field, 0.0))))
+
+
+def doubts(fit: RobustFit, usable: FilteredSightings) -> Doubts:
+    """Return how well fits without a part of the sightings predict it, and what a thinned set states.
+
+    Parts are thirds of a day, or of several days whole ones, in five groups at most. Each is fitted anew without, from
+    the fit of all: other scales, another noise. The errors of the predictions are looked at together, by the whole
+    covariance of each part, and one by one.
+    """
+    course = Course.of(usable)
+    parts = [
+        _met(_refitted(fit, usable, ~out), fit, course, out)
+        for out in _left_out(usable)
+        # a pose that no other day has cannot be predicted
+        if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size and np.any(fit.weight[out] > 0.0)
+    ]
+    widening = _widening(fit, usable)
+    if not parts:
+        return Doubts(0, 0.0, 0.0, 0.0, widening)
+    worst = max(parts, key=lambda part: part.furthest)
+    allowed = _NOISE_KNOWN * float(chdtri(2 * sum(part.bins for part in parts), _CHANCE))
+    excess = max(worst.furthest / _FURTHEST, math.sqrt(sum(part.together for part in parts) / allowed))
+    return Doubts(worst.n, worst.rmse_px, worst.stated_px, excess, widening)
+
+
+def _left_out(usable: FilteredSightings) -> list[BoolArray]:
+    """Return masks (n,) of what is left out in turn: of several days, days; of one, thirds of each pose's sightings."""
+    fold = _folds_of_days(usable)
+    if fold is None:
+        fold = np.concatenate([np.arange(n) * _THIRDS // max(n, 1) for n in np.bincount(usable.epoch)])
+    return [fold == one for one in range(int(fold.max(initial=-1)) + 1)]
+
+
+def _refitted(fit: RobustFit, usable: FilteredSightings, kept: BoolArray) -> _Partial:
+    """Return the fit of the sightings that a mask picks, from the fit of all."""
+    course, observed = Course.of(usable.select(kept)), fit.observed.select(kept)
+    problem = replace(fit.problem, n_systematic=0, n_air=0)
+    start = fit.unknowns[: problem.size]
+    found = robust_camera(problem, observed, start, course=course, grid=fit.grid, in_its_valley=True)
+    problem, unknowns = found.problem, found.unknowns
+    system = found.system(observed, course.bins)
+    mean = found.field_mean(system.normal())
+    posterior = stated_posterior(problem, system, unknowns, grid=found.grid, scales=found.state.scales, mean=mean)
+    return _Partial(problem, unknowns, mean, posterior)
+
+
+def _met(partial: _Partial, fit: RobustFit, course: Course, out: BoolArray) -> _Part:
+    """Return how a fit predicts the sightings that a mask picks, in bins with the noise that the fit of all has."""
+    problem, unknowns, mean, posterior = partial
+    observed, bins = fit.observed.select(out), course.bins.select(out)
+    seen, off = bins.gathered(observed, problem.residuals(unknowns, observed), fit.information[out])
+    off, seen = off[seen.information > 0.0], seen.select(seen.information > 0.0)
+    minus, rows = problem.linearised(unknowns, seen)
+    values = fit.grid.basis.values(seen.pixels - minus)
+    if mean is not None:
+        off = off - values @ mean.T
+    n = len(seen)
+    stated = joint_covariance(posterior.covariance, posterior.field, rows, values)
+    stated += np.diag(np.repeat(1.0 / seen.information, 2))
+    each = np.einsum("iaib->iab", stated.reshape(n, 2, n, 2))
+    return _Part(
+        n=int(np.count_nonzero(fit.weight[out] > 0.0)),
+        rmse_px=math.sqrt(float(np.sum(off**2)) / n),
+        stated_px=math.sqrt(float(np.trace(stated)) / n),
+        bins=n,
+        together=float(off.ravel() @ np.linalg.solve(stated, off.ravel())),
+        furthest=math.sqrt(float(np.max(np.sum(off * np.linalg.solve(each, off[..., None])[..., 0], axis=-1)))),
+    )
+
+
+def _widening(fit: RobustFit, usable: FilteredSightings) -> float:
+    """Return the sigma over the sky of every second sighting, brought to the count of all, over that of all; or 1."""
+    kept = np.arange(len(usable)) % 2 == 0
+    if np.count_nonzero(fit.weight[kept]) < _FEWEST_THINNED:
+        return 1.0
+    # by the noise that the fit of all states: of every second sighting neighbours correlate by the square
+    square = ((fit.inflation - 1.0) / (fit.inflation + 1.0))[kept] ** 2
+    count = float(np.sum(fit.weight[kept] * (1.0 - square) / (1.0 + square)))
+    whole = _Partial(fit.problem, fit.unknowns, fit.field_mean, fit.posterior).sky_px(fit.grid.basis)
+    ratio = _refitted(fit, usable, kept).sky_px(fit.grid.basis) / whole
+    ratio *= math.sqrt(count / float(np.sum(fit.weight / fit.inflation)))
+    return ratio if ratio > _OTHER_SIGMA else 1.0

@@ -50,14 +50,8 @@ def contradiction(fit: RobustFit, usable: FilteredSightings) -> Finding | None:
 
 def without_night(usable: FilteredSightings, finding: Finding) -> FilteredSightings:
     """Return the sightings of the day, with the finding that says why the others were left out."""
-    day, n = ~usable.night, len(usable)
-    columns = {
-        name: getattr(usable, name)[day]
-        for name in usable.__dataclass_fields__
-        if isinstance(getattr(usable, name), np.ndarray) and getattr(usable, name).shape[:1] == (n,)
-    }
-    columns["sigma_px"] = columns["sigma_px"] / np.median(columns["sigma_px"])
-    return replace(usable, **columns, dropped=(*usable.dropped, finding))
+    day = usable.select(~usable.night)
+    return replace(day, sigma_px=day.sigma_px / np.median(day.sigma_px), dropped=(*day.dropped, finding))
 
 
 def _of_the_day(fit: RobustFit, night: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> MarginalFit:

@@ -35,6 +35,7 @@ class RobustFit:
 
     Attributes
     ----------
+    observed : the sightings, with what errors of the night displace them by.
     system : the bins' equations about the fit.
     unknowns : the most probable ones.
     posterior : their covariance and the field's part in it, over all plausible scales.
@@ -51,6 +52,7 @@ class RobustFit:
     """
 
     problem: Problem
+    observed: Observations
     system: LinearSystem
     unknowns: FloatArray
     posterior: PosteriorCovariance
@@ -93,11 +95,10 @@ def fit_robustly(
     system = found.system(observed, course.bins)
     normal = system.normal()
     mean = found.field_mean(normal)
-    posterior = marginalised_covariance(normal, grid, problem, unknowns, mean)
-    if problem.n_systematic == 0:
-        posterior = mixed_over_decentering(posterior, problem, system, unknowns, state.scales, mean)
+    posterior = stated_posterior(problem, system, unknowns, grid=grid, scales=state.scales, mean=mean)
     return RobustFit(
         problem=problem,
+        observed=observed,
         system=system,
         unknowns=unknowns,
         posterior=posterior,
@@ -112,6 +113,25 @@ def fit_robustly(
         information=found.information,
         log_odds={**log_odds_of_parts(normal, grid.basis, state.scales), "field": state.field_odds},
     )
+
+
+def stated_posterior(
+    problem: Problem,
+    system: LinearSystem,
+    unknowns: FloatArray,
+    *,
+    grid: HyperparameterGrid,
+    scales: Scales,
+    mean: FloatArray | None,
+) -> PosteriorCovariance:
+    """Return how far a fit may be off, over all plausible scales; the system is about its unknowns.
+
+    `mean` (2, m) is that of the field in the prediction; None: it has no part in it.
+    """
+    posterior = marginalised_covariance(system.normal(), grid, problem, unknowns, mean)
+    if problem.n_systematic:
+        return posterior
+    return mixed_over_decentering(posterior, problem, system, unknowns, scales, mean)
 
 
 def grid_of(template: Camera, options: CalibrationOptions) -> HyperparameterGrid:

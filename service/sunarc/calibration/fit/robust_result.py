@@ -9,7 +9,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray
 from sunarc.calibration.fit.assemble import Fitted, tidied
-from sunarc.calibration.fit.cross_validation import held_out
+from sunarc.calibration.fit.cross_validation import doubts, held_out
 from sunarc.calibration.fit.robust_fit import RobustFit
 from sunarc.calibration.fit.systematic_errors import N_OFFSET, N_RADIAL, OFFSET_PX, POSE_DIFFERENCE_DEG
 from sunarc.calibration.least_squares.priors import FREE, FREE_NAMES, LENS, N_LENS
@@ -21,8 +21,13 @@ from sunarc.optics.camera import POSE
 from sunarc.optics.pose import right_jacobian
 
 
-def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions) -> Fitted:
-    """Return the cameras of all epochs, and the covariance and field of the last one's."""
+def robust_outcome(
+    fit: RobustFit, usable: FilteredSightings, options: CalibrationOptions, *, parts: bool = True
+) -> Fitted:
+    """Return the cameras of all epochs, and the covariance and field of the last one's.
+
+    `parts`: whether parts of the sightings are held against the fit; its covariance is widened where they ask for it.
+    """
     last = fit.problem.n_epochs - 1
     displacement = None if fit.field_mean is None else fit.grid.basis.displacement(fit.field_mean)
     cameras = [replace(fit.problem.camera(fit.unknowns, epoch), displacement=displacement) for epoch in range(last + 1)]
@@ -31,12 +36,16 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
     to_parameters[LENS, :N_LENS] = fit.problem.prior.basis
     to_parameters[POSE, N_LENS:] = _rotation_derivative(cameras[last], tidied(cameras[last], options))
     to_parameters = to_parameters[FREE]
+    found = doubts(fit, usable) if parts else None
+    widening = 1.0 if found is None else found.widening
     field = fit.posterior.field
+    field = replace(field, cross=np.stack([to_parameters @ part[selected] for part in field.cross]))
+    covariance = to_parameters @ fit.posterior.covariance[np.ix_(selected, selected)] @ to_parameters.T
     return Fitted(
         cameras=cameras,
         parameter_names=FREE_NAMES,
-        covariance=to_parameters @ fit.posterior.covariance[np.ix_(selected, selected)] @ to_parameters.T,
-        field=replace(field, cross=np.stack([to_parameters @ part[selected] for part in field.cross])),
+        covariance=widening**2 * covariance,
+        field=field.widened(widening),
         residual=fit.residual if displacement is None else _beside(fit.residual, displacement, usable.pixels),
         used=fit.weight > 0.0,
         sigma_px=fit.sigma_px,
@@ -45,6 +54,7 @@ def robust_outcome(fit: RobustFit, usable: FilteredSightings, options: Calibrati
         held_out=held_out(fit, usable),
         log_odds=fit.log_odds,
         night=_night_difference(fit, usable),
+        doubts=found,
     )
 
 

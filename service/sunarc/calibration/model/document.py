@@ -297,6 +297,7 @@ def _read_evidence(read: DocumentReader) -> Provenance:
         pose_spread_deg=_read_spread(read),
         moves=tuple(_read_move(DocumentReader(each)) for each in read.value("evidence.moves", needed=False) or ()),
         log_odds=read.value("evidence.log_odds", needed=False) or {},
+        held_out=read.value("evidence.held_out", needed=False) or {},
     )
 
 

@@ -9,7 +9,7 @@ Computing 30 (2020).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -151,6 +151,16 @@ class Field:
         waves = len(self.basis.orders)
         object.__setattr__(self, "known", self.known.reshape(-1, waves) if waves else np.zeros((0, 0)))
         object.__setattr__(self, "coupling", self.coupling.reshape(2, -1, waves) if waves else np.zeros((2, 0, 0)))
+
+    def widened(self, factor: float) -> Field:
+        """Return the field with all its errors, and those that it shares with the parameters, larger by a factor."""
+        return replace(
+            self,
+            amplitude_px=factor * self.amplitude_px,
+            cross=factor**2 * self.cross,
+            known=factor * self.known,
+            coupling=factor * self.coupling,
+        )
 
     def reduction(self, values: FloatArray) -> FloatArray:
         """Return (n, r): K φ at places of basis values (n, m), px, as if the waves had the whole of A² there.

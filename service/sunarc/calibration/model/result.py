@@ -71,6 +71,8 @@ class Provenance:
     moves : moves of the camera that were found among the sightings, in the order of time.
     log_odds : natural log odds of each part of the lens model against its being zero (`skew`, `radial`, `decentering`)
         and of a field, and how many `radial_terms` are needed; empty where the method does not compare them.
+    held_out : what parts of the sightings say of the fit, by name, see `Doubts`; the covariance is widened by the
+        square of its `widening`. Empty where no part was held against the fit.
     """
 
     days: tuple[str, ...]
@@ -88,6 +90,7 @@ class Provenance:
     pose_spread_deg: tuple[float, float, float] | None = None
     moves: tuple[Move, ...] = ()
     log_odds: Mapping[str, float] = field(default_factory=dict)
+    held_out: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

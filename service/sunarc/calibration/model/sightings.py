@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,6 +196,12 @@ class FilteredSightings:
 
     def __len__(self) -> int:
         return int(self.unix_s.size)
+
+    def select(self, which: Rows) -> FilteredSightings:
+        """Return the sightings that a slice, an index or a mask picks."""
+        values: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        columns: dict[str, Any] = {name: one[which] for name, one in values.items() if isinstance(one, np.ndarray)}
+        return replace(self, **columns)
 
 
 def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:

@@ -27,6 +27,10 @@ _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
 
+_MOST_EXCESS = 1.0
+"""Errors of predicted parts over what chance allows, see `Doubts`."""
+
+
 class Handedness(NamedTuple):
     """What trying both hands said; `other_px` is NaN where only one was tried."""
 
@@ -74,6 +78,8 @@ def fit_verdict(
         Finding("direction_sigma", {"sigma_deg": calibration.sky_rms_deg}),
         *usable.dropped,
     ]
+    if calibration.evidence.held_out.get("widening", 1.0) > 1.0:
+        found.append(Finding("sigma_of_thinned_set", {"factor": calibration.evidence.held_out["widening"]}))
     if usable.static:
         found.append(Finding("static_positions", {"places": _positions(usable)}))
     if calibration.evidence.options.get("free") == "pose":
@@ -98,6 +104,9 @@ def _against_scatter(
     rejected = 1.0 - calibration.evidence.n_used / max(len(usable), 1)
     if rejected > options.max_rejected:
         yield Finding("too_many_rejected", {"share": rejected, "limit": options.max_rejected})
+    held_out = calibration.evidence.held_out
+    if held_out and not held_out["excess"] <= _MOST_EXCESS:
+        yield Finding("held_out_contradicts", {**held_out, "limit": _MOST_EXCESS})
     if not sigma <= options.max_sky_deg:
         yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
 
