@@ -66,7 +66,7 @@ def calibrate(
     if start is not None:
         start = start.lens_alone()
         effective = replace(effective, projection=start.projection)
-    usable = filter_sightings(points, site=site)
+    usable = filter_sightings(points, site=site, image_size=image_size)
     job = Job(
         points=points, usable=usable, site=site, image_size=image_size, options=effective, circle=circle, start=start
     )
@@ -75,7 +75,7 @@ def calibrate(
 
 def _calibrated(job: Job) -> Calibration:
     """Return the fit of a job; that of the day's sightings alone where those of the night would make it worse."""
-    problems = before_fit(job.usable)
+    problems = before_fit(job.usable, job.options)
     if problems:
         return refused(job, problems)
     observed = observations(job.usable)

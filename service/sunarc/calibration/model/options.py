@@ -86,7 +86,10 @@ class CalibrationOptions:
         unless times of another zone or another latitude, which would make it level, are more probable than a tilt.
     max_angle_deg : how far off the axis the model is asked to answer.
     max_rmse_px : a fit whose used sightings scatter by more, and by 1.5 times more than they state, is refused.
+    max_below_horizon : of times at which the sun was below the horizon may be a larger share of the sightings in no fit.
     max_rejected : a fit that had to leave out a larger share of the sightings is refused.
+    max_unexplained : a fit that leaves out a larger share of the sightings of an epoch's clear days is refused, as is
+        one that half-days contradict; 1 asks for neither.
     max_sky_deg : a fit whose stated 1-sigma over the sky (root mean square) is larger is refused.
     site_error_m : 1-sigma of the surveyed position, m.
     field_floor_px : smallest discrepancy field that is ever assumed, px.
@@ -100,6 +103,8 @@ class CalibrationOptions:
     max_angle_deg: Annotated[float, Gt(0.0), Le(180.0)] = 100.0
     max_rmse_px: Positive = 3.0
     max_rejected: Annotated[float, Gt(0.0), Le(1.0)] = 0.6
+    max_below_horizon: Annotated[float, Gt(0.0), Le(1.0)] = 0.03
+    max_unexplained: Annotated[float, Gt(0.0), Le(1.0)] = 0.25
     max_sky_deg: Positive = 2.0
     site_error_m: NonNegative = 30.0
     field_floor_px: NonNegative = 0.002

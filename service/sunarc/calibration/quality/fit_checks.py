@@ -12,10 +12,13 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import arc_length_deg
+from sunarc.calibration.quality.explained_days import unexplained_days
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
 
 _FEWEST = 20
+_FEWEST_BELOW = 4
+"""Sightings of a sun below the horizon that tell a wrong site or clock; fewer may be false ones at dusk."""
 _SHORTEST_ARC_DEG = 10.0
 _SMALLEST_SPREAD_PX = 10.0
 _MOST_STATIC = 0.5
@@ -34,12 +37,15 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
-    """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
+def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+    """Return what makes a fit pointless: too few sightings, too short an arc, a sun below the horizon or still."""
     n_static = sum(position.n for position in usable.static)
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
         return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _positions(usable)}),)
+    below = _below_horizon(usable, options)
+    if below is not None:
+        return (below,)
     if len(usable) < _FEWEST:
         return (Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST}), *usable.dropped)
     problems = []
@@ -50,6 +56,15 @@ def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
     if spread < _SMALLEST_SPREAD_PX:
         problems.append(Finding("spread_too_small", {"spread_px": spread, "least_px": _SMALLEST_SPREAD_PX}))
     return tuple(problems)
+
+
+def _below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> Finding | None:
+    """Return the finding of more sightings below the horizon than false detections are; None where they are fewer."""
+    below, limit = usable.n_below_horizon, options.max_below_horizon
+    n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.static)
+    if below < _FEWEST_BELOW or below <= limit * n_all:
+        return None
+    return Finding("sun_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit})
 
 
 def _positions(usable: FilteredSightings) -> str:
@@ -64,6 +79,9 @@ def fit_verdict(
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
     against = [*_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    below = _below_horizon(usable, options)
+    if below is not None:
+        against.append(below)
     if handedness.ambiguous:
         against.append(Finding("mirroring_ambiguous"))
     if against:
@@ -98,6 +116,10 @@ def _against_scatter(
     rejected = 1.0 - calibration.evidence.n_used / max(len(usable), 1)
     if rejected > options.max_rejected:
         yield Finding("too_many_rejected", {"share": rejected, "limit": options.max_rejected})
+    if options.max_unexplained < 1.0:
+        unexplained = unexplained_days(calibration, usable, options.max_unexplained)
+        if unexplained is not None:
+            yield unexplained
     if not sigma <= options.max_sky_deg:
         yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
 
