@@ -16,7 +16,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.quality.fit_checks import Handedness, before_fit
+from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.optics import Camera
@@ -81,7 +81,7 @@ def _calibrated(job: Job) -> Calibration:
     observed = observations(job.usable)
     picked = most_plausible_start(observed, job)
     if picked is None:
-        return refused(job, (Finding("no_camera_fits"),))
+        return refused(job, (*below_horizon(job.usable, job.options), Finding("no_camera_fits")))
     found = _fitted(job, observed, picked.cameras)
     if isinstance(found, Finding):
         return _calibrated(job._replace(usable=without_night(job.usable, found)))

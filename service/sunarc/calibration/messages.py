@@ -25,8 +25,8 @@ MESSAGES = Messages(
         "mask these positions, or leave these sightings out",
     ),
     sun_below_horizon=Message(
-        "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the sign of latitude "
-        "or longitude, or the clock (its zone), is wrong",
+        "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the sign of "
+        "latitude or longitude, or the clock (its zone), is wrong",
         _REFUSED,
         "check --latitude (north is positive), --longitude (east is positive) and the times (UTC, or --utc-offset)",
     ),
@@ -106,8 +106,8 @@ MESSAGES = Messages(
         "{share:.0%} of the sightings do not fit (at most {limit:.0%})", _REFUSED, "check what the detector finds"
     ),
     epoch_does_not_explain_its_days=Message(
-        "{share:.0%} of {n} sightings of clear days do not fit (at most {limit:.0%}); {n_far} of {n_half_days} half-days "
-        "lie off by more than {far:g} sigmas, the farthest, on {day}, by {off_px:.1f} px, which are {sigmas:.1f}",
+        "{share:.0%} of {n} sightings of clear days do not fit (at most {limit:.0%}); {n_far} of {n_half_days} "
+        "half-days lie off by more than {far:g} sigmas, the farthest, on {day}, by {off_px:.1f} px ({sigmas:.1f})",
         _REFUSED,
         "look for a change of lens, focus, mount or image size within these days, and fit before and after it apart",
     ),

@@ -77,7 +77,7 @@ def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
     nearest = _quantile(distance, share)
     first = nearest / math.sqrt(-2.0 * math.log1p(-share))
-    # the well-behaved ones stay within the cut: of few sightings it would else close in on those that a fit passes through
+    # the well-behaved ones stay within the cut: it would else close in on those of few that a fit passes through
     floor = max(floor, nearest / _KEEP)
     return float(_settled(distance, max(first, floor), floor))
 

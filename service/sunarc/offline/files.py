@@ -55,7 +55,7 @@ def require_inside(pixels: FloatArray, image_size: tuple[int, int], *, name: str
         x, y = pixels[outside[0]]
         raise InputError(
             field=f"{name}, sighting {outside[0] + 1}",
-            problem=f"pixel ({x:g}, {y:g}) is outside the {image_size[0]}x{image_size[1]} image, as are {outside.size} of "
-            f"{pixels.shape[0]} (at most {_MOST_BEYOND:.0%})",
+            problem=f"pixel ({x:g}, {y:g}) is outside the {image_size[0]}x{image_size[1]} image, as are "
+            f"{outside.size} of {pixels.shape[0]} (at most {_MOST_BEYOND:.0%})",
             remedy="correct the image size, or the rows",
         )

@@ -47,7 +47,8 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
 
     Raises
     ------
-    InputError : a row is wrong, many lie outside the image, the image size is not known, or the archive's camera is another one.
+    InputError : a row is wrong, many lie outside the image, the image size is not known, or the archive's camera is
+        another one.
     """
     table = read_sightings(read_lines(path), name=path.name)
     size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
@@ -63,7 +64,11 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
-        return archive.add_sun_points(_points(archive, settings, table, path.name)), total, total - int(table.unix_s.size)
+        return (
+            archive.add_sun_points(_points(archive, settings, table, path.name)),
+            total,
+            total - int(table.unix_s.size),
+        )
 
 
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:

@@ -29,7 +29,9 @@ def test_leverage_is_that_of_the_hat_matrix_and_zero_by_day() -> None:
     information = np.full(COUNT, SIGMA_PX**-2)
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
     normal = system.normal()
-    found = leverage_of(system, normal, marginal_fit(normal, grid.basis, SCALES), SCALES, which=np.arange(COUNT) < NIGHT)
+    found = leverage_of(
+        system, normal, marginal_fit(normal, grid.basis, SCALES), SCALES, which=np.arange(COUNT) < NIGHT
+    )
     np.testing.assert_array_equal(found[NIGHT:], 0.0)
 
     waves = grid.basis.variances(length_px=SCALES.length_px)

@@ -10,11 +10,11 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX
+from sunarc.calibration.least_squares.priors import N_LENS
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.least_squares.priors import N_LENS
 from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, surely_well_behaved, tukey_weights
 
 _SUN_TRACK = 2 * Kind.SUN
@@ -42,7 +42,14 @@ class Course(NamedTuple):
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
         sort = 2 * usable.kind + usable.alone
-        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone, sort, N_LENS + 3 * (1 + int(usable.epoch.max(initial=0))))
+        return cls(
+            time_bins(usable),
+            run,
+            neighbours(usable.unix_s, each_apart),
+            usable.alone,
+            sort,
+            N_LENS + 3 * (1 + int(usable.epoch.max(initial=0))),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

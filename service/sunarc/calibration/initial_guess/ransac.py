@@ -49,7 +49,9 @@ def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *,
     steps = _trials(residual, rows, start, precision)
     steps = np.concatenate([np.zeros((1, start.size)), steps])
     share = surely_well_behaved(len(thin), problem.size)
-    close = max(min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02)
+    close = max(
+        min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02
+    )
     weight = thin.information / close**2
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
@@ -85,7 +87,9 @@ def _tightened(  # noqa: PLR0917 - the kernel takes positions
 ) -> FloatArray:
     """Return the step refined on all sightings, those far off counting less and less."""
     columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
-    return np.asarray(tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, share, _FLOOR_PX))
+    return np.asarray(
+        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, share, _FLOOR_PX)
+    )
 
 
 @njit(nogil=True)

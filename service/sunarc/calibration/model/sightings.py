@@ -199,9 +199,7 @@ class FilteredSightings:
         return int(self.unix_s.size)
 
 
-def filter_sightings(
-    points: SunPoints, *, site: Site, image_size: tuple[int, int] | None = None
-) -> FilteredSightings:
+def filter_sightings(points: SunPoints, *, site: Site, image_size: tuple[int, int] | None = None) -> FilteredSightings:
     """Return what a fit can use: finite, in the image, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters

@@ -23,6 +23,8 @@ from sunarc.sky import date_of_day, hour_angle
 _FEWEST_TO_JUDGE = 20
 """Sightings of a day that show whether it was clear (see `day_quality`); fewer are taken to be of a clear one."""
 _FEWEST_OF_HALF = 6
+_SHORTEST_HALF_S = 9000.0
+"""From the first to the last sighting of a half-day that is judged: twice as long as cloud draws them aside."""
 _FEWEST_FOR_SHARE = 12
 _SMOOTH_SHARE = 0.8
 """Share of a clear day's sightings that run smoothly about the fit."""
@@ -31,7 +33,7 @@ _CLEAR_SIGMAS = 3.0
 """Largest scatter of a clear day, px per axis, or in that of the fit where that is larger."""
 _FLOOR_PX = 0.05
 _MISFIT_PX = 0.3
-"""1-sigma by which lens, air and mount may be wrong all through a half-day, px; the fit's own scatter where it is larger."""
+"""1-sigma by which lens, air and mount may be wrong all through a half-day, px; the fit's scatter if larger."""
 _FAR = 5.0
 """Sigmas: as far off as a single sighting that counts nothing."""
 _FEW_HALF_DAYS = 0.05
@@ -73,8 +75,9 @@ def unexplained_days(calibration: Calibration, usable: FilteredSightings, limit:
         largest = max(_CLEAR_SIGMA_PX, _CLEAR_SIGMAS * calibration.evidence.sigma_px)
         smooth = float(np.mean(weight > 0.0)) >= _SMOOTH_SHARE
         few = rows.size < _FEWEST_TO_JUDGE
-        clear[rows] = few or smooth and robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX) <= largest
-        halves += _half_days(calibration, usable, rows, residual[rows], rough)
+        clear[rows] = few or (smooth and robust_sigma(np.linalg.norm(rough, axis=-1), floor=_FLOOR_PX) <= largest)
+        if clear[rows[0]]:
+            halves += _half_days(calibration, usable, rows, residual[rows], rough)
     share, n = max(_left_out(clear, used), _left_out(clear & (usable.epoch == usable.epoch.max(initial=0)), used))
     far = [one for one in halves if one.sigmas > _FAR]
     if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
@@ -117,9 +120,9 @@ def _half_days(
     afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
     for half in (~afternoon, afternoon):
         n = int(half.sum())
-        if n < _FEWEST_OF_HALF:
-            continue
         seen, run = rows[half], np.zeros(n, dtype=np.int64)
+        if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
+            continue
         noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
         alike = inflation(rough[half], np.ones(n), neighbours(usable.unix_s[seen], run), run)[0]
         off = np.median(residual[half], axis=0)

@@ -26,6 +26,8 @@ _MOST_STATIC = 0.5
 _POSITIONS_NAMED = 3
 _OVER_STATED = 1.5
 """RMSE over that of the stated sigmas that is no fault of the camera: detectors state theirs to a factor of 1.5."""
+_KNOWN_LENS_SKY_DEG = 2.0
+"""1-sigma over the sky that may be stated where the lens is known: such a pose is there until a full fit is."""
 _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
@@ -43,11 +45,9 @@ def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
         return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _positions(usable)}),)
-    below = _below_horizon(usable, options)
-    if below is not None:
-        return (below,)
     if len(usable) < _FEWEST:
-        return (Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST}), *usable.dropped)
+        few = Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST})
+        return (*below_horizon(usable, options), few, *usable.dropped)
     problems = []
     arc = sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))
     if arc < _SHORTEST_ARC_DEG:
@@ -58,13 +58,13 @@ def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[
     return tuple(problems)
 
 
-def _below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> Finding | None:
-    """Return the finding of more sightings below the horizon than false detections are; None where they are fewer."""
+def below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+    """Return the finding of more sightings below the horizon than false detections are; none where they are fewer."""
     below, limit = usable.n_below_horizon, options.max_below_horizon
     n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.static)
     if below < _FEWEST_BELOW or below <= limit * n_all:
-        return None
-    return Finding("sun_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit})
+        return ()
+    return (Finding("sun_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
 
 
 def _positions(usable: FilteredSightings) -> str:
@@ -78,10 +78,11 @@ def fit_verdict(
     calibration: Calibration, usable: FilteredSightings, handedness: Handedness, options: CalibrationOptions
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
-    against = [*_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
-    below = _below_horizon(usable, options)
-    if below is not None:
-        against.append(below)
+    below = below_horizon(usable, options)
+    question = tilt_question(calibration.camera, calibration.site)
+    against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    if below and question is not None:
+        against.insert(1, question)  # what it names would bring the sun above the horizon, too
     if handedness.ambiguous:
         against.append(Finding("mirroring_ambiguous"))
     if against:
@@ -98,7 +99,6 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
-    question = tilt_question(calibration.camera, calibration.site)
     if question is None or options.level_within_deg is not None:
         return Verdict(accepted=True, findings=tuple(found))
     # a camera that was bumped has been level before, by the same clock and at the same place
@@ -120,8 +120,10 @@ def _against_scatter(
         unexplained = unexplained_days(calibration, usable, options.max_unexplained)
         if unexplained is not None:
             yield unexplained
-    if not sigma <= options.max_sky_deg:
-        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
+    known = calibration.evidence.options.get("free", "all") != "all"
+    largest_deg = max(options.max_sky_deg, _KNOWN_LENS_SKY_DEG if known else 0.0)
+    if not sigma <= largest_deg:
+        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": largest_deg})
 
 
 def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> float:
