@@ -80,7 +80,7 @@ def test_a_sun_below_the_horizon_tells_a_wrong_site_or_clock(
     site, points = clear_day.site, clear_day.points
     wrong = Site(latitude=latitude * site.latitude, longitude=longitude * site.longitude, altitude=site.altitude)
     late = SunPoints(unix_s=points.unix_s + 3600.0 * hours, pixels=points.pixels)
-    assert "sun_below_horizon" in _refused(late, wrong)
+    assert "sightings_below_horizon" in _refused(late, wrong)
 
 
 def test_a_few_false_sightings_after_sunset_do_no_harm(clear_day: Simulated) -> None:

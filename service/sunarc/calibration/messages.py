@@ -24,7 +24,7 @@ MESSAGES = Messages(
         _REFUSED,
         "mask these positions, or leave these sightings out",
     ),
-    sun_below_horizon=Message(
+    sightings_below_horizon=Message(
         "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the sign of "
         "latitude or longitude, or the clock (its zone), is wrong",
         _REFUSED,

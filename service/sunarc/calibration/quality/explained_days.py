@@ -83,9 +83,20 @@ def unexplained_days(calibration: Calibration, usable: FilteredSightings, limit:
     if share <= limit and len(far) <= _FEW_HALF_DAYS * len(halves):
         return None
     worst = max(halves, key=lambda one: one.sigmas, default=_HalfDay(0.0, 0.0, int(usable.day[0])))
-    data = {"share": share, "n": n, "limit": limit, "n_far": len(far), "n_half_days": len(halves), "far": _FAR}
-    shown = {"off_px": worst.off_px, "sigmas": worst.sigmas, "day": date_of_day(worst.day).isoformat()}
-    return Finding("epoch_does_not_explain_its_days", {**data, **shown})
+    return Finding(
+        "epoch_does_not_explain_its_days",
+        {
+            "share": share,
+            "n": n,
+            "limit": limit,
+            "n_far": len(far),
+            "n_half_days": len(halves),
+            "far": _FAR,
+            "off_px": worst.off_px,
+            "sigmas": worst.sigmas,
+            "day": date_of_day(worst.day).isoformat(),
+        },
+    )
 
 
 def _residuals(calibration: Calibration, usable: FilteredSightings) -> FloatArray:

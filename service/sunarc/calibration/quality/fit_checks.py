@@ -64,7 +64,7 @@ def below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> tup
     n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.static)
     if below < _FEWEST_BELOW or below <= limit * n_all:
         return ()
-    return (Finding("sun_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
+    return (Finding("sightings_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
 
 
 def _positions(usable: FilteredSightings) -> str:
