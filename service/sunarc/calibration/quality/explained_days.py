@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sunarc.array_types import BoolArray, FloatArray, IntArray
-from sunarc.calibration.fit.noise import inflation, neighbours
 from sunarc.calibration.model.covariance import project_with_covariance
 from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.result import Calibration
@@ -38,6 +37,7 @@ _FAR = 5.0
 """Sigmas: as far off as a single sighting that counts nothing."""
 _FEW_HALF_DAYS = 0.05
 """Share of the half-days of a long record that may be so far off: smoke, a ladder on the mast. Of ten days none may."""
+_LARGEST_CORRELATION = 0.995
 _MEDIAN = 1.2533
 """1-sigma of a median over that of a mean: the root of π / 2."""
 
@@ -131,11 +131,11 @@ def _half_days(
     afternoon = np.sin(hour_angle(usable.unix_s[rows], calibration.site)) > 0.0
     for half in (~afternoon, afternoon):
         n = int(half.sum())
-        seen, run = rows[half], np.zeros(n, dtype=np.int64)
+        seen = rows[half]
         if n < _FEWEST_OF_HALF or np.ptp(usable.unix_s[seen]) < _SHORTEST_HALF_S:
             continue
         noise = robust_sigma(np.linalg.norm(rough[half], axis=-1), share=0.5, floor=_FLOOR_PX)
-        alike = inflation(rough[half], np.ones(n), neighbours(usable.unix_s[seen], run), run)[0]
+        alike = _inflation(rough[half])
         off = np.median(residual[half], axis=0)
         _, stated = project_with_covariance(calibration, usable.directions[seen])
         variance = np.nan_to_num(np.mean(stated, axis=0)) + np.eye(2) * (
@@ -144,3 +144,11 @@ def _half_days(
         yield _HalfDay(
             float(np.linalg.norm(off)), float(np.sqrt(off @ np.linalg.solve(variance, off))), int(usable.day[seen[0]])
         )
+
+
+def _inflation(rough: FloatArray) -> float:
+    """Return by how much the variance of a mean of residuals (n, 2) grows because neighbours err alike."""
+    power = float(np.sum(rough**2))
+    correlation = float(np.sum(rough[1:] * rough[:-1])) / power if power > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), _LARGEST_CORRELATION)
+    return (1.0 + correlation) / (1.0 - correlation)
