@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from tests.calibration.conftest import SGP
 from tests.finding_codes import codes
 
 from sunarc.calibration import CalibrationOptions, ImageCircle, LensTolerances, PaperOptions, SunPoints, calibrate
@@ -13,7 +14,7 @@ from sunarc.errors import InputError
 from sunarc.sky import Site
 
 if TYPE_CHECKING:
-    from tests.calibration.conftest import Simulated
+    from tests.calibration.conftest import Simulated, Simulator
 
 SIZE = (1748, 1748)
 
@@ -70,6 +71,43 @@ def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
 def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
     late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
     assert "camera_tilted_by_clock" in _refused(late, clear_day.site)
+
+
+@pytest.mark.parametrize(("latitude", "longitude", "hours"), [(-1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 3.0)])
+def test_a_sun_below_the_horizon_tells_a_wrong_site_or_clock(
+    clear_day: Simulated, latitude: float, longitude: float, hours: float
+) -> None:
+    site, points = clear_day.site, clear_day.points
+    wrong = Site(latitude=latitude * site.latitude, longitude=longitude * site.longitude, altitude=site.altitude)
+    late = SunPoints(unix_s=points.unix_s + 3600.0 * hours, pixels=points.pixels)
+    assert "sightings_below_horizon" in _refused(late, wrong)
+
+
+def test_a_few_false_sightings_after_sunset_do_no_harm(clear_day: Simulated) -> None:
+    times = np.r_[clear_day.points.unix_s, clear_day.points.unix_s[-1] + 3600.0 + 60.0 * np.arange(5.0)]
+    pixels = np.r_[clear_day.points.pixels, 200.0 + 50.0 * np.arange(10.0).reshape(5, 2)]
+    found = calibrate(SunPoints(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    assert found.verdict.accepted, found.verdict.reasons
+    assert "dropped_below_horizon" in codes(found.verdict.findings)
+
+
+def test_two_hours_of_sun_are_too_little_for_a_first_fit(simulator: Simulator) -> None:
+    day = simulator(sigma_px=0.5, cadence_s=60.0).points
+    two_hours = day.select(slice(420, 540))
+    assert "direction_sigma_too_large" in _refused(two_hours, SGP)
+    found = calibrate(day, site=SGP, image_size=SIZE)
+    assert found.verdict.accepted
+    assert found.sky_rms_deg < 0.3
+
+
+def test_sightings_beside_the_image_are_left_out(clear_day: Simulated) -> None:
+    times, pixels = clear_day.points.unix_s, clear_day.points.pixels.copy()
+    pixels[7, 0] = SIZE[0] - 0.46
+    found = calibrate(SunPoints(unix_s=times, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    assert found.verdict.accepted
+    assert {one.code: one.data for one in found.verdict.findings}["dropped_outside_image"] == {"n": 1}
+    assert found.used is not None
+    assert not found.used[7]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,9 @@ from tests.fixtures.command_line import Sunarc, sunarc
 from tests.offline.reanalysis.in_process import InProcess, use
 from tests.offline.sources.archives import GREY, encoded, folder_of
 
+from sunarc.cli import reanalyse as command
+from sunarc.offline.reanalysis.results import Summary
+
 __all__ = ["sunarc"]
 
 SITE = ("--latitude", "36.6", "--longitude", "-97.5")
@@ -61,3 +64,15 @@ def test_what_is_missing_or_wrong_is_named(
         given = list(SITE)
     answer = sunarc("reanalyse", *given, "-o", str(tmp_path / "out"), "--yes")
     assert (answer.code, answer.err.splitlines()[-1].startswith(f"sunarc: {field}: ")) == (2, True)
+
+
+def test_an_epoch_that_does_not_explain_its_days_exits_1_beside_accepted_ones(
+    sunarc: Sunarc, images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = {"cameras": [{"camera": "roof", "epochs": [{"accepted": True}, {"accepted": False}]}]}
+    for codes, expected in (([], 0), (["direction_sigma_too_large"], 0), (["epoch_does_not_explain_its_days"], 1)):
+        verdict = {"accepted": False, "findings": [{"code": code, "data": {}} for code in codes]}
+        summary = Summary(report=report, documents={("roof", "002"): {"verdict": verdict}})
+        monkeypatch.setattr(command, "reanalyse", lambda *_, given=summary, **__: given)
+        answer = sunarc("reanalyse", str(images), *SITE, "-o", str(tmp_path / "out"), "--yes", "--json")
+        assert answer.code == expected

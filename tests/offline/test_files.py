@@ -81,8 +81,14 @@ def test_pixels_up_to_the_outer_edges_of_the_outer_pixels_are_inside() -> None:
     require_inside(corners, (8, 6), name="points.csv")
 
 
-@pytest.mark.parametrize("outside", [(-0.51, 2.0), (7.51, 2.0), (2.0, -0.51), (2.0, 5.51)])
-def test_a_pixel_beyond_an_edge_is_refused_with_its_number(outside: tuple[float, float]) -> None:
+@pytest.mark.parametrize("outside", [(-1.51, 2.0), (8.51, 2.0), (2.0, -1.51), (2.0, 6.51)])
+def test_many_pixels_far_beyond_an_edge_are_refused_with_the_first_one_s_number(outside: tuple[float, float]) -> None:
+    inside = np.ones((18, 2))
+    require_inside(np.array([[1.0, 1.0], outside, *inside]), (8, 6), name="points.csv")
     with pytest.raises(InputError) as refused:
-        require_inside(np.array([[1.0, 1.0], outside]), (8, 6), name="points.csv")
+        require_inside(np.array([[1.0, 1.0], outside, outside, *inside]), (8, 6), name="points.csv")
     assert refused.value.field == "points.csv, sighting 2"
+
+
+def test_pixels_beside_the_image_are_no_other_size() -> None:
+    require_inside(np.array([[1.0, 1.0], [7.54, 2.0], [8.4, 2.0]]), (8, 6), name="points.csv")

@@ -27,7 +27,7 @@ def points_file(folder: Path, *rows: str) -> Path:
 
 def test_every_column_reaches_the_archive(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
-    assert import_points(settings, points_file(tmp_path), image_size=(8, 6)) == (2, 2)
+    assert import_points(settings, points_file(tmp_path), image_size=(8, 6)) == (2, 2, 0)
     with open_archive(settings.database) as archive:
         first, second = archive.sun_points("roof")
     assert first.time == datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
@@ -41,7 +41,15 @@ def test_what_is_there_already_is_not_added_again(tmp_path: Path) -> None:
     settings = new_settings(tmp_path)
     import_points(settings, points_file(tmp_path), image_size=(8, 6))
     more = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,3.5,2.75,,,")
-    assert import_points(settings, more) == (1, 3)
+    assert import_points(settings, more) == (1, 3, 0)
+
+
+def test_a_row_beside_the_image_is_left_out_and_counted(tmp_path: Path) -> None:
+    settings = new_settings(tmp_path)
+    beside = points_file(tmp_path, *ROWS, "2013-05-13T18:32:00Z,7.54,2.0,,,")
+    assert import_points(settings, beside, image_size=(8, 6)) == (2, 3, 1)
+    with open_archive(settings.database) as archive:
+        assert len(archive.sun_points("roof")) == 2
 
 
 @pytest.mark.parametrize("row", ["2013-05-13T18:32:00Z,9.0,2.0,,,", "2013-05-13T18:32:00Z,1.0,two,,,", "noon,1,1,,,"])
@@ -63,7 +71,7 @@ def test_the_image_size_is_taken_from_the_region_of_the_settings(tmp_path: Path)
 def test_the_archives_size_goes_before_the_region(tmp_path: Path) -> None:
     import_points(new_settings(tmp_path), points_file(tmp_path), image_size=(8, 6))
     settings = new_settings(tmp_path, camera={"address": "192.0.2.7", "region": (0, 0, 100, 100)})
-    assert import_points(settings, points_file(tmp_path)) == (0, 2)
+    assert import_points(settings, points_file(tmp_path)) == (0, 2, 0)
 
 
 def test_without_any_size_the_option_is_asked_for(tmp_path: Path) -> None:
@@ -121,7 +129,7 @@ def stars_file(folder: Path, *, body: str = "star:HIP91262", zenith_deg: float |
 def test_stars_go_into_the_archive_and_come_back_with_their_directions(tmp_path: Path) -> None:
     settings, target = new_settings(tmp_path), io.StringIO()
     path = stars_file(tmp_path)
-    assert import_points(settings, path, image_size=(8, 6)) == (2, 2)
+    assert import_points(settings, path, image_size=(8, 6)) == (2, 2, 0)
     with open_archive(settings.database) as archive:
         (star,) = archive.sun_points("roof", body="star:HIP91262")
         assert len(archive.sun_points("roof")) == 1

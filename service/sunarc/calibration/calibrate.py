@@ -16,7 +16,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, Mi
 from sunarc.calibration.model.result import Calibration
 from sunarc.calibration.model.sightings import SunPoints, filter_sightings
 from sunarc.calibration.paper import fit_as_paper
-from sunarc.calibration.quality.fit_checks import Handedness, before_fit
+from sunarc.calibration.quality.fit_checks import Handedness, before_fit, below_horizon
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.optics import Camera
@@ -68,7 +68,7 @@ def calibrate(
     if start is not None:
         start = start.lens_alone()
         effective = replace(effective, projection=start.projection)
-    usable = filter_sightings(points, site=site)
+    usable = filter_sightings(points, site=site, image_size=image_size)
     job = Job(
         points=points,
         usable=usable,
@@ -84,13 +84,13 @@ def calibrate(
 
 def _calibrated(job: Job) -> Calibration:
     """Return the fit of a job; that of the day's sightings alone where those of the night would make it worse."""
-    problems = before_fit(job.usable)
+    problems = before_fit(job.usable, job.options)
     if problems:
         return refused(job, problems)
     observed = observations(job.usable)
     picked = most_plausible_start(observed, job)
     if picked is None:
-        return refused(job, (Finding("no_camera_fits"),))
+        return refused(job, (*below_horizon(job.usable, job.options), Finding("no_camera_fits")))
     found = _fitted(job, observed, picked.cameras)
     if isinstance(found, Finding):
         return _calibrated(job._replace(usable=without_night(job.usable, found)))

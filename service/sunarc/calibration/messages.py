@@ -24,6 +24,12 @@ MESSAGES = Messages(
         _REFUSED,
         "mask these positions, or leave these sightings out",
     ),
+    sightings_below_horizon=Message(
+        "the sun was below the horizon at {n} of {n_all} sightings ({share:.0%}, at most {limit:.0%}): the sign of "
+        "latitude or longitude, or the clock (its zone), is wrong",
+        _REFUSED,
+        "check --latitude (north is positive), --longitude (east is positive) and the times (UTC, or --utc-offset)",
+    ),
     arc_too_short=Message(
         "the sun moved {arc_deg:.1f}°; at least {least_deg:.0f}° are needed", _REFUSED, "collect sightings for longer"
     ),
@@ -44,6 +50,9 @@ MESSAGES = Messages(
         "direction uncertainty {sigma_deg:.4f}° (1-sigma per axis, RMS over the sky)", "Summary of the fit."
     ),
     dropped_not_finite=Message("{n} sightings without a finite time or pixel were left out", "Input of the fit."),
+    dropped_outside_image=Message(
+        "{n} sightings outside the image were left out", "Input of the fit.", "correct the rows, or the image size"
+    ),
     dropped_below_horizon=Message(
         "{n} sightings with the sun below the horizon were left out",
         "Input of the fit.",
@@ -100,6 +109,12 @@ MESSAGES = Messages(
     ),
     too_many_rejected=Message(
         "{share:.0%} of the sightings do not fit (at most {limit:.0%})", _REFUSED, "check what the detector finds"
+    ),
+    epoch_does_not_explain_its_days=Message(
+        "{share:.0%} of {n} sightings of clear days do not fit (at most {limit:.0%}); {n_far} of {n_half_days} "
+        "half-days lie off by more than {far:g} sigmas, the farthest, on {day}, by {off_px:.1f} px ({sigmas:.1f})",
+        _REFUSED,
+        "look for a change of lens, focus, mount or image size within these days, and fit before and after it apart",
     ),
     direction_sigma_too_large=Message(
         "direction uncertainty {sigma_deg:.2f}° (at most {limit_deg:g}°): the sightings cover too little of the sky",

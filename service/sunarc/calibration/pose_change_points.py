@@ -96,7 +96,7 @@ def calibrate_moved(
     no_track = bool(np.any(np.isfinite(points.directions)))
     if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
         return Moved(solved, points)
-    usable = filter_sightings(points, site=site)
+    usable = filter_sightings(points, site=site, image_size=image_size)
     begin: Camera | None = None
     for _ in range(_MOST):
         found = _with_one_more(points, usable, solved, fit)

@@ -109,10 +109,10 @@ def choose_projection(
     points, site, image_size, options, circle : as `calibrate` takes them; the options' projection is what is returned
         where no fit is possible.
     """
-    usable = filter_sightings(points, site=site)
+    usable = filter_sightings(points, site=site, image_size=image_size)
     observed, fits = observations(usable), {}
     job = Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)
-    if not before_fit(usable):
+    if not before_fit(usable, options):
         for projection in PROJECTIONS:
             one = job._replace(options=replace(options, projection=projection))
             start = most_plausible_start(observed, one)

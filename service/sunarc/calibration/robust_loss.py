@@ -17,6 +17,9 @@ CUT = 5.0
 
 WELL_BEHAVED = 0.3
 """Share of the sightings that surely are."""
+_PER_UNKNOWN = 0.9
+"""Sightings, of two numbers each, for each unknown."""
+_MOST_WELL_BEHAVED = 0.9
 _ROUNDS = 60
 _KEEP = 2.5
 
@@ -35,6 +38,15 @@ def tukey_loss(distance: FloatArray, *, sigma: float) -> FloatArray:
     """Return the loss whose weights `tukey_weights` are: d²/2σ² near 0, constant from `CUT` sigmas on."""
     ratio = np.minimum(distance / (CUT * sigma), 1.0)
     return np.asarray(CUT**2 / 6.0 * (1.0 - (1.0 - ratio**2) ** 3))
+
+
+def surely_well_behaved(n: int, unknowns: int, share: float = WELL_BEHAVED) -> float:
+    """Return the share of n sightings that a scale starts from, where so many unknowns were fitted to them.
+
+    A camera of 20 unknowns passes through 10 of 20 sightings, and with the scale of these, 0, all others would count
+    nothing: nearly twice as many numbers as there are unknowns have to be met.
+    """
+    return max(share, min(_PER_UNKNOWN * unknowns / max(n, 1), _MOST_WELL_BEHAVED))
 
 
 def robust_sigma(distance: FloatArray, *, share: float = WELL_BEHAVED, floor: float = 1e-9) -> float:
@@ -63,7 +75,10 @@ _CORRECTION = 1.0 - 0.5 * _KEEP**2 * _TAIL / (1.0 - _TAIL)
 def robust_scale(distance: FloatArray, share: float, floor: float) -> float:
     """Return `robust_sigma` of distances (n,), at least one, for compiled loops."""
     # the distance of a round Gaussian is Rayleigh: its quantile q lies at sqrt(-2 ln(1 - q)) sigma
-    first = _quantile(distance, share) / math.sqrt(-2.0 * math.log1p(-share))
+    nearest = _quantile(distance, share)
+    first = nearest / math.sqrt(-2.0 * math.log1p(-share))
+    # the well-behaved ones stay within the cut: it would else close in on those of few that a fit passes through
+    floor = max(floor, nearest / _KEEP)
     return float(_settled(distance, max(first, floor), floor))
 
 

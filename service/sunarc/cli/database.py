@@ -64,8 +64,9 @@ def import_points(
     """
     settings = load_settings(config)
     size = None if image_size is None else parse_image_size(image_size)
-    added, total = read_points(settings, file, image_size=size)
-    print(f"{added} of {total} sightings added, {total - added} were there already")
+    added, total, outside = read_points(settings, file, image_size=size)
+    left_out = f", {outside} outside the image were left out" if outside else ""
+    print(f"{added} of {total} sightings added, {total - added - outside} were there already{left_out}")
     note_running_service(settings.state)
 
 

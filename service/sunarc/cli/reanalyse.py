@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -69,6 +69,8 @@ def reanalyse_archive(
 ) -> None:
     """Find every sun in an archive of images, the epochs of its cameras, and a calibration for each.
 
+    Exits 1 where no epoch has a calibration, or one does not explain its days (a change of lens that was not found).
+
     Example: sunarc reanalyse images/ --latitude 36.6 --longitude -97.5 --altitude 318 --utc-offset 0 -o result
     """
     common = CameraPlan(
@@ -92,8 +94,14 @@ def reanalyse_archive(
         print_json(summary.report)
     else:
         _print(summary, target)
-    if not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"]):
+    unexplained = [one for one in summary.documents.values() if _is_unexplained(one)]
+    if unexplained or not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"]):
         raise typer.Exit(1)
+
+
+def _is_unexplained(document: dict[str, Any]) -> bool:
+    """Return whether the calibration of an epoch is refused because it does not explain the epoch's days."""
+    return any(one["code"] == "epoch_does_not_explain_its_days" for one in document["verdict"]["findings"])
 
 
 def _site(latitude: float | None, longitude: float | None, altitude: float, cameras: Path | None) -> Site:

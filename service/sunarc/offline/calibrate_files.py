@@ -102,7 +102,7 @@ def calibrate_file(
 
 
 def read_points(path: Path, image_size: tuple[int, int]) -> SunPoints:
-    """Return a CSV file's sightings; InputError where one is outside the image, or the file is none."""
+    """Return a CSV file's sightings; InputError where they are of images of another size, or the file is none."""
     table = read_sightings(read_lines(path), name=path.name)
     require_inside(table.pixels, image_size, name=path.name)
     return SunPoints(

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from sunarc.array_types import FloatArray, Image
+from sunarc.calibration.model.sightings import inside_image
 from sunarc.errors import InputError
 
 
@@ -42,13 +43,19 @@ def read_image(path: Path) -> Image:
     raise InputError(field=str(path), problem="is no 8 or 16 bit image", remedy="give a whole PNG, JPEG or TIFF file")
 
 
+_BEYOND_PX = 1.0
+_MOST_BEYOND = 0.05
+"""Share of a file's sightings beyond the image by more than a pixel: more are no slips, but images of another size."""
+
+
 def require_inside(pixels: FloatArray, image_size: tuple[int, int], *, name: str) -> None:
-    """Raise InputError when a sighting, (n, 2) px, lies outside the image."""
-    outside = np.flatnonzero(np.any((pixels < -0.5) | (pixels > np.array(image_size) - 0.5), axis=-1))
-    if outside.size:
+    """Raise InputError where sightings, (n, 2) px, are of images of another size: many lie far outside."""
+    outside = np.flatnonzero(~inside_image(pixels, image_size, beyond_px=_BEYOND_PX))
+    if outside.size > _MOST_BEYOND * pixels.shape[0]:
         x, y = pixels[outside[0]]
         raise InputError(
             field=f"{name}, sighting {outside[0] + 1}",
-            problem=f"pixel ({x:g}, {y:g}) is outside the {image_size[0]}x{image_size[1]} image",
-            remedy="correct the row, or the image size",
+            problem=f"pixel ({x:g}, {y:g}) is outside the {image_size[0]}x{image_size[1]} image, as are "
+            f"{outside.size} of {pixels.shape[0]} (at most {_MOST_BEYOND:.0%})",
+            remedy="correct the image size, or the rows",
         )

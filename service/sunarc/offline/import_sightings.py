@@ -18,6 +18,8 @@ from sunarc.archive import (
     upgrade_present,
     write_sightings,
 )
+from sunarc.array_types import picked
+from sunarc.calibration.model.sightings import inside_image
 from sunarc.errors import InputError
 from sunarc.offline.cameras import known_camera, register_camera
 from sunarc.offline.files import read_lines, require_inside
@@ -29,8 +31,10 @@ _MOST_APART_DEG = 0.05
 """Of a stated direction from the body's: the refraction of other air and formulas near the horizon."""
 
 
-def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int] | None = None) -> tuple[int, int]:
-    """Add a file's sightings to the archive; return how many were new, and how many the file has.
+def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int] | None = None) -> tuple[int, int, int]:
+    """Add a file's sightings to the archive; return how many were new, how many the file has, and how many are outside.
+
+    Those outside the image are left out.
 
     A database that does not exist is made, an older one is migrated, and a camera that is not known is stored with
     the settings' site; nothing is written before the whole file was found good.
@@ -43,7 +47,8 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
 
     Raises
     ------
-    InputError : a row is wrong, the image size is not known, or the archive's camera is another one.
+    InputError : a row is wrong, many lie outside the image, the image size is not known, or the archive's camera is
+        another one.
     """
     table = read_sightings(read_lines(path), name=path.name)
     size = image_size or _size_in_archive(settings) or _size_in_settings(settings)
@@ -54,11 +59,16 @@ def import_points(settings: Settings, path: Path, *, image_size: tuple[int, int]
             remedy="give the width and height of its images in px, as --image-size 1748,1748",
         )
     require_inside(table.pixels, size, name=path.name)
+    total, table = int(table.unix_s.size), picked(table, inside_image(table.pixels, size))
     _require_bodies(table, settings.site, path.name)
     upgrade_present(settings.archive)
     with open_archive(settings.archive) as archive:
         register_camera(archive, settings, size)
-        return archive.add_sun_points(_points(archive, settings, table, path.name)), int(table.unix_s.size)
+        return (
+            archive.add_sun_points(_points(archive, settings, table, path.name)),
+            total,
+            total - int(table.unix_s.size),
+        )
 
 
 def write_points(settings: Settings, target: TextIO, *, since: datetime | None, until: datetime | None) -> int:

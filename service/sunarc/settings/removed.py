@@ -55,9 +55,11 @@ _REMEDIES: dict[str, tuple[str, ...]] = {
     f"{_CONSTANT} of the fit and of its acceptance": (
         "calibration.field_floor_px",
         "calibration.max_angle_deg",
+        "calibration.max_below_horizon",
         "calibration.max_rejected",
         "calibration.max_rmse_px",
         "calibration.max_sky_deg",
+        "calibration.max_unexplained",
         "calibration.site_error_m",
     ),
     f"{_CONSTANT}: the 1-sigma priors of a lens are in docs/maths.md": (

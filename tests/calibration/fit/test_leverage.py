@@ -8,7 +8,7 @@ import numpy as np
 from tests.fixtures.calibration import observed, small_camera, small_problem, spread_directions
 
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
-from sunarc.calibration.fit.leverage import night_leverage
+from sunarc.calibration.fit.leverage import leverage_of
 from sunarc.calibration.fit.marginal_likelihood import Scales, marginal_fit
 from sunarc.calibration.fit.normal_equations import linear_system
 from sunarc.calibration.least_squares.time_bins import Bins
@@ -29,7 +29,9 @@ def test_leverage_is_that_of_the_hat_matrix_and_zero_by_day() -> None:
     information = np.full(COUNT, SIGMA_PX**-2)
     system = linear_system(problem, seen, bins, at, information=information, basis=grid.basis)
     normal = system.normal()
-    found = night_leverage(system, normal, marginal_fit(normal, grid.basis, SCALES), SCALES)
+    found = leverage_of(
+        system, normal, marginal_fit(normal, grid.basis, SCALES), SCALES, which=np.arange(COUNT) < NIGHT
+    )
     np.testing.assert_array_equal(found[NIGHT:], 0.0)
 
     waves = grid.basis.variances(length_px=SCALES.length_px)

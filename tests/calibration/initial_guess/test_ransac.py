@@ -112,7 +112,7 @@ def test_tightening_ends_at_the_weighted_fixed_point() -> None:
     rows = rng.standard_normal((80, 2, 2))
     residual = rows @ [0.5, -1.0] + 0.05 * rng.standard_normal((80, 2))
     residual[:16] += 4.0
-    found = module._tightened(np.zeros(2), residual, rows, np.zeros(2), np.full(2, 1e-9))
+    found = module._tightened(np.zeros(2), residual, rows, np.zeros(2), np.full(2, 1e-9), WELL_BEHAVED)
     np.testing.assert_allclose(found, [0.5, -1.0], atol=0.03)
     plain = np.linalg.lstsq(rows.reshape(-1, 2), residual.ravel())[0]
     assert np.linalg.norm(found - [0.5, -1.0]) < 0.5 * np.linalg.norm(plain - [0.5, -1.0]) + 0.02
@@ -151,7 +151,7 @@ def test_trials_are_those_of_linear_least_squares(problem: Problem, precision: F
 def test_a_step_is_refined_as_in_numpy(problem: Problem, precision: FloatArray, truth: FloatArray) -> None:
     (residual, rows), start = _lines(problem, truth), _pose_off(truth)
     flat, right, step = rows.reshape(-1, rows.shape[-1]), residual.ravel(), np.zeros(problem.size)
-    found = module._tightened(step, residual, rows, start, precision)
+    found = module._tightened(step, residual, rows, start, precision, WELL_BEHAVED)
     for cut in module._CUTS:
         after = (right - flat @ step).reshape(-1, 2)
         distance = np.hypot(after[:, 0], after[:, 1])

@@ -23,7 +23,18 @@ def test_tolerances_are_positive(name: str, value: float) -> None:
         _made(LensTolerances, name, value)
 
 
-@pytest.mark.parametrize("name", ["level_within_deg", "max_angle_deg", "max_rmse_px", "max_rejected", "max_sky_deg"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "level_within_deg",
+        "max_angle_deg",
+        "max_rmse_px",
+        "max_rejected",
+        "max_sky_deg",
+        "max_unexplained",
+        "max_below_horizon",
+    ],
+)
 def test_limits_of_a_fit_are_positive(name: str) -> None:
     for value in (0.0, -1.0, math.nan):
         with pytest.raises(InputError, match=name):
@@ -72,7 +83,8 @@ def test_the_defaults_are_those_of_the_documents() -> None:
     options, lens, paper = CalibrationOptions(), LensTolerances(), PaperOptions()
     assert (options.method, options.projection, options.mirrored) == ("robust", "equisolid", "no")
     assert (options.level_within_deg, options.max_angle_deg, options.max_rmse_px) == (None, 100.0, 3.0)
-    assert (options.max_rejected, options.max_sky_deg) == (0.6, 2.0)
+    assert (options.max_rejected, options.max_sky_deg) == (0.6, 1.5)
+    assert (options.max_unexplained, options.max_below_horizon) == (0.25, 0.03)
     assert (options.site_error_m, options.field_floor_px) == (30.0, 0.002)
     assert (lens.radial_px, lens.radial_length_deg, lens.decentering_px, lens.decentering_higher) == (
         2.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunarc.array_types import FloatArray
+from sunarc.array_types import BoolArray, FloatArray
 from sunarc.calibration.fit.field_posterior import prediction_variance
 from sunarc.calibration.fit.marginal_likelihood import MarginalFit, NormalEquations, Scales
 from sunarc.calibration.fit.normal_equations import LinearSystem
@@ -13,8 +13,10 @@ _LARGEST = 0.8
 """Of a star that stands alone; beyond it the residual says nothing of the noise."""
 
 
-def night_leverage(system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: Scales) -> FloatArray:
-    """Return (n,): the share of its noise's variance that the fit has taken up, of each sighting of a night; else 0.
+def leverage_of(
+    system: LinearSystem, normal: NormalEquations, fit: MarginalFit, scales: Scales, *, which: BoolArray
+) -> FloatArray:
+    """Return (n,): the share of its noise's variance that the fit has taken up, of the sightings of some bins; else 0.
 
     The variance of a residual is that of the noise less that of the prediction, with the sighting among its data.
 
@@ -22,12 +24,12 @@ def night_leverage(system: LinearSystem, normal: NormalEquations, fit: MarginalF
     ----------
     system, normal : the bins' equations, with systematic errors, and their sums.
     fit : the fit under the scales.
+    which : (b,) bins.
     """
-    night = np.any(system.observed.systematic_px != 0.0, axis=(1, 2))
     variance = prediction_variance(
-        fit, scales, system.basis, rows=system.rows[night], basis_values=system.basis_values[night], normal=normal
+        fit, scales, system.basis, rows=system.rows[which], basis_values=system.basis_values[which], normal=normal
     )
-    leverage = np.zeros(night.size)
+    leverage = np.zeros(which.size)
     # the trace is of two axes
-    leverage[night] = np.clip(0.5 * variance * system.observed.information[night], 0.0, _LARGEST)
+    leverage[which] = np.clip(0.5 * variance * system.observed.information[which], 0.0, _LARGEST)
     return np.asarray(leverage[system.member])

@@ -10,11 +10,12 @@ import numpy as np
 from sunarc.array_types import BoolArray, FloatArray, IntArray
 from sunarc.calibration.fit.noise import growth_rate, inflation, lag_one, neighbours
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX
+from sunarc.calibration.least_squares.priors import N_LENS
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.least_squares.time_bins import Bins, time_bins
 from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, tukey_weights
+from sunarc.calibration.robust_loss import INFORMATION_PER_WEIGHT, robust_sigma, surely_well_behaved, tukey_weights
 
 _SUN_TRACK = 2 * Kind.SUN
 """The sort of the sun's track, see `Course`."""
@@ -33,6 +34,7 @@ class Course(NamedTuple):
     follows: BoolArray
     alone: BoolArray
     sort: IntArray
+    unknowns: int = 0
 
     @classmethod
     def of(cls, usable: FilteredSightings) -> Course:
@@ -40,7 +42,14 @@ class Course(NamedTuple):
         run = 2 * (usable.day * (1 + int(usable.epoch.max(initial=0))) + usable.epoch) + usable.alone
         each_apart = np.where(usable.alone, -1 - np.arange(len(usable)), run)
         sort = 2 * usable.kind + usable.alone
-        return cls(time_bins(usable), run, neighbours(usable.unix_s, each_apart), usable.alone, sort)
+        return cls(
+            time_bins(usable),
+            run,
+            neighbours(usable.unix_s, each_apart),
+            usable.alone,
+            sort,
+            N_LENS + 3 * (1 + int(usable.epoch.max(initial=0))),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +80,7 @@ def measured_noise(
     residuals : (n, 2) px, of the sightings.
     observed : the sightings.
     course : of the sightings.
-    leverage : (n,) of each sighting on the fit, see `night_leverage`; None where each has little.
+    leverage : (n,) of each sighting on the fit, see `leverage_of`; None where each has little.
     """
     if leverage is not None:
         residuals = residuals / np.sqrt(1.0 - leverage)[:, None]
@@ -90,7 +99,8 @@ def measured_noise(
 
 def _scale(distance: FloatArray, course: Course) -> FloatArray:
     """Return (n,): the scale of each sighting's noise, by those of its sort."""
-    scale = np.full(distance.size, robust_sigma(distance, floor=SMALLEST_SIGMA_PX))
+    share = surely_well_behaved(distance.size, course.unknowns)
+    scale = np.full(distance.size, robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX))
     if np.all(course.sort == course.sort[:1]):
         return scale
     for one in np.unique(course.sort):

@@ -25,7 +25,7 @@ from sunarc.calibration.least_squares.solve import information as information_of
 from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.sightings import FilteredSightings
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.optics import Camera
 
 
@@ -150,7 +150,8 @@ def _without_field(problem: Problem, observed: Observations, start: FloatArray, 
     precision = prior_precision(problem.size, LOOSE_RADIAL_PX, LOOSE_DECENTERING_PX)
     at = best_start(problem, observed, start, precision=precision)
     residuals = problem.residuals(at, observed)
-    sigma = robust_sigma(distance_sigmas(problem, observed, at), floor=SMALLEST_SIGMA_PX)
+    share = surely_well_behaved(len(observed), problem.size)
+    sigma = robust_sigma(distance_sigmas(problem, observed, at), share=share, floor=SMALLEST_SIGMA_PX)
     means = bins.observations(observed, problem, at, information=information_of(residuals, observed, sigma))
     deepest = best_of_starts(problem, means, at, precision=precision)
     return lowest(problem, observed, [at, deepest], precision=precision)

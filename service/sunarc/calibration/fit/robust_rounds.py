@@ -22,14 +22,14 @@ from sunarc.calibration.fit.hyperparameter_grid import (
     normalised,
 )
 from sunarc.calibration.fit.least_squares_reference import allowed_level, at_least_least_squares, finest_weight
-from sunarc.calibration.fit.leverage import night_leverage
+from sunarc.calibration.fit.leverage import leverage_of
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE, NormalEquations, Scales, field_at, marginal_fit
 from sunarc.calibration.fit.noise_by_sort import Course, Noise, measured_noise
 from sunarc.calibration.fit.normal_equations import LinearSystem, irls_converged, linear_system, system_about
 from sunarc.calibration.initial_guess.multistart import SMALLEST_SIGMA_PX, distance_sigmas
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 
 _ROUNDS = 5
 _FIRST_FIELD_PX = 1.0
@@ -38,6 +38,8 @@ LOOSE_DECENTERING_PX = 3.0
 _FIELD_MAY_COST = 1.1
 """Robust cost with a field over that without: priors and correlated noise make it 1.04 at most where all is well."""
 _FIELD_SHRINKS = 0.25
+_FEW_PER_UNKNOWN = 5
+"""Sightings for each unknown below which the fit has taken up more of their noise than can be passed over."""
 _FIELD_BOUNDS = 4
 """How often the largest field is made smaller; 1 px is 0.004 px then, the floor's size."""
 
@@ -46,7 +48,7 @@ _FIELD_BOUNDS = 4
 class State:
     """Where the rounds stand, the log odds of a field, and what the last round gained in twice the log posterior.
 
-    leverage : (n,) see `night_leverage`.
+    leverage : (n,) see `leverage_of`.
     """
 
     unknowns: FloatArray
@@ -147,7 +149,8 @@ def _with_field(
     again.
     """
     distance = distance_sigmas(problem, observed, plain)
-    sigma, weight = robust_sigma(distance, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
+    share = surely_well_behaved(len(observed), problem.size - problem.n_unit)
+    sigma, weight = robust_sigma(distance, share=share, floor=SMALLEST_SIGMA_PX), finest_weight(observed)
     state, noise, system = _rounds(problem, observed, plain, grid, course)
     for _ in range(_FIELD_BOUNDS):
         level = allowed_level(
@@ -224,9 +227,11 @@ def _improved(problem: Problem, observed: Observations, system: LinearSystem, gr
     scales = likely_scales(normalised(log_weight), grid)
     rest = irls_converged(problem, system, scales)
     leverage = None
-    if problem.n_systematic:
+    few = len(observed) < _FEW_PER_UNKNOWN * (problem.size - problem.n_unit)
+    if problem.n_systematic or few:
         there = system.moved(problem, rest.unknowns)
-        leverage = night_leverage(there, there.normal(), rest.fit, scales)
+        which = few | np.any(there.observed.systematic_px != 0.0, axis=(1, 2))
+        leverage = leverage_of(there, there.normal(), rest.fit, scales, which=which)
     unknowns, smooth = rest.unknowns, (system.basis_values @ rest.fit.coefficients.T)[system.member]
     return State(
         unknowns=unknowns,

@@ -17,7 +17,7 @@ from sunarc.calibration.initial_guess.ransac import ransac_start
 from sunarc.calibration.least_squares.priors import DECENTERING, N_LENS, RADIAL, Whitened
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.solve import most_probable
-from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, tukey_loss
+from sunarc.calibration.robust_loss import UNSEEN_PX, robust_sigma, surely_well_behaved, tukey_loss
 
 SMALLEST_SIGMA_PX = 1e-4
 """px; exact (simulated) sightings must not make a scale of 0."""
@@ -113,7 +113,7 @@ def _settled(
     problem: Problem, observed: Observations, start: FloatArray, *, precision: FloatArray, tolerance: float = 1e-6
 ) -> FloatArray:
     """Return the robust fit from one start at the scale that it leaves over."""
-    sigma = _widest_scatter(problem.residuals(start, observed), observed)
+    sigma = _widest_scatter(problem, start, observed)
     return most_probable(
         problem, observed, start, precision=precision, sigma=sigma, iterations=20, tolerance=tolerance
     ).unknowns
@@ -124,7 +124,8 @@ def lowest(
 ) -> FloatArray:
     """Return the candidate of the lowest robust cost, prior included, at one scale for all."""
     distances = [distance_sigmas(problem, observed, at) for at in candidates]
-    sigma = min(robust_sigma(d, share=_CENTRAL_SHARE, floor=SMALLEST_SIGMA_PX) for d in distances)
+    share = surely_well_behaved(len(observed), problem.size, _CENTRAL_SHARE)
+    sigma = min(robust_sigma(d, share=share, floor=SMALLEST_SIGMA_PX) for d in distances)
     costs = [
         float(np.sum(tukey_loss(distance, sigma=sigma))) + 0.5 * float(np.sum(precision * at**2))
         for distance, at in zip(distances, candidates, strict=True)
@@ -167,8 +168,11 @@ def _distinct(problem: Problem, observed: Observations, starts: list[FloatArray]
     return [starts[k] for k in found]
 
 
-def _widest_scatter(residual: FloatArray, observed: Observations) -> float:
+def _widest_scatter(problem: Problem, at: FloatArray, observed: Observations) -> float:
     """Return the scale of the pose that fits worst so far: by one that fits already, it would be left out whole."""
-    distance = np.linalg.norm(residual, axis=-1) * np.sqrt(observed.information)
+    distance = np.linalg.norm(problem.residuals(at, observed), axis=-1) * np.sqrt(observed.information)
+    share = surely_well_behaved(len(observed), problem.size)
     epochs = np.unique(observed.epoch)
-    return max(robust_sigma(distance[observed.epoch == epoch], floor=SMALLEST_SIGMA_PX) for epoch in epochs)
+    return max(
+        robust_sigma(distance[observed.epoch == epoch], share=share, floor=SMALLEST_SIGMA_PX) for epoch in epochs
+    )

@@ -14,7 +14,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration.initial_guess.ransac_kernels import tightened, trial_steps
 from sunarc.calibration.least_squares.problem import Observations, Problem
-from sunarc.calibration.robust_loss import robust_sigma
+from sunarc.calibration.robust_loss import robust_sigma, surely_well_behaved
 from sunarc.jit import njit
 
 _TRIALS = 240
@@ -48,14 +48,17 @@ def ransac_start(problem: Problem, observed: Observations, start: FloatArray, *,
     residual, rows = problem.linearised(start, thin)
     steps = _trials(residual, rows, start, precision)
     steps = np.concatenate([np.zeros((1, start.size)), steps])
-    close = max(min(robust_sigma(d) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02)
+    share = surely_well_behaved(len(thin), problem.size)
+    close = max(
+        min(robust_sigma(d, share=share) for d in _distances(residual, rows, steps[:40], thin.information)), 0.02
+    )
     weight = thin.information / close**2
     # most trials are poor, and a part of the sightings shows it
     few = slice(None, None, _FEW_STEP)
     good = np.argsort(_disagreements(_after(residual[few], rows[few], steps), weight[few].copy()))[:_GOOD]
     steps = steps[np.sort(good)]
     agreed = _disagreements(_after(residual, rows, steps), weight)
-    best = [_tightened(steps[k], residual, rows, start, precision) for k in np.argsort(agreed)[:3]]
+    best = [_tightened(steps[k], residual, rows, start, precision, share) for k in np.argsort(agreed)[:3]]
     return min([start, *(start + step for step in best)], key=lambda at: _disagreement(problem, thin, at, close))
 
 
@@ -79,12 +82,14 @@ def _trials(residual: FloatArray, rows: FloatArray, start: FloatArray, precision
     return np.asarray(trial_steps(residual, rows, picks, start, precision, _TRUST_PX))
 
 
-def _tightened(
-    step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray
+def _tightened(  # noqa: PLR0917 - the kernel takes positions
+    step: FloatArray, residual: FloatArray, rows: FloatArray, start: FloatArray, precision: FloatArray, share: float
 ) -> FloatArray:
     """Return the step refined on all sightings, those far off counting less and less."""
     columns = np.ascontiguousarray(np.moveaxis(rows, -1, 0).swapaxes(1, 2)).reshape(rows.shape[-1], -1)
-    return np.asarray(tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, _FLOOR_PX))
+    return np.asarray(
+        tightened(step, np.ascontiguousarray(residual.T), columns, start, precision, _CUTS, share, _FLOOR_PX)
+    )
 
 
 @njit(nogil=True)

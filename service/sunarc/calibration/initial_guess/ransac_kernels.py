@@ -6,7 +6,7 @@ import numpy as np
 
 from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.least_squares.kernels import damped_step_of
-from sunarc.calibration.robust_loss import WELL_BEHAVED, robust_scale
+from sunarc.calibration.robust_loss import robust_scale
 from sunarc.jit import njit
 
 RIDGE = 1e-12
@@ -64,6 +64,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
     start: FloatArray,
     precision: FloatArray,
     cuts: FloatArray,
+    share: float,
     floor: float,
 ) -> FloatArray:
     """Return a step (p,) refined on all sightings, those far off counting less and less.
@@ -72,6 +73,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
     ----------
     residual : (2, n) px, x and y. columns : (p, 2 n) their derivatives, likewise.
     cuts : (rounds,) distances, in the scale found, at which a sighting counts a quarter.
+    share : of the sightings that is surely well-behaved.
     floor : px, smallest scale.
     """
     p, n = start.size, residual.shape[1]
@@ -82,7 +84,7 @@ def tightened(  # noqa: PLR0917 - compiled functions take positions
         after = residual.copy().reshape(2 * n)
         after -= np.dot(found, columns)
         distance = np.sqrt(after[:n] ** 2 + after[n:] ** 2)
-        sigma = robust_scale(distance, WELL_BEHAVED, floor)
+        sigma = robust_scale(distance, share, floor)
         root[:] = 1.0 / ((1.0 + (distance / (sigma * cut)) ** 2) * sigma)
         for i in range(p):
             weighted[i, :n] = columns[i, :n] * root

@@ -78,7 +78,7 @@ def with_lens(solved: Calibration, lens: LensType, *, points: SunPoints, options
     found = conditioned_lens(solved, lens)
     if found.departure.contradicts:
         return contradicted(solved, found.departure)
-    seen = filter_sightings(points, site=solved.site)
+    seen = filter_sightings(points, site=solved.site, image_size=(solved.camera.width, solved.camera.height))
     used = np.ones(len(seen), dtype=bool) if solved.used is None else solved.used[seen.index]
     changed = _changed(solved, lens, found.lens, options)
     latest = used & (seen.epoch == seen.epoch.max(initial=0))

@@ -172,6 +172,7 @@ class FilteredSightings:
     night : (n,) see `at_night`.
     static : positions that do not move with the sun, left out.
     stated_sigma_px : root mean square of the stated 1-sigma, px per axis; NaN where none is stated.
+    n_below_horizon : sightings of the sun left out because it was below the horizon.
     """
 
     index: IntArray
@@ -188,6 +189,7 @@ class FilteredSightings:
     night: BoolArray = field(default_factory=_none)
     static: tuple[StaticPosition, ...] = ()
     stated_sigma_px: float = math.nan
+    n_below_horizon: int = 0
 
     def __post_init__(self) -> None:
         """Say of every sighting whether it is alone, of what it is, and whether it is of a night."""
@@ -204,13 +206,14 @@ class FilteredSightings:
         return replace(self, **columns)
 
 
-def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
-    """Return what a fit can use: finite, above the horizon, one sighting a moment, moving with the sun.
+def filter_sightings(points: SunPoints, *, site: Site, image_size: tuple[int, int] | None = None) -> FilteredSightings:
+    """Return what a fit can use: finite, in the image, above the horizon, one sighting a moment, moving with the sun.
 
     Parameters
     ----------
     points : sightings, in any order.
     site : where the camera stands.
+    image_size : width and height, px; None where it is not known.
 
     Returns
     -------
@@ -218,7 +221,8 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     """
     directions = apparent_directions(points, site=site)
     finite = np.all(np.isfinite(directions), axis=-1) & np.all(np.isfinite(points.pixels), axis=-1)
-    above = finite & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
+    inside = finite if image_size is None else finite & inside_image(points.pixels, image_size)
+    above = inside & (np.nan_to_num(directions[:, 2], nan=-1.0) > _LOWEST_UP)
     order = np.flatnonzero(above)
     alone = np.isfinite(points.directions[:, 0])
     # the track by time within each epoch: bins, neighbours and runs rely on it
@@ -233,8 +237,13 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
     still = static_sightings(points.pixels[retained], directions[retained], _groups(points.epoch[retained], day))
     static = static_positions(points.pixels[retained], still)
     retained, day = retained[~still], day[~still]
-    counts = ((~finite).sum(), (finite & ~above).sum(), (~single).sum(), still.sum())
-    codes = ("dropped_not_finite", "dropped_below_horizon", "dropped_duplicate_time", "dropped_static")
+    counts = {
+        "dropped_not_finite": (~finite).sum(),
+        "dropped_outside_image": (finite & ~inside).sum(),
+        "dropped_below_horizon": (inside & ~above).sum(),
+        "dropped_duplicate_time": (~single).sum(),
+        "dropped_static": still.sum(),
+    }
     return FilteredSightings(
         index=retained,
         unix_s=points.unix_s[retained],
@@ -247,10 +256,17 @@ def filter_sightings(points: SunPoints, *, site: Site) -> FilteredSightings:
         epoch=points.epoch[retained],
         day=day,
         refraction_sd=_refraction_sd(np.isfinite(points.temperature[retained]), directions[retained], day, site),
-        dropped=tuple(Finding(code, {"n": int(n)}) for n, code in zip(counts, codes, strict=True) if n),
+        dropped=tuple(Finding(code, {"n": int(n)}) for code, n in counts.items() if n),
+        n_below_horizon=int(np.sum(inside & ~above & ~alone)),
         static=static,
         stated_sigma_px=_stated_sigma_px(points.sigma_px[retained], alone[retained]),
     )
+
+
+def inside_image(pixels: FloatArray, image_size: tuple[int, int], *, beyond_px: float = 0.0) -> BoolArray:
+    """Return (n,): whether pixels (n, 2) lie within the outer edges of the outer pixels, or so far beyond these."""
+    least, most = -0.5 - beyond_px, np.array(image_size) - 0.5 + beyond_px
+    return np.asarray(np.all((pixels >= least) & (pixels <= most), axis=-1))
 
 
 def _groups(epoch: IntArray, day: IntArray) -> IntArray:

@@ -76,8 +76,8 @@ def estimate_pose(
     hand: Mirrored = "yes" if start.camera.mirrored else "no"
     effective = CalibrationOptions() if options is None else options
     effective = replace(effective, method="robust", projection=start.camera.projection, mirrored=hand)
-    usable = filter_sightings(points, site=site)
     size = (start.camera.width, start.camera.height)
+    usable = filter_sightings(points, site=site, image_size=size)
     job = Job(points=points, usable=usable, site=site, image_size=size, options=effective, circle=None, free="pose")
     if len(usable) < FEWEST:
         return refused(job, (Finding("too_few_sightings", {"n": len(usable), "least": FEWEST}),))

@@ -75,8 +75,8 @@ def calibrate_with_prior(
     prior = prior.lens_alone()
     hand: Mirrored = "yes" if prior.mirrored else "no"
     options = replace(options, method="robust", projection=prior.projection, mirrored=hand)
-    usable = filter_sightings(points, site=site)
     size = (prior.width, prior.height)
+    usable = filter_sightings(points, site=site, image_size=size)
     job = Job(
         points=points,
         usable=usable,

@@ -12,10 +12,13 @@ from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings
 from sunarc.calibration.quality.day_quality import arc_length_deg
+from sunarc.calibration.quality.explained_days import unexplained_days
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
 
 _FEWEST = 20
+_FEWEST_BELOW = 4
+"""Sightings of a sun below the horizon that tell a wrong site or clock; fewer may be false ones at dusk."""
 _SHORTEST_ARC_DEG = 10.0
 _SMALLEST_SPREAD_PX = 10.0
 _MOST_STATIC = 0.5
@@ -23,6 +26,8 @@ _MOST_STATIC = 0.5
 _POSITIONS_NAMED = 3
 _OVER_STATED = 1.5
 """RMSE over that of the stated sigmas that is no fault of the camera: detectors state theirs to a factor of 1.5."""
+_KNOWN_LENS_SKY_DEG = 2.0
+"""1-sigma over the sky that may be stated where the lens is known: such a pose is there until a full fit is."""
 _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
@@ -38,14 +43,15 @@ class Handedness(NamedTuple):
     ambiguous: bool
 
 
-def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
-    """Return what makes a fit pointless: too few sightings, too short an arc, most of them standing still."""
+def before_fit(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+    """Return what makes a fit pointless: too few sightings, too short an arc, a sun below the horizon or still."""
     n_static = sum(position.n for position in usable.static)
     n_all = len(usable) + n_static
     if n_static > _MOST_STATIC * n_all:
         return (Finding("static_sightings", {"n": n_static, "n_all": n_all, "places": _positions(usable)}),)
     if len(usable) < _FEWEST:
-        return (Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST}), *usable.dropped)
+        few = Finding("too_few_sightings", {"n": len(usable), "least": _FEWEST})
+        return (*below_horizon(usable, options), few, *usable.dropped)
     problems = []
     arc = sum(arc_length_deg(usable.directions[usable.day == day]) for day in np.unique(usable.day))
     if arc < _SHORTEST_ARC_DEG:
@@ -54,6 +60,15 @@ def before_fit(usable: FilteredSightings) -> tuple[Finding, ...]:
     if spread < _SMALLEST_SPREAD_PX:
         problems.append(Finding("spread_too_small", {"spread_px": spread, "least_px": _SMALLEST_SPREAD_PX}))
     return tuple(problems)
+
+
+def below_horizon(usable: FilteredSightings, options: CalibrationOptions) -> tuple[Finding, ...]:
+    """Return the finding of more sightings below the horizon than false detections are; none where they are fewer."""
+    below, limit = usable.n_below_horizon, options.max_below_horizon
+    n_all = below + int(np.sum(~usable.alone)) + sum(position.n for position in usable.static)
+    if below < _FEWEST_BELOW or below <= limit * n_all:
+        return ()
+    return (Finding("sightings_below_horizon", {"n": below, "n_all": n_all, "share": below / n_all, "limit": limit}),)
 
 
 def _positions(usable: FilteredSightings) -> str:
@@ -67,7 +82,11 @@ def fit_verdict(
     calibration: Calibration, usable: FilteredSightings, handedness: Handedness, options: CalibrationOptions
 ) -> Verdict:
     """Return whether a fit may be used, judged by itself."""
-    against = [*_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    below = below_horizon(usable, options)
+    question = tilt_question(calibration.camera, calibration.site)
+    against = [*below, *_against_scatter(calibration, usable, options), *_against_camera(calibration, options)]
+    if below and question is not None:
+        against.insert(1, question)  # what it names would bring the sun above the horizon, too
     if handedness.ambiguous:
         against.append(Finding("mirroring_ambiguous"))
     if against:
@@ -86,7 +105,6 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
-    question = tilt_question(calibration.camera, calibration.site)
     if question is None or options.level_within_deg is not None:
         return Verdict(accepted=True, findings=tuple(found))
     # a camera that was bumped has been level before, by the same clock and at the same place
@@ -107,8 +125,14 @@ def _against_scatter(
     held_out = calibration.evidence.held_out
     if held_out and not held_out["excess"] <= _MOST_EXCESS:
         yield Finding("held_out_contradicts", {**held_out, "limit": _MOST_EXCESS})
-    if not sigma <= options.max_sky_deg:
-        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": options.max_sky_deg})
+    if options.max_unexplained < 1.0:
+        unexplained = unexplained_days(calibration, usable, options.max_unexplained)
+        if unexplained is not None:
+            yield unexplained
+    known = calibration.evidence.options.get("free", "all") != "all"
+    largest_deg = max(options.max_sky_deg, _KNOWN_LENS_SKY_DEG if known else 0.0)
+    if not sigma <= largest_deg:
+        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": largest_deg})
 
 
 def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> float:

@@ -30,7 +30,7 @@ _CONSISTENT_SIGMAS = 3.5
 are round gaps in cloud that were taken for the sun (docs/studies.md, "A day of clouds")."""
 _LOOSE: dict[str, Any] = {
     "method": "robust", "mirrored": "auto", "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 10.0,
-    "max_rejected": 0.75,
+    "max_rejected": 0.75, "max_unexplained": 1.0, "max_below_horizon": 1.0,
 }  # fmt: skip
 """A prediction need not be a calibration: what the second pass finds decides about that."""
 _STRETCH_S = 10.0 * DAY_S

@@ -44,7 +44,10 @@ _TRIED = 60
 """Sightings by which offsets are compared."""
 _WHOLE_S = 20.0
 """An offset so near a whole quarter is that: a sighting's sigma is worth some seconds."""
-_LOOSE: dict[str, Any] = {"level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 30.0, "max_rejected": 0.75}
+_LOOSE: dict[str, Any] = {
+    "level_within_deg": 90.0, "max_rmse_px": 30.0, "max_sky_deg": 30.0, "max_rejected": 0.75, "max_unexplained": 1.0,
+    "max_below_horizon": 1.0,
+}  # fmt: skip
 """A state need not be a calibration."""
 
 

@@ -1,0 +1,102 @@
+"""An epoch of two lenses is refused, where the search for states took it for one; and one of one lens is not.
+
+The sightings are made by a formula of the projection that is written here, and by nothing of the simulator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.finding_codes import codes
+
+from sunarc.array_types import FloatArray
+from sunarc.calibration import Calibration, CalibrationOptions, SunPoints, calibrate
+from sunarc.offline.reanalysis.analysis import Sightings, final_analysis
+from sunarc.offline.reanalysis.states import Camera, State
+from sunarc.sky import Site, sun_angles
+
+SITE = Site(latitude=47.1, longitude=8.4, altitude=500.0)
+SIZE = (640, 600)
+CODE = "epoch_does_not_explain_its_days"
+FIRST, SECOND = 168.0, 181.5
+"""px/rad of a lens, and of the one that it was changed for."""
+START = 17_361 * 86_400.0
+OPTIONS = CalibrationOptions(mirrored="yes", projection="equidistant")
+UNJUDGED = CalibrationOptions(mirrored="yes", projection="equidistant", max_unexplained=1.0)
+
+
+def equidistant(times: FloatArray, focal: FloatArray, *, turn_deg: float) -> FloatArray:
+    """Return where the sun is in images of an equidistant lens that looks up, (n, 2) px."""
+    angles = sun_angles(times, SITE)
+    zenith, azimuth = np.radians(angles.apparent_zenith), np.radians(angles.azimuth - turn_deg)
+    return np.stack([322.0 + focal * zenith * np.sin(azimuth), 297.0 - focal * zenith * np.cos(azimuth)], axis=-1)
+
+
+def archive(
+    seed: int, *, days: int, per_day: int, first_share: float, second: float = SECOND, sigma_px: float = 0.6
+) -> SunPoints:
+    """Return sightings of every third day, the lens being changed after a share of them."""
+    rng = np.random.default_rng(seed)
+    times = []
+    for day in range(days):
+        noon = START + 86_400.0 * 3 * day + 43_200.0 - SITE.longitude * 240.0
+        of_day = noon + np.arange(-21_600.0, 21_600.0, 300.0)
+        of_day = of_day[sun_angles(of_day, SITE).apparent_zenith < 82.0]
+        times.append(np.sort(rng.choice(of_day, per_day, replace=False)))
+    unix_s = np.concatenate(times)
+    focal = np.where(np.arange(unix_s.size) < round(first_share * unix_s.size), FIRST, second)
+    pixels = equidistant(unix_s, focal, turn_deg=float(rng.uniform(0.0, 360.0)))
+    noise = rng.normal(0.0, sigma_px, pixels.shape)
+    return SunPoints(unix_s=unix_s, pixels=pixels + noise, sigma_px=np.full(unix_s.size, sigma_px))
+
+
+def fitted(points: SunPoints, options: CalibrationOptions = OPTIONS) -> Calibration:
+    return calibrate(points, site=SITE, image_size=SIZE, options=options)
+
+
+@pytest.mark.parametrize(
+    ("days", "per_day", "first_share"), [(14, 4, 0.35), (14, 4, 0.65), (7, 8, 0.35), (4, 14, 0.65), (6, 40, 0.34)]
+)
+def test_an_epoch_of_two_lenses_is_refused(days: int, per_day: int, first_share: float) -> None:
+    points = archive(0, days=days, per_day=per_day, first_share=first_share)
+    assert fitted(points, UNJUDGED).verdict.accepted
+    verdict = fitted(points).verdict
+    assert not verdict.accepted
+    assert CODE in codes(verdict.findings)
+
+
+@pytest.mark.parametrize(("days", "per_day"), [(14, 4), (7, 8), (4, 14), (2, 90)])
+def test_an_epoch_of_one_lens_is_not(days: int, per_day: int) -> None:
+    points = archive(1, days=days, per_day=per_day, first_share=1.0)
+    assert CODE not in codes(fitted(points).verdict.findings)
+
+
+def test_a_half_day_of_another_lens_is_found_though_it_is_a_tenth_of_the_sightings() -> None:
+    points = archive(2, days=5, per_day=100, first_share=0.9)
+    (found,) = [one for one in fitted(points).verdict.findings if one.code == CODE]
+    assert float(found.data["share"]) < float(found.data["limit"])
+    assert (found.data["n_far"], found.data["n_half_days"]) == (1, 10)
+
+
+def test_days_of_false_sightings_do_not_count_against_a_fit() -> None:
+    clear = archive(3, days=4, per_day=60, first_share=1.0)
+    rng = np.random.default_rng(0)
+    false = rng.random(60) < 0.9
+    pixels = clear.pixels.copy()
+    pixels[:60][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
+    pixels[60:120][false] = rng.uniform(100.0, 500.0, (int(false.sum()), 2))
+    of_clouds = SunPoints(unix_s=clear.unix_s, pixels=pixels, sigma_px=clear.sigma_px)
+    fit = fitted(of_clouds)
+    assert fit.evidence.n_used < 0.65 * len(of_clouds)
+    assert fit.verdict.accepted, fit.verdict.reasons
+
+
+def test_the_epoch_of_an_archive_is_refused_where_one_state_was_taken_for_both() -> None:
+    points = archive(0, days=14, per_day=4, first_share=0.35)
+    camera = Camera(SITE, SIZE, OPTIONS)
+    state = State(fitted(points, UNJUDGED), lens=0, pose=0, clock_offset_s=0.0, sigma_px=0.6)
+    final = final_analysis(Sightings(points, camera, (state,)))
+    assert len(final.epochs) == 1
+    verdict = final.fitted[0].calibration.verdict
+    assert not verdict.accepted
+    assert CODE in codes(verdict.findings)
