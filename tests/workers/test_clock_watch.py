@@ -344,7 +344,8 @@ def test_tai_is_noticed_whatever_vouches_for_the_host(
 
 
 @pytest.mark.parametrize(
-    ("offset_s", "bound_s", "shown"), [(0.04, 0.001, False), (0.3, 0.35, False), (0.7, 0.75, True), (-600.0, 600.05, True)]
+    ("offset_s", "bound_s", "shown"),
+    [(0.04, 0.001, False), (0.3, 0.35, False), (0.7, 0.75, True), (-600.0, 600.05, True)],
 )
 def test_a_host_that_the_operator_vouches_for_is_compared_with_within_that_bound(
     watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry, *, offset_s: float, bound_s: float, shown: bool
