@@ -72,8 +72,9 @@ class FakeCamera:
 
     def request(self) -> Request:
         """Return the settings of a frame that is triggered now."""
-        settings = (self.read(address) for address in (genicam.EXPOSURE, genicam.GAIN, genicam.PIXEL_FORMAT))
-        return Request(*settings, self._region())
+        return Request(
+            self.read(genicam.EXPOSURE), self.read(genicam.GAIN), self.read(genicam.PIXEL_FORMAT), self._region()
+        )
 
     def _region(self) -> tuple[int, int, int, int]:
         """Return x, y, width and height."""

@@ -78,6 +78,11 @@ MESSAGES = Messages(
     night_without_calibration=Message(
         "no calibration to name the stars by", "The stars of this night are not used.", "wait for a clear day"
     ),
+    night_given_up=Message(
+        "the verdict of the night was begun {tries} times and never came to an end",
+        "The {n} images of this night are not used.",
+        "see the log for how the process ended; report it with the log",
+    ),
     night_clock_not_trusted=Message(
         "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"
     ),
