@@ -136,7 +136,7 @@ CHANGES = {
 def test_names_in_local_time_are_dated_rightly_over_both_changes_of_the_year_or_refused(
     change: str, tmp_path: Path
 ) -> None:
-    """A camera that follows summer time, an image every ten minutes: those of the hour shown twice share their names."""
+    """A camera that follows summer time, an image every ten minutes: two share a name in the doubled hour."""
     midnight, doubtful = CHANGES[change]
     truth: dict[str, list[datetime]] = {}
     for step in range(-36, 72):
