@@ -357,6 +357,36 @@ def test_a_host_that_the_operator_vouches_for_is_compared_with_within_that_bound
     assert ("camera_clock_offset" in reasons(board)) == shown
 
 
+@pytest.mark.parametrize("behind_s", [90.0, 1800.0, 6 * HOUR_S])
+@pytest.mark.parametrize("assumed_error_s", [None, 0.5])
+def test_a_camera_whose_clock_resumes_at_its_last_time_each_day_never_dates_a_sighting_surely(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry, *, behind_s: float, assumed_error_s: float | None
+) -> None:
+    """Each day it is rebooted, and ten minutes later right again; the service goes on, or is started with it."""
+    if assumed_error_s is not None:
+        clock.set_state(UNSYNCHRONISED)
+    options = ClockOptions(assumed_error_s=assumed_error_s)
+    for day in range(4):
+        if day != 2:
+            frame_time = FrameTime(clock, follows_camera=True)
+            frame_time.note(clock.now() - timedelta(seconds=behind_s), host_offset_s=-behind_s)
+            watch = watch_with(frame_time=frame_time, camera_error_s=0.001, options=options)
+        for slot in range(40):
+            clock.advance(30.0)
+            off_s = -behind_s if slot < 20 else 0.0
+            frame_time.note(clock.now() + timedelta(seconds=off_s), host_offset_s=off_s)
+            watch.check()
+            error_s = watch.error_s(frame_time.now())
+            assert error_s >= abs(off_s)
+            if 5 < slot < 20:
+                assert not watch.trusted()
+                assert "camera_clock_offset" in reasons(board)
+        assert watch.trusted()
+        assert error_s < 1.0
+        assert "camera_clock_offset" not in reasons(board)
+        clock.advance(86_400.0 - 1200.0)
+
+
 def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: Archive) -> None:
     frame_time = FrameTime(clock, follows_camera=True)
     watch = watch_with(frame_time=frame_time, camera_error_s=0.001, finds_steps=False)

@@ -62,7 +62,7 @@ def test_a_mirrored_image_goes_the_other_way_unless_that_is_known() -> None:
     mirrored = np.column_stack([SIZE[0] - 1.0 - pixels[:, 0], pixels[:, 1]])
     codes = {}
     for hand in ("no", "yes", "auto"):
-        found = site_contradiction(unix_s, mirrored, site=SGP, image_size=SIZE, mirrored=hand)  # type: ignore[arg-type]
+        found = site_contradiction(unix_s, mirrored, site=SGP, image_size=SIZE, mirrored=hand)
         codes[hand] = None if found is None else found.code
     assert codes == {"no": "sun_contradicts_site", "yes": None, "auto": None}
 

@@ -67,8 +67,7 @@ def site_contradiction(
     if off <= allowed and abs(seen_zenith - due.zenith_deg) <= _ELEVATION_DEG:
         return None
     numbers = {"off_deg": off, "limit_deg": allowed, "seen_zenith_deg": seen_zenith, "zenith_deg": due.zenith_deg}
-    words = {"seen": _word(seen[0]), "expected": _word(due.way_deg)}
-    return Finding("sun_contradicts_site", numbers | words)
+    return Finding("sun_contradicts_site", {**numbers, "seen": _word(seen[0]), "expected": _word(due.way_deg)})
 
 
 class _Motion(NamedTuple):

@@ -116,8 +116,9 @@ class CaptureReport:
             self._lit += 1
         elif not full:  # one of seconds may be full at night, too
             self._lit = 0
-        data = {"level": level, "exposure_us": frame.exposure_us, "below_deg": apparent_zenith - 90.0}
-        self._board.set_condition(_DAYLIGHT, condition(_DAYLIGHT, **data) if self._lit >= _LIT_FRAMES else None)
+        below_deg = apparent_zenith - 90.0
+        reason = condition(_DAYLIGHT, level=level, exposure_us=frame.exposure_us, below_deg=below_deg)
+        self._board.set_condition(_DAYLIGHT, reason if self._lit >= _LIT_FRAMES else None)
         return full
 
     def sign_of_life(self, *, succeeded: bool) -> None:

@@ -253,7 +253,7 @@ class ClockWatch:
         """Return how far the camera's clock may be off: nothing when it stepped back, or agrees with a good host."""
         off_s = self._camera_off_s + step_s
         difference_s = abs((self._frame_time.now() - self._clock.now()).total_seconds())
-        agrees = self._clock.state().synchronised and difference_s < _TRANSPORT_S
+        agrees = self._kernel_bound_s() <= MAX_CLOCK_ERROR_S and difference_s < _TRANSPORT_S
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
     def _write_down(self) -> None:
