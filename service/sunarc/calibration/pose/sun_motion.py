@@ -66,8 +66,15 @@ def site_contradiction(
     seen_zenith = math.degrees(radius / px_per_rad)
     if off <= allowed and abs(seen_zenith - due.zenith_deg) <= _ELEVATION_DEG:
         return None
-    numbers = {"off_deg": off, "limit_deg": allowed, "seen_zenith_deg": seen_zenith, "zenith_deg": due.zenith_deg}
-    return Finding("sun_contradicts_site", {**numbers, "seen": _word(seen[0]), "expected": _word(due.way_deg)})
+    data = {
+        "off_deg": off,
+        "limit_deg": allowed,
+        "seen_zenith_deg": seen_zenith,
+        "zenith_deg": due.zenith_deg,
+        "seen": _word(seen[0]),
+        "expected": _word(due.way_deg),
+    }
+    return Finding("sun_contradicts_site", data)
 
 
 class _Motion(NamedTuple):
