@@ -42,8 +42,8 @@ def seen_from(begin: datetime) -> tuple[np.ndarray, np.ndarray]:
         (MORNING, SGP, None),
         (NOON, SGP, None),
         (EVENING, EAST, "sun_contradicts_site"),
-        (MORNING, EAST, "sun_below_horizon"),
-        (NOON, EAST, "sun_below_horizon"),
+        (MORNING, EAST, "sun_seen_below_horizon"),
+        (NOON, EAST, "sun_seen_below_horizon"),
         (MORNING, SOUTH, "sun_contradicts_site"),
         (NOON, SOUTH, None),  # 18 degrees from the zenith: which way is outwards is in doubt
         (MORNING, replace(SGP, longitude=SGP.longitude + 15.0), None),  # an hour: without a lens nothing tells

@@ -56,7 +56,7 @@ MESSAGES = Messages(
         "Directions cannot be given yet; further sightings are tried.",
         "{remedy}",
     ),
-    sun_below_horizon=Message(
+    sun_seen_below_horizon=Message(
         "the sun is seen where it is at {zenith_deg:.0f}° from the zenith ({n} sightings): below the horizon",
         "No calibration can come of these sightings.",
         "correct site.longitude (east is positive) or site.latitude (north is positive), or the clock and its zone",

@@ -49,7 +49,7 @@ def site_contradiction(
     """
     zenith = sun_angles(unix_s, site).apparent_zenith
     if unix_s.size >= FEWEST_IN_MOTION and float(np.median(zenith)) > _BELOW_DEG:
-        return Finding("sun_below_horizon", {"n": int(unix_s.size), "zenith_deg": float(np.median(zenith))})
+        return Finding("sun_seen_below_horizon", {"n": int(unix_s.size), "zenith_deg": float(np.median(zenith))})
     motion = _motion(unix_s, pixels)
     if motion is None:
         return None

@@ -39,7 +39,7 @@ _WAITING = 256
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 _POSE_CODES = ("provisional_pose", "first_pose_provisional")
-_SITE_CODES = ("sun_below_horizon", "sun_contradicts_site")
+_SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
 _FIRST = 10
 """The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun."""
 _FUTURE_EPOCH = "epoch_in_future"
