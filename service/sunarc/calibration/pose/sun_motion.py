@@ -66,7 +66,7 @@ def site_contradiction(
     seen_zenith = math.degrees(radius / px_per_rad)
     if off <= allowed and abs(seen_zenith - due.zenith_deg) <= _ELEVATION_DEG:
         return None
-    data = {
+    data: dict[str, float | str] = {
         "off_deg": off,
         "limit_deg": allowed,
         "seen_zenith_deg": seen_zenith,

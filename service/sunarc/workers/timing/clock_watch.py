@@ -164,7 +164,7 @@ class ClockWatch:
     def _camera_offsets_s(self) -> tuple[float, ...]:
         """Return by how much the camera's time differs from the host's, 0 where the host's own error explains it.
 
-        TAI less UTC is no host's error, whether anything vouches for the host's clock or not.
+        TAI less UTC is no host's error, whether its clock is synchronised, assumed to be right, or neither.
         """
         if not self._finds_steps or self._camera_error_s is None:
             return ()
