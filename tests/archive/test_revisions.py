@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
-from datetime import timedelta
+from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from sunarc.archive import (
     FeedBatch,
     FeedRow,
     Housekeeping,
+    NightImage,
     NightlyRun,
     Refit,
     Refusal,
@@ -61,10 +62,29 @@ def filled(archive: Archive, path: Path) -> Path:
         "roof", [Housekeeping(time=NOON, disk_free_bytes=2**40, temperature_c=40.5, n_temperatures=1)]
     )
     archive.save_condition_times("roof", {"disk_low": NOON})
+    archive.add_night_image("roof", night_image(NOON), keep_since=NOON)
     archive.summarise_days()
     archive.save_nightly(NightlyRun(night=NOON.date(), started_at=NOON, finished_at=NOON, results={"a": {"days": 1}}))
     archive.close()
     return path
+
+
+def night_image(time: datetime) -> NightImage:
+    """Return an image of the night without stars."""
+    return NightImage(
+        time=time,
+        kind="stars",
+        exposure_us=5e6,
+        gain_db=0.0,
+        pixel_format="Mono12",
+        full_scale=4095,
+        width=8,
+        height=6,
+        binning=1,
+        serial="1",
+        clock_error_s=0.01,
+        measured=b"",
+    )
 
 
 def _feed(archive: Archive) -> None:

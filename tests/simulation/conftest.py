@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import SGP, ImagerOptions, Scene, scene_of, true_camera
+from sunarc.simulation import SGP, ImagerOptions, NightOptions, Scene, SceneOptions, scene_of, true_camera
 
 ADDRESS = "127.0.0.1"  # of 127/8 the only one that stands on an interface, which the fake camera wants
 START = datetime(2013, 5, 13, 17, 0, tzinfo=UTC)
@@ -30,8 +30,18 @@ def scene() -> Scene:
 class Imager:
     """A simulated imager in a process of its own."""
 
-    def __init__(self, folder: Path) -> None:
-        self.scene = scene_of(ImagerOptions(**OPTIONS, start=START))
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        start: datetime = START,
+        night: dict[str, Any] | None = None,
+        **options: Any,  # noqa: ANN401 - of an imager
+    ) -> None:
+        self._options, self._start = OPTIONS | options, start
+        scene = SceneOptions() if night is None else SceneOptions(night=NightOptions(**night))
+        self.scene = scene_of(ImagerOptions(**self._options, start=start, scene=scene))
+        self._options |= {} if night is None else {"night": night}
         self.truth = folder / "truth.json"
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -39,7 +49,7 @@ class Imager:
         wait_until(port_is_free, what=f"UDP port 3956 at {ADDRESS} to be free", at_most_s=120.0)
         self.truth.unlink(missing_ok=True)
         script = str(Path(__file__).with_name("imager_process.py"))
-        arguments = [json.dumps(OPTIONS), START.isoformat(), str(self.truth)]
+        arguments = [json.dumps(self._options), self._start.isoformat(), str(self.truth)]
         self._process = subprocess.Popen([sys.executable, script, *arguments])
         wait_until(self.truth.exists, what="the simulated imager", at_most_s=90.0)
 

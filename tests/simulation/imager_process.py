@@ -12,7 +12,7 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
-from sunarc.simulation import ImagerOptions, genicam, run_imager
+from sunarc.simulation import ImagerOptions, NightOptions, SceneOptions, genicam, run_imager
 from sunarc.simulation.fake_camera import FakeCamera
 from sunarc.sky import Site
 
@@ -34,5 +34,7 @@ keywords, start, truth, *orders = sys.argv[1:]
 chosen = json.loads(keywords)
 if "site" in chosen:
     chosen["site"] = Site(**chosen["site"])
+if "night" in chosen:
+    chosen["scene"] = SceneOptions(night=NightOptions(**chosen.pop("night")))
 options = ImagerOptions(**chosen, start=datetime.fromisoformat(start), truth=Path(truth))
 run_imager(options, stop, running=running)

@@ -45,6 +45,10 @@ class Registers:
     def lose_packets(self, share: float) -> None:
         self.lost = share
 
+    def request(self) -> Request:
+        exposure, gain, pixel_format = map(self.read, (genicam.EXPOSURE, genicam.GAIN, genicam.PIXEL_FORMAT))
+        return Request(exposure, gain, pixel_format, REGION)
+
 
 class CountingScene:
     """A scene whose counts tell which frame and which pixel they are; it remembers what it was asked for."""
@@ -226,6 +230,50 @@ def test_an_exposure_takes_its_time_only_where_it_is_asked_to(*, real: bool, exp
     before = bench.clock.monotonic()
     bench.frame(500_000)
     assert bench.clock.monotonic() - before == pytest.approx(expected)
+
+
+def test_a_real_exposure_is_sent_once_when_it_is_over_and_dated_at_its_trigger() -> None:
+    bench = Bench(real_exposures=True)
+    registers = {
+        genicam.ACQUISITION: 1,
+        genicam.EXPOSURE: 5_000_000,
+        genicam.PIXEL_FORMAT: genicam.PIXEL_FORMATS["Mono12"],
+    }
+    bench.registers.values.update(registers)
+    bench.frame()  # its clock starts
+    bench.wait(7.0)
+    bench.registers.write(genicam.EXPOSE, 1)
+    bench.imager.expose()
+    assert bench.registers.read(genicam.EXPOSE) == 0
+    assert bench.clock.monotonic() == pytest.approx(7.0, abs=1e-3)
+    bench.wait(4.99)
+    bench.registers.write(genicam.EXPOSE, 1)  # during an exposure it is ignored
+    bench.imager.expose()
+    assert bench.registers.read(genicam.TRIGGER_SOFTWARE) == 0
+    bench.wait(0.02)
+    bench.imager.expose()
+    assert bench.registers.read(genicam.TRIGGER_SOFTWARE) == 1
+    bench.registers.write(genicam.TRIGGER_SOFTWARE, 0)  # the library takes note, and asks for the frame
+    bench.imager.expose()
+    assert bench.registers.read(genicam.TRIGGER_SOFTWARE) == 0
+    before = bench.clock.monotonic()
+    assert bench.frame()[1] == pytest.approx(START_NS + 7 * 10**9, abs=1e6)
+    assert bench.clock.monotonic() == before
+    bench.imager.expose()
+    assert bench.registers.read(genicam.TRIGGER_SOFTWARE) == 0
+
+
+def test_a_real_exposure_that_acquisition_does_not_outlast_is_never_sent() -> None:
+    bench = Bench(real_exposures=True)
+    bench.registers.values.update({genicam.ACQUISITION: 1, genicam.EXPOSURE: 1000, genicam.EXPOSE: 1})
+    bench.registers.write(genicam.PIXEL_FORMAT, genicam.PIXEL_FORMATS["Mono12"])
+    bench.imager.expose()
+    bench.registers.write(genicam.ACQUISITION, 0)
+    bench.imager.expose()
+    bench.registers.write(genicam.ACQUISITION, 1)
+    bench.wait(1.0)
+    bench.imager.expose()
+    assert bench.registers.read(genicam.TRIGGER_SOFTWARE) == 0
 
 
 def test_lost_packets_are_in_thousandths(bench: Bench) -> None:

@@ -238,12 +238,17 @@ def test_a_camera_whose_clock_falls_back_to_its_start_is_not_calibrated_with_unt
 
 
 def dated_by_camera(
-    watch_with: MakeWatch, clock: VirtualClock, *, offset_s: float, frames: int = 6
+    watch_with: MakeWatch,
+    clock: VirtualClock,
+    *,
+    offset_s: float,
+    frames: int = 6,
+    options: ClockOptions | None = None,
 ) -> tuple[ClockWatch, FrameTime]:
     """Return a watch after some frames of a camera whose clock is ahead of the host's."""
     frame_time = FrameTime(clock, follows_camera=True)
     frame_time.note(clock.now() + timedelta(seconds=offset_s), host_offset_s=offset_s)
-    watch = watch_with(frame_time=frame_time, camera_error_s=0.001)
+    watch = watch_with(frame_time=frame_time, camera_error_s=0.001, options=options)
     for _ in range(frames):
         clock.advance(30.0)
         frame_time.note(clock.now() + timedelta(seconds=offset_s), host_offset_s=offset_s)
@@ -311,9 +316,75 @@ def test_a_host_that_is_not_synchronised_says_nothing_of_the_camera(
     watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry
 ) -> None:
     clock.set_state(UNSYNCHRONISED)
-    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=37.0)
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=100.0)
     assert watch.error_s(frame_time.now()) == 0.001
     assert reasons(board) == set()
+
+
+@pytest.mark.parametrize("offset_s", [37.0, -37.0, 36.4])
+@pytest.mark.parametrize("assumed_error_s", [None, 0.05, 5.0, 3600.0])
+@pytest.mark.parametrize("synchronised", [True, False])
+def test_tai_is_noticed_whatever_vouches_for_the_host(
+    watch_with: MakeWatch,
+    clock: VirtualClock,
+    board: StatusRegistry,
+    *,
+    offset_s: float,
+    assumed_error_s: float | None,
+    synchronised: bool,
+) -> None:
+    clock.set_state(ClockState(synchronised=True, error_bound_s=0.01) if synchronised else UNSYNCHRONISED)
+    options = ClockOptions(assumed_error_s=assumed_error_s)
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=offset_s, options=options)
+    assert watch.error_s(frame_time.now()) >= 37.0
+    assert not watch.trusted()
+    (reason,) = board.snapshot().reasons
+    assert reason.code == "camera_clock_offset"
+    assert "camera.timestamp_scale" in reason.remedy
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "bound_s", "shown"),
+    [(0.04, 0.001, False), (0.3, 0.35, False), (0.7, 0.75, True), (-600.0, 600.05, True)],
+)
+def test_a_host_that_the_operator_vouches_for_is_compared_with_within_that_bound(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry, *, offset_s: float, bound_s: float, shown: bool
+) -> None:
+    clock.set_state(UNSYNCHRONISED)
+    options = ClockOptions(assumed_error_s=0.05)
+    watch, frame_time = dated_by_camera(watch_with, clock, offset_s=offset_s, options=options)
+    assert watch.error_s(frame_time.now()) == pytest.approx(bound_s)
+    assert ("camera_clock_offset" in reasons(board)) == shown
+
+
+@pytest.mark.parametrize("behind_s", [90.0, 1800.0, 6 * HOUR_S])
+@pytest.mark.parametrize("assumed_error_s", [None, 0.5])
+def test_a_camera_whose_clock_resumes_at_its_last_time_each_day_never_dates_a_sighting_surely(
+    watch_with: MakeWatch, clock: VirtualClock, board: StatusRegistry, *, behind_s: float, assumed_error_s: float | None
+) -> None:
+    """Each day it is rebooted, and ten minutes later right again; the service goes on, or is started with it."""
+    if assumed_error_s is not None:
+        clock.set_state(UNSYNCHRONISED)
+    options = ClockOptions(assumed_error_s=assumed_error_s)
+    for day in range(4):
+        if day != 2:
+            frame_time = FrameTime(clock, follows_camera=True)
+            frame_time.note(clock.now() - timedelta(seconds=behind_s), host_offset_s=-behind_s)
+            watch = watch_with(frame_time=frame_time, camera_error_s=0.001, options=options)
+        for slot in range(40):
+            clock.advance(30.0)
+            off_s = -behind_s if slot < 20 else 0.0
+            frame_time.note(clock.now() + timedelta(seconds=off_s), host_offset_s=off_s)
+            watch.check()
+            error_s = watch.error_s(frame_time.now())
+            assert error_s >= abs(off_s)
+            if 5 < slot < 20:
+                assert not watch.trusted()
+                assert "camera_clock_offset" in reasons(board)
+        assert watch.trusted()
+        assert error_s < 1.0
+        assert "camera_clock_offset" not in reasons(board)
+        clock.advance(86_400.0 - 1200.0)
 
 
 def test_a_replay_may_jump(watch_with: MakeWatch, clock: VirtualClock, archive: Archive) -> None:

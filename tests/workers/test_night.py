@@ -79,6 +79,10 @@ class Bench:
     archive: Archive
     zenith_deg: float = 120.0
     trusted: bool = True
+    clock_error_s: float = 0.01
+    now: datetime = BEGIN + timedelta(hours=6)
+    passes_s: float = 0.0
+    """By so much time goes on with each look at it."""
     refits: list[str] = field(default_factory=list)
     store: ImageStore | None = None
     warm_pixels: Path | None = None
@@ -92,14 +96,20 @@ class Bench:
             camera=self.camera,
             options=SensorOptions(),
             apparent_zenith=lambda: self.zenith_deg,
-            clock_error_s=lambda _: 0.01,
+            clock_error_s=lambda _: self.clock_error_s,
             trusted=lambda: self.trusted,
-            now=lambda: BEGIN + timedelta(hours=6),
+            now=self.tell,
             request_refit=self.ask,
             board=self.board,
             store=self.store,
             warm_pixels=self.warm_pixels,
+            resumes=True,
         )
+        self.worker.resume()
+
+    def tell(self) -> datetime:
+        self.now += timedelta(seconds=self.passes_s)
+        return self.now
 
     def ask(self, reason: str) -> Refit:
         self.refits.append(reason)
@@ -222,6 +232,7 @@ def test_two_images_are_no_night(bench: Bench) -> None:
 
 def test_the_night_ends_when_the_sun_comes_back_and_not_before(bench: Bench) -> None:
     bench.serve(CAMERA)
+    bench.passes_s = 40.0
     stop = threading.Event()
     for frame in clear():
         bench.capture.frames.put(frame)

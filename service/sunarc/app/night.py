@@ -56,4 +56,5 @@ def night_worker(service: Service, night: NightCapture) -> NightWorker:
         board=service.board,
         store=service.images,
         warm_pixels=service.settings.warm_pixels,
+        resumes=True,
     )

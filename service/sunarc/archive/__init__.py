@@ -1,7 +1,7 @@
 """The database: cameras, pose epochs, sightings, days, calibrations, refits and events, in SQLite or PostgreSQL.
 
 `archive` the class `Archive`, made of `sightings calibrations calibration_states calibration_inputs days_and_events
-epoch_closing sighting_revisions file_sightings outbox feeds fleet notices nightly counts housekeeping
+epoch_closing sighting_revisions file_sightings outbox feeds fleet notices night_images nightly counts housekeeping
 condition_times` · `values feed_values cross_check housekeeping_values` its values · `tables types` the schema ·
 `engine server store` connections and transactions · `schema migrating` revisions · `outbox feeds feed_rows` what is
 sent to a hub · `backup recovery file lock ownership space_reserve` the file on disk · `images` composites ·
@@ -34,6 +34,7 @@ from sunarc.archive.file_sightings import FileSighting, ImageKey, image_key
 from sunarc.archive.housekeeping_values import Housekeeping, HousekeepingStep, merged
 from sunarc.archive.images import DiskOptions, DiskUsage, ImageStore, write_atomically
 from sunarc.archive.lock import lock_holder, lock_state, require_unlocked
+from sunarc.archive.night_images import NightImage
 from sunarc.archive.nightly import LEAST_KEPT, DaySummary, NightlyRun
 from sunarc.archive.notices import (
     CameraState,
@@ -110,6 +111,7 @@ __all__ = [
     "HousekeepingStep",
     "ImageKey",
     "ImageStore",
+    "NightImage",
     "NightlyRun",
     "Notice",
     "NoticeKind",

@@ -21,6 +21,7 @@ from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.fleet import FleetRegistry
 from sunarc.archive.housekeeping import HousekeepingRecord
+from sunarc.archive.night_images import NightImages
 from sunarc.archive.nightly import Nightly
 from sunarc.archive.notices import Notices
 from sunarc.archive.outbox import Outbox
@@ -44,6 +45,7 @@ class Archive(
     Feeds,
     FleetRegistry,
     Notices,
+    NightImages,
     Nightly,
     Counts,
     HousekeepingRecord,

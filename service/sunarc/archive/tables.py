@@ -332,6 +332,24 @@ housekeeping = Table(
     Column("n_temperatures", Integer, nullable=False),
 )
 
+night_image = Table(
+    "night_image",
+    metadata,
+    Column("camera", Text, primary_key=True),  # no reference: a full disk may have refused the camera's own row
+    Column("time", UtcTime, primary_key=True),
+    Column("kind", Word(("stars", "moon")), primary_key=True),
+    *(Column(name, Number, nullable=False) for name in ("exposure_us", "gain_db")),
+    Column("pixel_format", Text, nullable=False),
+    *(Column(name, Integer, nullable=False) for name in ("full_scale", "width", "height", "binning")),
+    Column("serial", Text, nullable=False),
+    Column("clock_error_s", Number, nullable=False),
+    Column("halo", Number),
+    Column("digest", BigInteger, nullable=False),
+    *(Column(name, Integer, nullable=False) for name in ("n_repeated", "n_tries")),
+    Column("measured", LargeBinary, nullable=False),
+    Column("picture", LargeBinary),
+)
+
 condition = Table(
     "condition",
     metadata,

@@ -45,11 +45,19 @@ from sunarc.calibration.model.document import READ_SCHEMAS, SCHEMA, from_documen
 from sunarc.calibration.model.kinds import Kind, kinds_of
 from sunarc.calibration.model.maps import BackProjectionMap, back_projection_map
 from sunarc.calibration.model.metrics import Metrics, measures
-from sunarc.calibration.model.options import CalibrationOptions, ImageCircle, LensTolerances, Method, PaperOptions
+from sunarc.calibration.model.options import (
+    CalibrationOptions,
+    ImageCircle,
+    LensTolerances,
+    Method,
+    Mirrored,
+    PaperOptions,
+)
 from sunarc.calibration.model.residual_field import Field, WaveBasis
 from sunarc.calibration.model.result import Calibration, Move, Provenance, Verdict
 from sunarc.calibration.model.sightings import MAX_CLOCK_ERROR_S, SunPoints, apparent_directions
 from sunarc.calibration.pose import PoseOffset, PriorTolerances, calibrate_with_prior, daily_pose_offset, estimate_pose
+from sunarc.calibration.pose.sun_motion import site_contradiction
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
 from sunarc.calibration.pose_step_search import PoseStep, find_pose_steps
 from sunarc.calibration.projection_choice import calibrate_unknown_lens, choose_projection
@@ -110,6 +118,7 @@ __all__ = [
     "MatchedView",
     "Method",
     "Metrics",
+    "Mirrored",
     "Move",
     "Moved",
     "NightImage",
@@ -169,6 +178,7 @@ __all__ = [
     "select_sightings",
     "sigma_deg",
     "sigma_px",
+    "site_contradiction",
     "sky_parts",
     "smooth_arc",
     "sun_with_covariance",

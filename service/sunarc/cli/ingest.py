@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +15,7 @@ from sunarc.cli.output import print_json, table
 from sunarc.cli.progress import progress_bars
 from sunarc.errors import InputError
 from sunarc.offline.detect_files import METHODS
+from sunarc.offline.image_names import utc_offset_of
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.ingest.run import IngestOptions, ingest_folder, usable_processors
 from sunarc.offline.ingest.summary import Summary, sentence_of
@@ -31,7 +31,9 @@ def ingest(
     config: Config = None,
     method: DetectionMethod = "auto",
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
-    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
+    utc_offset: Annotated[
+        str, typer.Option(help="How far times without a zone are ahead of UTC: hours, or a zone as Europe/Berlin.")
+    ] = "0",
     reprocess: Annotated[
         bool, typer.Option("--reprocess", help="Look at known images again, and replace their sightings.")
     ] = False,
@@ -61,7 +63,7 @@ def ingest(
         raise InputError(field="--json", problem="given with --calibrate", remedy="run sunarc calibrate --json then")
     options = IngestOptions(
         method=choice_of("--method", method, METHODS),
-        naming=Naming(time_pattern, timedelta(hours=utc_offset)),
+        naming=Naming(time_pattern, utc_offset_of(utc_offset, field="--utc-offset")),
         reprocess=reprocess,
         processes=workers or usable_processors(),
         contact_sheet=contact_sheet,

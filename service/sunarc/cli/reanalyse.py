@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +18,7 @@ from sunarc.cli.progress import progress_bars
 from sunarc.errors import InputError
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.detect_files import METHODS
+from sunarc.offline.image_names import utc_offset_of
 from sunarc.offline.ingest.run import usable_processors
 from sunarc.offline.reanalysis.cameras_file import read_cameras
 from sunarc.offline.reanalysis.cluster import WORKER_BYTES, Cluster, Workers
@@ -52,7 +52,8 @@ def reanalyse_archive(
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
     utc_offset: Annotated[
-        float | None, typer.Option(help="Hours that times without a zone are ahead of UTC; 0 for UTC.")
+        str | None,
+        typer.Option(help="How far times without a zone are ahead of UTC: hours, 0, or a zone as Europe/Berlin."),
     ] = None,
     method: DetectionMethod = "auto",
     mirrored: Annotated[str, typer.Option(help="Whether the images are mirror images: no, yes, auto.")] = "no",
@@ -77,7 +78,7 @@ def reanalyse_archive(
         name="camera",
         site=_site(latitude, longitude, altitude, cameras),
         selector=Selector(tuple(sources or ())),
-        rules=TimeRules(time_pattern, None if utc_offset is None else timedelta(hours=utc_offset)),
+        rules=TimeRules(time_pattern, None if utc_offset is None else utc_offset_of(utc_offset, field="--utc-offset")),
         image_size=None if image_size is None else parse_image_size(image_size),
         method=choice_of("--method", method, METHODS),
         options=CalibrationOptions(mirrored=choice_of("--mirrored", mirrored, ("no", "yes", "auto"))),

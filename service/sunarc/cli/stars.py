@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +19,7 @@ from sunarc.extras import extra_module
 from sunarc.offline.blind_stars import find_stars_blind
 from sunarc.offline.calibrate_files import image_circle_of
 from sunarc.offline.files import read_lines
+from sunarc.offline.image_names import utc_offset_of
 from sunarc.offline.ingest.image_times import Naming
 from sunarc.offline.project_files import read_calibration
 from sunarc.offline.star_files import StarImage, StarOptions, find_stars, write_star_sightings
@@ -52,7 +52,9 @@ def stars(
         Path | None, typer.Option(help="Sightings of the sun (CSV), written before the stars': all in one file.")
     ] = None,
     time_pattern: Annotated[str | None, typer.Option(help="strptime pattern of the names, without suffix.")] = None,
-    utc_offset: Annotated[float, typer.Option(help="Hours that times without a zone are ahead of UTC.")] = 0.0,
+    utc_offset: Annotated[
+        str, typer.Option(help="How far times without a zone are ahead of UTC: hours, or a zone as Europe/Berlin.")
+    ] = "0",
     to_middle: Annotated[float, typer.Option(help="Seconds from the stated time to mid-exposure.")] = 0.0,
     within: Annotated[float, typer.Option(help="1-sigma of the prediction beside the calibration's own, px.")] = 0.0,
     full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
@@ -79,7 +81,7 @@ def stars(
         if not least <= value < 1e6:
             raise InputError(field=name, problem=f"{value:g} is out of range", remedy="give a positive number")
     options = StarOptions(
-        naming=Naming(time_pattern, timedelta(hours=utc_offset)),
+        naming=Naming(time_pattern, utc_offset_of(utc_offset, field="--utc-offset")),
         to_middle_s=to_middle,
         within_px=within,
         full_scale=full_scale,

@@ -9,10 +9,18 @@ https://github.com/aaronwmorris/indi-allsky (`ccd1_date_time.jpg`); Allsky, http
 
 from __future__ import annotations
 
+import math
 import re
 from datetime import UTC, datetime, timedelta
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
+from zoneinfo import ZoneInfo
 
+from sunarc.errors import InputError
+from sunarc.findings import Finding
+from sunarc.offline.messages import RefusedImageError
+
+UtcOffset: TypeAlias = timedelta | ZoneInfo
+"""How far written times are ahead of UTC: always as far, or as the clocks of a place are (summer time)."""
 Zone = Literal["utc", "unknown"]
 
 _DATE_AND_TIME = r"(\d{4})[-_]?(\d{2})[-_]?(\d{2})[-_T ]*(\d{2})[-_:h]?(\d{2})[-_:m]?(\d{2})(\.\d{1,6})?"
@@ -39,15 +47,57 @@ class NamedTime(NamedTuple):
     time: datetime
     zone: Zone
 
-    def utc(self, offset: timedelta) -> datetime:
-        """Return the time in UTC; a time of unknown zone is `offset` ahead of it.
+    def utc(self, offset: UtcOffset, *, name: str) -> datetime:
+        """Return the time in UTC; a time of unknown zone is `offset` ahead of it (see `utc_of_local`)."""
+        return self.time.replace(tzinfo=UTC) if self.zone == "utc" else utc_of_local(self.time, offset, name=name)
 
-        Raises
-        ------
-        OverflowError : it is before the year 1 or after 9999.
-        """
-        written = self.time.replace(tzinfo=UTC)
-        return written if self.zone == "utc" else written - offset
+
+def utc_of_local(written: datetime, offset: UtcOffset, *, name: str) -> datetime:
+    """Return the UTC time of a file's local one.
+
+    Parameters
+    ----------
+    written : without a zone.
+    offset : how far it is ahead of UTC.
+    name : of the file.
+
+    Raises
+    ------
+    RefusedImageError : the place's clocks showed it twice or never, as they were set at a change of summer time.
+    OverflowError : it is before the year 1 or after 9999.
+    """
+    if isinstance(offset, timedelta):
+        return written.replace(tzinfo=UTC) - offset
+    first, second = (written.replace(tzinfo=offset, fold=fold) for fold in (0, 1))
+    if first.utcoffset() == second.utcoffset():
+        return first.astimezone(UTC)
+    shown = first.astimezone(UTC).astimezone(offset).replace(tzinfo=None) == written
+    data = {"written": written.isoformat(timespec="seconds"), "zone": str(offset)}
+    raise RefusedImageError(name, Finding("file_time_twice" if shown else "file_time_never", data))
+
+
+def utc_offset_of(given: str | float, *, field: str) -> UtcOffset:
+    """Return how far times are ahead of UTC, given in hours or as the name of a zone, as "Europe/Berlin".
+
+    Raises
+    ------
+    InputError : it is neither, or more than a day.
+    """
+    try:
+        hours = float(given)
+    except ValueError:
+        pass
+    else:
+        if math.isfinite(hours) and abs(hours) < 24.0:
+            return timedelta(hours=hours)
+    try:
+        return ZoneInfo(str(given))
+    except (OSError, ValueError, KeyError):  # no such zone, or no list of zones on this machine
+        raise InputError(
+            field=field,
+            problem=f"{given!r} is neither a number of hours (-24 to 24) nor a time zone that is known here",
+            remedy="give hours, or a zone as Europe/Berlin where names follow summer time (package tzdata)",
+        ) from None
 
 
 def _family(name: str, pattern: str, zone: Zone = "unknown") -> NameFamily:

@@ -33,7 +33,19 @@ MESSAGES = Messages(
         "give --time-pattern, as %d-%m-%Y_%H-%M-%S",
     ),
     file_time_zone=Message(
-        "its time {written} has no zone", _LEFT_OUT, "give --utc-offset: the hours that it is ahead of UTC, or 0"
+        "its time {written} has no zone",
+        _LEFT_OUT,
+        "give --utc-offset: the hours that it is ahead of UTC, 0, or a zone as Europe/Berlin",
+    ),
+    file_time_twice=Message(
+        "its time {written} was shown twice by the clocks in {zone}, when summer time ended",
+        _LEFT_OUT,
+        "none: nothing tells which it is; give such images a sidecar with time_utc",
+    ),
+    file_time_never=Message(
+        "its time {written} was never shown by the clocks in {zone}: summer time began",
+        _LEFT_OUT,
+        "correct --utc-offset: a camera that does not follow summer time needs hours, as 1",
     ),
     file_time_units=Message(
         "its times are in {units!r}", _LEFT_OUT, "give them in UTC, as seconds since 1970-01-01T00:00:00Z"

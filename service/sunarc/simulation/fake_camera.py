@@ -70,6 +70,17 @@ class FakeCamera:
         data = text.encode("ascii", "replace")[: length - 1].ljust(length, b"\0")
         self._library.arv_fake_camera_write_memory(self._camera, address, length, data)
 
+    def request(self) -> Request:
+        """Return the settings of a frame that is triggered now."""
+        return Request(
+            self.read(genicam.EXPOSURE), self.read(genicam.GAIN), self.read(genicam.PIXEL_FORMAT), self._region()
+        )
+
+    def _region(self) -> tuple[int, int, int, int]:
+        """Return x, y, width and height."""
+        x, y, width, height = map(self.read, (genicam.OFFSET_X, genicam.OFFSET_Y, genicam.WIDTH, genicam.HEIGHT))
+        return x, y, width, height
+
     def lose_packets(self, share: float) -> None:
         """Drop this share of the stream's packets from now on."""
         self._library.g_object_set(
@@ -90,9 +101,7 @@ class FakeCamera:
 
         def answer(buffer: int, exposure_us: int, gain_steps: int, pixel_format: int) -> None:
             try:
-                addresses = (genicam.OFFSET_X, genicam.OFFSET_Y, genicam.WIDTH, genicam.HEIGHT)
-                x, y, width, height = (self.read(address) for address in addresses)
-                request = Request(exposure_us, gain_steps, pixel_format, (x, y, width, height))
+                request = Request(exposure_us, gain_steps, pixel_format, self._region())
                 self._write_frame(buffer, *fill(request))
             except Exception:  # noqa: BLE001 - nothing may pass through the C frames above
                 _log.exception("a frame could not be rendered")

@@ -21,6 +21,8 @@ WIDTH, HEIGHT, GAIN, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x110, 0x118, 0
 EXPOSURE, PIXEL_FORMAT, OFFSET_X, OFFSET_Y = 0x120, 0x128, 0x130, 0x134
 VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
 BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 0x124, 0x300, 0x304
+TRIGGER_SOFTWARE, EXPOSE = 0x30C, 0xB140
+"""What has Aravis send a frame at once; and a register of ours, after which the exposure takes its time first."""
 CONTROL_PRIVILEGE = 0xA00
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
@@ -61,9 +63,10 @@ class Feature:
     nodes: str
 
 
-def genicam_xml(*, exposure_min_us: int, exposure_max_us: int) -> str:
-    """Return the description of a camera with these exposure bounds."""
-    features = [*_identity(), *_image_format(), *_acquisition(exposure_min_us, exposure_max_us), *_faults()]
+def genicam_xml(*, exposure_min_us: int, exposure_max_us: int, trigger: int = TRIGGER_SOFTWARE) -> str:
+    """Return the description of a camera with these exposure bounds; `trigger` is the register of its trigger."""
+    acquisition = _acquisition(exposure_min_us, exposure_max_us, trigger=trigger)
+    features = [*_identity(), *_image_format(), *acquisition, *_faults()]
     categories: dict[str, list[str]] = {}
     for feature in features:
         categories.setdefault(feature.category, []).append(feature.name)
@@ -106,7 +109,7 @@ def _image_format() -> list[Feature]:
     ]
 
 
-def _acquisition(exposure_min_us: int, exposure_max_us: int) -> list[Feature]:
+def _acquisition(exposure_min_us: int, exposure_max_us: int, *, trigger: int) -> list[Feature]:
     category = "AcquisitionControl"
     exposure = _scaled("ExposureTime", EXPOSURE, steps=1, low=exposure_min_us, high=exposure_max_us)
     selector = (
@@ -122,7 +125,7 @@ def _acquisition(exposure_min_us: int, exposure_max_us: int) -> list[Feature]:
         _enumeration("TriggerMode", TRIGGER_MODE, category, {"Off": 0, "On": 1}),
         _enumeration("TriggerSource", TRIGGER_SOURCE, category, {"Line0": 0, "Software": 1}),
         _enumeration("TriggerActivation", 0x308, category, {"RisingEdge": 0}),
-        _command("TriggerSoftware", 0x30C, category, 1),
+        _command("TriggerSoftware", trigger, category, 1),
         Feature(name="ExposureTime", category=category, nodes=exposure),
         _enumeration("ExposureMode", EXPOSURE_MODE, category, {"Timed": 0, "TriggerWidth": 1}),
         _enumeration("ExposureAuto", EXPOSURE_AUTO, category, {"Off": 0, "Continuous": 1}),

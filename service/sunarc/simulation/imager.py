@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import logging
+import math
 import signal
 import threading
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -40,6 +41,8 @@ _log = logging.getLogger(__name__)
 _PR_SET_PDEATHSIG = 1
 _TEMPERATURE_C = 21.5
 _ORDERS_POLL_S = 0.05
+_TRIGGER_POLL_S = 0.005
+"""By so much at most a real exposure begins after its trigger."""
 _MAX_IMAGES = 8
 """Images that can be repeated: those of a cycle."""
 _DARK_US = 1e-6
@@ -122,7 +125,11 @@ def run_imager(
     """
     if options.die_with_parent:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    description = genicam.genicam_xml(exposure_min_us=options.exposure_min_us, exposure_max_us=options.exposure_max_us)
+    description = genicam.genicam_xml(
+        exposure_min_us=options.exposure_min_us,
+        exposure_max_us=options.exposure_max_us,
+        trigger=genicam.EXPOSE if options.real_exposures else genicam.TRIGGER_SOFTWARE,
+    )
     scene = scene_of(options)
     scene.render(to_microseconds(options.start), exposure_us=10.0)  # compiles, before anyone can ask for a frame
     with fake_camera(address=options.address, serial=options.serial, description=description) as camera:
@@ -133,8 +140,10 @@ def run_imager(
             _write_truth(options.truth, imager.scene, name=options.name, created_at=options.start)
         _log.info("simulated imager at %s, %s, speed %g", options.address, options.start.isoformat(), options.speed)
         running(camera)
-        while not clock.wait(stop, _ORDERS_POLL_S):
+        while not clock.wait(stop, _TRIGGER_POLL_S if options.real_exposures else _ORDERS_POLL_S):
             imager.obey()
+            if options.real_exposures:
+                imager.expose()
 
 
 def halve_speed(camera: FakeCamera) -> None:
@@ -151,6 +160,14 @@ def scene_of(options: ImagerOptions) -> Scene:
     return Scene(camera, options.site, options=scene, sensor=options.sensor)
 
 
+class _Exposure(NamedTuple):
+    """A frame that was triggered: its bytes, its timestamp, and the monotonic time at which it may be sent."""
+
+    data: NDArray[np.uint8]
+    timestamp_ns: int
+    ends_at: float
+
+
 class _Imager:
     """Renders what the registers ask for, at the simulated time."""
 
@@ -164,6 +181,7 @@ class _Imager:
         self._clock = clock
         self._previous_exposure_us = 0.0
         self._last_images: dict[Request, Image] = {}
+        self._exposure: _Exposure | None = None
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
         self._timeline = Timeline(
@@ -172,8 +190,40 @@ class _Imager:
         self._camera.write(genicam.SPEED, round(1000.0 * options.speed))
         self._started_at: float | None = None
 
+    def expose(self) -> None:
+        """Begin a real exposure once the client has triggered it, and have its frame sent when it is over.
+
+        It takes its time here: in the thread that fills frames it would leave the control channel without an answer.
+        A trigger during an exposure is ignored, and an exposure that acquisition does not outlast is dropped.
+        """
+        triggered = bool(self._camera.read(genicam.EXPOSE))
+        if triggered:
+            self._camera.write(genicam.EXPOSE, 0)
+        if not self._camera.read(genicam.ACQUISITION):
+            self._exposure = None
+            self._camera.write(genicam.TRIGGER_SOFTWARE, 0)
+        elif self._exposure is None and triggered:
+            request = self._camera.request()
+            begun = self._clock.monotonic()
+            data, timestamp_ns = self._taken(request)
+            self._exposure = _Exposure(data, timestamp_ns, begun + request.exposure_us * 1e-6)
+        elif self._exposure is not None and self._clock.monotonic() >= self._exposure.ends_at:
+            self._exposure = self._exposure._replace(ends_at=math.inf)  # is sent once
+            self._camera.write(genicam.TRIGGER_SOFTWARE, 1)
+
     def fill(self, request: Request) -> tuple[NDArray[np.uint8], int]:
         """Return a frame's bytes and its timestamp in nanoseconds: the simulated start of the exposure."""
+        exposure, self._exposure = self._exposure, None
+        if exposure is not None:
+            self._hold_back(0.0)
+            return exposure.data, exposure.timestamp_ns
+        begun = self._clock.monotonic()
+        taken = self._taken(request)
+        self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
+        return taken
+
+    def _taken(self, request: Request) -> tuple[NDArray[np.uint8], int]:
+        """Return the bytes and the timestamp of a frame whose exposure begins now."""
         begun = self._clock.monotonic()
         name = _FORMAT_NAMES[request.pixel_format]
         if self._started_at is None:
@@ -197,7 +247,6 @@ class _Imager:
                 request.region,
             )
             self._keep(request, image)
-        self._hold_back(request.exposure_us * 1e-6 - (self._clock.monotonic() - begun))
         return _as_bytes(image, name), (start_us + round(drift_us) + offset_us) * 1000
 
     def _keep(self, request: Request, image: Image) -> None:

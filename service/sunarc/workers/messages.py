@@ -56,6 +56,24 @@ MESSAGES = Messages(
         "Directions cannot be given yet; further sightings are tried.",
         "{remedy}",
     ),
+    sun_seen_below_horizon=Message(
+        "the sun is seen where it is at {zenith_deg:.0f}° from the zenith ({n} sightings): below the horizon",
+        "No calibration can come of these sightings.",
+        "correct site.longitude (east is positive) or site.latitude (north is positive), or the clock and its zone",
+    ),
+    sun_contradicts_site=Message(
+        "the sun in the image {seen}, {seen_zenith_deg:.0f}° from its centre; over the stated site it {expected}, "
+        "{zenith_deg:.0f}° from the zenith: its way is {off_deg:.0f}° off ({limit_deg:.0f}° are allowed)",
+        "A calibration of these sightings would be wrong, or is refused.",
+        "check site.longitude (east is positive), site.latitude (north is positive), that they are not swapped, the "
+        "clock, and calibration.mirrored; ignore this where the camera is tilted by more than 15°",
+    ),
+    daylight_at_night=Message(
+        "daylight in the image ({level:.2f} of full scale in {exposure_us:.0f} µs) with the sun {below_deg:.0f}° below "
+        "the horizon of the stated site",
+        "The day is taken for the night; no sightings are made.",
+        "correct site.longitude (east is positive), or the clock and its zone; else look for a lamp at the camera",
+    ),
     epoch_in_future=Message(
         "pose epoch {pose_epoch} begins at {started_at}, later than now; a clock that was ahead dated it",
         "It is not used, but no other can begin.",
@@ -77,6 +95,11 @@ MESSAGES = Messages(
     ),
     night_without_calibration=Message(
         "no calibration to name the stars by", "The stars of this night are not used.", "wait for a clear day"
+    ),
+    night_given_up=Message(
+        "the verdict of the night was begun {tries} times and never came to an end",
+        "The {n} images of this night are not used.",
+        "see the log for how the process ended; report it with the log",
     ),
     night_clock_not_trusted=Message(
         "the clock is not trusted", "The stars of this night are not used.", "see the condition of the clock"

@@ -65,7 +65,7 @@ def test_what_a_camera_has_goes_first(tmp_path: Path) -> None:
         "[cameras.roof]\nlattitude = 3",
         "[cameras.roof]\nlatitude = 95",
         '[cameras.roof]\nlatitude = "north"',
-        '[cameras.roof]\nutc_offset = "MST"',
+        '[cameras.roof]\nutc_offset = "Nowhere/Mast"',
         "[cameras.roof]\nimage_size = [640]",
         '[cameras.roof]\nsources = "a.zip"',
         "[cameras.roof]\nsources = []",

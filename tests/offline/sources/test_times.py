@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import pytest
 from tests.offline.sources.archives import GREY, encoded, folder_of
 from tests.offline.test_ingest_times import TAKEN, ZONE, with_exif
 
-from sunarc.offline.image_names import ambiguous_dates, time_in_name
+from sunarc.errors import InputError
+from sunarc.offline.image_names import ambiguous_dates, time_in_name, utc_offset_of
+from sunarc.offline.ingest.image_times import Naming, taken
 from sunarc.offline.messages import RefusedImageError
 from sunarc.offline.sources.opening import open_source
 from sunarc.offline.sources.times import TimedFrame, TimeRules, timed_frames
@@ -120,3 +123,69 @@ def test_what_nothing_tells_is_refused(tmp_path: Path) -> None:
     assert code_of("sky.png", tmp_path) == "file_time_unknown"
     assert code_of("99991231235959.png", tmp_path, offset=timedelta(hours=-5)) == "file_time_unknown"
     assert code_of("sky.png", tmp_path, content=b"") == "file_time_unknown"
+
+
+BERLIN = ZoneInfo("Europe/Berlin")
+CHANGES = {
+    "summer begins": (datetime(2023, 3, 26, tzinfo=UTC), 0),
+    "summer ends": (datetime(2023, 10, 29, tzinfo=UTC), 12),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_names_in_local_time_are_dated_rightly_over_both_changes_of_the_year_or_refused(
+    change: str, tmp_path: Path
+) -> None:
+    """A camera that follows summer time, an image every ten minutes: two share a name in the doubled hour."""
+    midnight, doubtful = CHANGES[change]
+    truth: dict[str, list[datetime]] = {}
+    for step in range(-36, 72):
+        time = midnight + timedelta(minutes=10 * step)
+        truth.setdefault(f"{time.astimezone(BERLIN):%Y%m%d_%H%M%S}.png", []).append(time)
+    source = open_source(str(folder_of(dict.fromkeys(truth, encoded(GREY, ".png")), tmp_path)))
+    dated: list[datetime] = []
+    refused = 0
+    for name, times in truth.items():
+        if len(times) == 2:
+            assert code_of(name, tmp_path, offset=BERLIN) == "file_time_twice"
+            refused += 2
+            continue
+        (frame,) = timed_frames(source, name, TimeRules(offset=BERLIN), names=set(truth))
+        assert [frame.time] == times
+        assert taken(tmp_path / name, Naming(offset=BERLIN))[0] == frame.time
+        dated.append(frame.time)
+    assert refused == doubtful
+    assert len(set(dated)) == len(dated) == 108 - doubtful
+
+
+@pytest.mark.parametrize("pattern", [None, "%Y%m%d_%H%M%S"])
+@pytest.mark.parametrize(
+    ("name", "zone", "code"),
+    [
+        ("20230326_023000.png", "Europe/Berlin", "file_time_never"),
+        ("20231029_023000.png", "Europe/Berlin", "file_time_twice"),
+        ("20231105_013000.png", "America/Chicago", "file_time_twice"),
+        ("20231001_021500.png", "Australia/Lord_Howe", "file_time_never"),
+    ],
+)
+def test_a_time_that_the_clocks_of_a_place_showed_twice_or_never_is_refused(
+    name: str, zone: str, code: str, pattern: str | None, tmp_path: Path
+) -> None:
+    assert code_of(name, tmp_path, offset=ZoneInfo(zone), pattern=pattern) == code
+    with pytest.raises(RefusedImageError) as refused:
+        taken(tmp_path / name, Naming(pattern, ZoneInfo(zone)))
+    assert refused.value.finding.code == code
+
+
+@pytest.mark.parametrize(
+    ("given", "offset"), [("-5", timedelta(hours=-5)), (5.5, timedelta(hours=5.5)), ("0", timedelta(0))]
+)
+def test_an_offset_is_hours(given: str | float, offset: timedelta) -> None:
+    assert utc_offset_of(given, field="--utc-offset") == offset
+
+
+@pytest.mark.parametrize("given", ["Europe", "Nowhere/Mast", "", "nan", "24", "../etc/passwd"])
+def test_an_offset_that_is_neither_hours_nor_a_zone_is_refused(given: str) -> None:
+    with pytest.raises(InputError) as refused:
+        utc_offset_of(given, field="--utc-offset")
+    assert refused.value.field == "--utc-offset"

@@ -15,7 +15,7 @@ from sunarc.cameras import exposure_of_name
 from sunarc.errors import InputError
 from sunarc.findings import Finding
 from sunarc.imaging import document_of
-from sunarc.offline.image_names import ambiguous_dates, time_in_name
+from sunarc.offline.image_names import UtcOffset, ambiguous_dates, time_in_name, utc_of_local
 from sunarc.offline.messages import RefusedImageError
 from sunarc.utc import parse_time
 
@@ -24,10 +24,10 @@ _HEAD_BYTES = 1 << 17
 
 
 class Naming(NamedTuple):
-    """How times are read: a `strptime` pattern of the names without suffix, and hours ahead of UTC."""
+    """How times are read: a `strptime` pattern of the names without suffix, and how far ahead of UTC they are."""
 
     pattern: str | None = None
-    offset: timedelta = timedelta(0)
+    offset: UtcOffset = timedelta(0)
 
 
 def taken(path: Path, naming: Naming) -> tuple[datetime, float | None]:
@@ -44,7 +44,8 @@ def taken(path: Path, naming: Naming) -> tuple[datetime, float | None]:
     exposure_us = exposure_of_name(path.name)
     if pattern is not None:
         try:
-            return _zoned(datetime.strptime(path.stem, pattern), offset), exposure_us  # noqa: DTZ007 - zoned here
+            time = datetime.strptime(path.stem, pattern)  # noqa: DTZ007 - zoned below
+            return _zoned(time, offset, name=path.name), exposure_us
         except (ValueError, OverflowError):
             raise RefusedImageError(path.name, Finding("file_time_pattern", {"pattern": pattern})) from None
     sidecar = path.with_suffix(".json")
@@ -80,10 +81,10 @@ def _from_document(path: Path) -> datetime | None:
         return None
 
 
-def _from_name(name: str, offset: timedelta) -> datetime | None:
+def _from_name(name: str, offset: UtcOffset) -> datetime | None:
     named = time_in_name(name)
     try:
-        return None if named is None else named.utc(offset)
+        return None if named is None else named.utc(offset, name=name)
     except OverflowError:
         return None
 
@@ -121,10 +122,10 @@ def _exposure(value: object, *, where: str) -> float | None:
     return float(value) or None
 
 
-def _from_exif(path: Path, offset: timedelta) -> datetime | None:
+def _from_exif(path: Path, offset: UtcOffset) -> datetime | None:
     time = exif_time(path)
     try:
-        return None if time is None else _zoned(time, offset)
+        return None if time is None else _zoned(time, offset, name=path.name)
     except OverflowError:
         return None
 
@@ -146,5 +147,5 @@ def exif_time(file: Path | BinaryIO) -> datetime | None:
         return None
 
 
-def _zoned(time: datetime, offset: timedelta) -> datetime:
-    return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC) - offset
+def _zoned(time: datetime, offset: UtcOffset, *, name: str) -> datetime:
+    return time.astimezone(UTC) if time.tzinfo else utc_of_local(time, offset, name=name)

@@ -5,7 +5,7 @@
     [cameras.roof]
     sources = ["roof.zip"]      # folders or archives, beside this file; those of the command line where left out
     files = "ccd1_*"            # names of files, as fnmatch has them; all where left out
-    utc_offset = -5             # hours ahead of UTC
+    utc_offset = -5             # hours ahead of UTC, or a zone as "Europe/Berlin"
     time_pattern = "…"          # strptime
     latitude = 36.6             # of the command line where left out; so are longitude and altitude
     image_size = [1748, 1748]
@@ -18,12 +18,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 from sunarc.errors import InputError
 from sunarc.offline.files import read_file
+from sunarc.offline.image_names import utc_offset_of
 from sunarc.offline.reanalysis.plan import CameraPlan, Selector
 from sunarc.offline.sources.times import TimeRules
 
@@ -65,7 +65,7 @@ def _filled(name: str, table: Mapping[str, Any], common: CameraPlan, folder: Pat
     sources = _get(table, "sources", lambda given: _sources(given, folder), common.selector.sources)
     rules = TimeRules(
         pattern=_get(table, "time_pattern", str, common.rules.pattern),
-        offset=_get(table, "utc_offset", lambda hours: timedelta(hours=float(hours)), common.rules.offset),
+        offset=_get(table, "utc_offset", lambda given: utc_offset_of(given, field="utc_offset"), common.rules.offset),
     )
     site = replace(common.site, **{key: float(table[key]) for key in _NUMBERS if key in table})
     return replace(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sunarc.cameras import exposure_of_name
 from sunarc.findings import Finding
-from sunarc.offline.image_names import NamedTime, time_in_name
+from sunarc.offline.image_names import NamedTime, UtcOffset, time_in_name, utc_of_local
 from sunarc.offline.ingest.image_times import exif_time, no_time_finding, sidecar_time
 from sunarc.offline.messages import RefusedImageError
 from sunarc.offline.sources.frames import Frame, frames_in, kind_of
@@ -31,7 +31,7 @@ class TimeRules(NamedTuple):
     """
 
     pattern: str | None = None
-    offset: timedelta | None = None
+    offset: UtcOffset | None = None
 
 
 class TimedFrame(NamedTuple):
@@ -134,7 +134,7 @@ def _utc(named: NamedTime, name: str, rules: TimeRules) -> datetime:
     if named.zone == "unknown" and rules.offset is None:
         raise _unknown_zone(name, named.time)
     try:
-        return named.utc(rules.offset or timedelta(0))
+        return named.utc(timedelta(0) if rules.offset is None else rules.offset, name=name)
     except OverflowError:
         raise RefusedImageError(name, Finding("file_time_unknown")) from None
 
@@ -145,7 +145,7 @@ def _zoned(time: datetime, name: str, rules: TimeRules) -> datetime:
     if rules.offset is None:
         raise _unknown_zone(name, time)
     try:
-        return time.replace(tzinfo=UTC) - rules.offset
+        return utc_of_local(time, rules.offset, name=name)
     except OverflowError:
         raise RefusedImageError(name, Finding("file_time_unknown")) from None
 

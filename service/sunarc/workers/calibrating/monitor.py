@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -11,7 +12,7 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from sunarc.archive import ELSEWHERE, EPOCH_CLOSED, LENS_CHANGED, CameraArchive, PoseEpoch, SunPoint
-from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration
+from sunarc.calibration import MAX_CLOCK_ERROR_S, Calibration, site_contradiction
 from sunarc.calibration.change_detection import (
     LENS_KINDS,
     REMEMBERED,
@@ -23,13 +24,14 @@ from sunarc.calibration.change_detection import (
 )
 from sunarc.calibration.messages import MESSAGES as CHANGES
 from sunarc.errors import InputError, OutsideError
+from sunarc.findings import Finding
 from sunarc.runtime.status import Reason, StatusRegistry
 from sunarc.sky import Site, sun_directions
 from sunarc.utc import MICROSECOND, utc_time
 from sunarc.workers.bounded_queue import DropOldestQueue
 from sunarc.workers.calibrating.pose_conditions import pose_condition, refused_condition, waiting_condition
 from sunarc.workers.calibrating.provisional_pose import FEWEST, ProvisionalPoseEstimator, is_provisional
-from sunarc.workers.messages import condition
+from sunarc.workers.messages import MESSAGES, condition
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.5
@@ -37,6 +39,9 @@ _WAITING = 256
 _JITTER = timedelta(seconds=1)
 """A camera that dates its frames may be ahead of the time carried on from its last one by its own jitter."""
 _POSE_CODES = ("provisional_pose", "first_pose_provisional")
+_SITE_CODES = ("sun_seen_below_horizon", "sun_contradicts_site")
+_FIRST = 10
+"""The last sightings of a camera without a calibration, whose motion is compared with the stated site's sun."""
 _FUTURE_EPOCH = "epoch_in_future"
 _RECOVERED_AFTER = 4
 """Consecutive sightings that agree again before a fault of the clock, the image or the site is cleared."""
@@ -73,6 +78,7 @@ class WatchWorker:
         self._epoch: str | None = None
         self._has_future_epochs = False
         self._shown: str | None = None
+        self._first: deque[Sighting] = deque(maxlen=_FIRST)
         self._fault: Change | None = None
         self._agreeing = 0
 
@@ -188,6 +194,7 @@ class WatchWorker:
 
     def _begin(self, sighting: Sighting) -> None:
         """Estimate the first pose of a camera whose type of lens is known, and publish how far that is."""
+        self._compare_with_site(sighting)
         if self._reposer.first is None:
             return
         if self._reposer.improve():
@@ -196,6 +203,26 @@ class WatchWorker:
         n, refusal = self._reposer.count, self._reposer.refusal
         self._board.set_condition("first_sun", waiting_condition(n, sighting.pixel) if n < FEWEST else None)
         self._board.set_condition("first_pose_refused", None if refusal is None else refused_condition(refusal))
+
+    def _compare_with_site(self, sighting: Sighting) -> None:
+        """Set or clear the conditions of a sun that goes otherwise than it does over the stated site."""
+        self._first.append(sighting)
+        record = self._camera.record()
+        if record is None:
+            return
+        found = site_contradiction(
+            np.array([one.unix_s for one in self._first]),
+            np.array([one.pixel for one in self._first]),
+            site=self._camera.site,
+            image_size=record.image_size,
+            mirrored=self._reposer.mirrored,
+        )
+        self._show_contradiction(found)
+
+    def _show_contradiction(self, found: Finding | None) -> None:
+        for code in _SITE_CODES:
+            of_code = found is not None and found.code == code
+            self._board.set_condition(code, Reason.of(found, MESSAGES) if of_code and found is not None else None)
 
     def _act(self, change: Change) -> None:
         """Report a change, and act on it by its kind."""
@@ -277,6 +304,9 @@ class WatchWorker:
         if current is None:
             return
         self._clear_move()
+        if not is_provisional(current):
+            self._first.clear()
+            self._show_contradiction(None)
         reason = pose_condition(current)
         for code in (*_POSE_CODES, "first_sun", "first_pose_refused"):
             self._board.set_condition(code, reason if reason is not None and reason.code == code else None)

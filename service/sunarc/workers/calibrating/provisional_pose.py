@@ -16,6 +16,7 @@ from sunarc.calibration import (
     MAX_CLOCK_ERROR_S,
     Calibration,
     CalibrationOptions,
+    Mirrored,
     SunPoints,
     Verdict,
     estimate_pose,
@@ -84,6 +85,13 @@ class ProvisionalPoseEstimator:
         self.first = first
         self.count = 0
         self.refusal: Verdict | None = None
+
+    @property
+    def mirrored(self) -> Mirrored:
+        """The handedness of the images, as the settings or the type of lens say it."""
+        if self.first is None:
+            return self._options.mirrored
+        return "yes" if self.first.lens.camera.mirrored else "no"
 
     def improve(self) -> bool:
         """Estimate the pose again where that is due; return whether the result was activated."""

@@ -246,12 +246,14 @@ class CaptureWorker:
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:
         """Take the stars and the moon once it is dark, before that and without `night` a sign of life."""
         if self._night is None or self._apparent_zenith() < DARK_ZENITH_DEG:
-            self._sign_of_life(exposer, self._options.hdr_exposures_us[0])
+            self._sign_of_life(exposer, max(self._options.hdr_exposures_us))
             return
         exposure_us, raised_db = self._night.exposures.next_us(camera.info.exposure_bounds)
         frame = self._night_gain.take(camera, raised_db, lambda: exposer.take(exposure_us))
         self._report.sign_of_life(succeeded=frame is not None)
         if frame is not None:
+            if self._report.night_level(frame, apparent_zenith=self._apparent_zenith()):
+                self._sign_of_life(exposer, max(self._options.hdr_exposures_us))  # daylight, or stars in a bright sky
             self._night.frames.put(frame)
         if self._night.moon is not None:
             wanted = self._night.moon.exposures.next_us(self._frame_time.now(), camera.info.exposure_bounds)
@@ -261,7 +263,10 @@ class CaptureWorker:
 
     def _sign_of_life(self, exposer: ExposureSequence, exposure_us: float) -> None:
         """Take an exposure that shows only that the camera answers, and its time."""
-        self._report.sign_of_life(succeeded=exposer.take(exposure_us) is not None)
+        frame = exposer.take(exposure_us)
+        self._report.sign_of_life(succeeded=frame is not None)
+        if frame is not None:
+            self._report.night_level(frame, apparent_zenith=self._apparent_zenith())
 
     def _exposer(self, camera: SkyCamera, *, deadline_s: float) -> ExposureSequence:
         return ExposureSequence(

@@ -6,17 +6,24 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
 from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
 from sunarc.runtime.status import CameraStatus, CaptureStatus, StatusRegistry
 from sunarc.workers.capture.dark_frames import DarkFrames
 from sunarc.workers.capture.missed_slots import MissedSlots
 from sunarc.workers.messages import condition
+from sunarc.workers.night.exposures import DARK_ZENITH_DEG
 
 _log = logging.getLogger(__name__)
 _LASTING = 10  # cycles in a row
 _FAILING = "exposures_failing"
 _OVERRUN = "cycle_too_long"
+_DAYLIGHT = "daylight_at_night"
+_LIT_LEVEL, _DAYLIGHT_PER_S, _LIT_FRAMES = 0.15, 1.0, 2
+"""Median over full scale, and the same in a second: the day has 10 a second, a night with a full moon 1e-4."""
+_FULL_LEVEL = 0.9
 
 
 class CaptureReport:
@@ -37,6 +44,7 @@ class CaptureReport:
         self._dark_frames = DarkFrames(board)
         self._incomplete = 0  # cycles in a row
         self._overrun = 0
+        self._lit = 0  # exposures of the night in a row that show daylight
         self._failure = ""
 
     @property
@@ -98,6 +106,20 @@ class CaptureReport:
         """Record a frame."""
         self.add(frames=1)
         self._board.note(last_frame_at=frame.time)
+
+    def night_level(self, frame: Frame, *, apparent_zenith: float) -> bool:
+        """Record how bright an exposure of the night is, and return whether it is full; two of daylight are said."""
+        level = float(np.median(frame.image[::8, ::8])) / frame.full_scale
+        lit = level > _LIT_LEVEL and level / (frame.exposure_us * 1e-6) > _DAYLIGHT_PER_S
+        full = level > _FULL_LEVEL
+        if lit and apparent_zenith > DARK_ZENITH_DEG:
+            self._lit += 1
+        elif not full:  # one of seconds may be full at night, too
+            self._lit = 0
+        below_deg = apparent_zenith - 90.0
+        reason = condition(_DAYLIGHT, level=level, exposure_us=frame.exposure_us, below_deg=below_deg)
+        self._board.set_condition(_DAYLIGHT, reason if self._lit >= _LIT_FRAMES else None)
+        return full
 
     def sign_of_life(self, *, succeeded: bool) -> None:
         """Record whether the night's test exposure succeeded."""

@@ -63,6 +63,7 @@ class _Image:
     exposure_us: float
     sensor: Sensor
     cutouts: tuple[Cutout, ...]
+    clock_error_s: float = 0.0
 
 
 class _Measured(NamedTuple):
@@ -91,8 +92,8 @@ class MoonImages:
         self._exposures = exposures
         self._images: list[_Image] = []
 
-    def add(self, frames: Sequence[Frame]) -> None:
-        """Keep what is bright in the longest exposure of a slot that is not clipped."""
+    def add(self, frames: Sequence[Frame]) -> tuple[Frame, tuple[Cutout, ...]]:
+        """Keep what is bright in the longest exposure of a slot that is not clipped, and return both."""
         looked = [(frame, brightest_cutouts(frame.image, full_scale=frame.full_scale)) for frame in frames]
         near = self._near_prediction()
         levels = [(frame, cutouts, _level(frame, near(frame, cutouts))) for frame, cutouts in looked]
@@ -100,8 +101,18 @@ class MoonImages:
             self._exposures.report(frames[0].time, tuple((frame.exposure_us, level) for frame, _, level in levels))
         good = [one for one in levels if 0.0 < one[2] < MOST_LEVEL]
         frame, cutouts, _ = max(good, key=lambda one: one[0].exposure_us) if good else levels[0]
-        sensor = sensor_of(frame, self._options)
-        image = _Image(time=frame.time, exposure_us=frame.exposure_us, sensor=sensor, cutouts=cutouts)
+        self.resume(frame, cutouts)
+        return frame, cutouts
+
+    def resume(self, frame: Frame, cutouts: tuple[Cutout, ...], *, clock_error_s: float = 0.0) -> None:
+        """Keep the bright places of a frame; of one from before a restart with the bound of its time's error then."""
+        image = _Image(
+            time=frame.time,
+            exposure_us=frame.exposure_us,
+            sensor=sensor_of(frame, self._options),
+            cutouts=cutouts,
+            clock_error_s=clock_error_s,
+        )
         self._images = [*self._images, image][-_MOST_IMAGES:]
 
     def _near_prediction(self) -> Callable[[Frame, tuple[Cutout, ...]], tuple[Cutout, ...]]:
@@ -194,7 +205,7 @@ class MoonImages:
             peak_fraction=found.level,
             snr=found.snr,
             saturated_px=found.saturated_px,
-            clock_error_s=clock_error_s(image.time),
+            clock_error_s=max(clock_error_s(image.time), image.clock_error_s),
         )
 
 

@@ -8,13 +8,14 @@ import threading
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 
-from sunarc.archive import CameraArchive, ImageStore, Refit, SunPoint
+from sunarc.archive import CameraArchive, Event, ImageStore, Refit, SunPoint
 from sunarc.calibration import (
+    MAX_CLOCK_ERROR_S,
     Calibration,
     MatchedView,
     StarView,
@@ -28,6 +29,7 @@ from sunarc.sky import solar_date, wanderer_place
 from sunarc.utc import DAY_S, rfc3339
 from sunarc.workers.messages import MESSAGES, text_of
 from sunarc.workers.night.exposures import DARK_ZENITH_DEG, NightCapture
+from sunarc.workers.night.kept_images import FrameNote, KeptImages, KeptMoon, KeptStars
 from sunarc.workers.night.moon import MoonImages
 from sunarc.workers.night.named_stars import BENT_PX, star_view, surest_named
 from sunarc.workers.night.night_conditions import NIGHTS_COMPARED, night_conditions
@@ -46,6 +48,11 @@ _MOST_IMAGES = 200
 _WORTH_A_REFIT: frozenset[NightVerdict] = frozenset({"clear", "partly"})
 _ENOUGH_STARS = 50
 _HALF_LIT = 0.5
+_MOST_TRIES = 5
+"""Verdicts of one night that may be begun: images that end the process each time would otherwise do so for ever."""
+_DAYLIGHT, _DAYLIGHT_DISTRUSTED = timedelta(minutes=1), timedelta(hours=1)
+"""How long the sun must have been back before the night is over; the longer one while the clock is not trusted: a
+clock that was set for seconds or minutes shows a sun that is not there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,13 +64,14 @@ class _Image:
     gain_db: float
     stars: Stars
     halo: float
+    clock_error_s: float
 
 
 class NightWorker:
     """Detects the stars in each image of the night; when the sun is back, names them and stores the verdict.
 
     The calibration that is served then predicts the stars of the whole night: on the first night of a camera there is
-    none before midnight. A restart during the night loses its images until then.
+    none before midnight. With `resumes` what was measured in each image is in the archive until the verdict is.
 
     Parameters
     ----------
@@ -80,6 +88,7 @@ class NightWorker:
     store : where the picture of the night goes; None: nowhere.
     replaces : whether sightings take the place of former ones of their images.
     warm_pixels : file of the camera's warm pixels; None: they are forgotten with a restart.
+    resumes : whether a restart goes on with the night's images.
     """
 
     def __init__(
@@ -98,6 +107,7 @@ class NightWorker:
         store: ImageStore | None = None,
         warm_pixels: Path | None = None,
         replaces: bool = False,
+        resumes: bool = False,
     ) -> None:
         self._frames, self._exposures = capture.frames, capture.exposures
         self._camera = camera
@@ -111,6 +121,8 @@ class NightWorker:
         self._limits = limits or NightLimits()
         self._store_images = store
         self._replaces = replaces
+        self._kept = KeptImages(camera) if resumes else None
+        self._daylight_since: datetime | None = None
         self._images: list[_Image] = []
         self._picture: NightPicture | None = None
         self._warm = WarmPixelMap(None if warm_pixels is None else WarmPixelFile(warm_pixels, self._report))
@@ -123,6 +135,7 @@ class NightWorker:
 
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Work until stopped."""
+        self.resume()
         self.publish_conditions()
         while not stop.is_set():
             heartbeat()
@@ -131,13 +144,46 @@ class NightWorker:
                 self.look_at_moon(moon)
             if frame is not None:
                 self.look_at(frame)
-            elif self._images and self._apparent_zenith() < DARK_ZENITH_DEG:
+            elif self._images and self._is_over():
                 self.finish(heartbeat)
 
+    def resume(self) -> None:
+        """Take up the images of a night without a verdict, as the archive has them; those of one night alone."""
+        if self._kept is None:
+            return
+        stars, moons = self._kept.read()
+        if stars:
+            night, last = self._night_of(stars[-1].note.frame.time), stars[-1].note
+            stars = [one for one in stars if self._night_of(one.note.frame.time) == night]
+            moons = [one for one in moons if self._night_of(one.note.frame.time) == night]
+            self._images = [_image_of(one) for one in stars][-_MOST_IMAGES:]
+            self._digest, self._repeated = last.digest, stars[-1].n_repeated
+            self._picture = next((_picture_of(one) for one in reversed(stars) if one.picture is not None), None)
+            alike = [one for one in stars if one.note.sensor == last.sensor]
+            self._warm.resume(last.sensor, ((one.note.frame.time, one.outstanding) for one in alike))
+            _log.info("the night of %s goes on with %d images from before the start", night, len(self._images))
+        for one in moons:
+            self._moon.resume(one.note.frame, one.cutouts, clock_error_s=one.note.clock_error_s)
+
+    def _is_over(self) -> bool:
+        """Return whether the sun is back, and has been so for longer than a clock that was set for a moment shows."""
+        if self._apparent_zenith() >= DARK_ZENITH_DEG:
+            self._daylight_since = None
+            return False
+        now = self._now()
+        if self._daylight_since is None or now < self._daylight_since:
+            self._daylight_since = now
+        return now - self._daylight_since >= (_DAYLIGHT if self._trusted() else _DAYLIGHT_DISTRUSTED)
+
     def look_at(self, frame: Frame) -> None:
-        """Detect the stars of a frame, and remember them."""
+        """Detect the stars of a frame, and remember them; not of one that a clock dates that was just set."""
         if self._is_repeated(frame):
             return
+        clock_error_s = self._clock_error_s(frame.time)
+        if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
+            if clock_error_s > MAX_CLOCK_ERROR_S:
+                return
+            self._begin_another()
         sensor = sensor_of(frame, self._options)
         stars = detect_stars(
             self._warm.repair(frame, sensor.bayer, serial=self._camera_serial()),
@@ -147,14 +193,35 @@ class NightWorker:
         )
         level = float(np.median(frame.image[::8, ::8])) - sensor.black_level
         self._exposures.report(stars, sky_fraction=level / frame.full_scale)
-        if self._images and self._night_of(frame.time) != self._night_of(self._images[-1].time):
-            self.finish()  # the sun did not come back meanwhile: a polar night, or a clock that was set
         halo = star_halo(frame.image, stars, full_scale=frame.full_scale, bayer=sensor.bayer)
+        shown = None
         if better(self._picture, n_stars=len(stars)):
-            self._picture = night_picture(frame.image, frame.time, len(stars))
-        taken = _Image(time=frame.time, exposure_us=frame.exposure_us, gain_db=frame.gain_db, stars=stars, halo=halo)
-        self._images = [*self._images, taken]
-        self._images = self._images[-_MOST_IMAGES:]
+            shown = self._picture = night_picture(frame.image, frame.time, len(stars))
+        kept = KeptStars(
+            FrameNote(frame, clock_error_s, self._digest or 0, self._camera_serial()),
+            stars,
+            halo,
+            self._warm.newest,
+            self._repeated,
+            None if shown is None else shown.jpeg,
+        )
+        self._images = [*self._images, _image_of(kept)][-_MOST_IMAGES:]
+        if self._kept is not None:
+            self._kept.keep(kept, since=min(image.time for image in self._images))
+
+    def _begin_another(self) -> None:
+        """End a night although the sun did not come back: a polar night, or the first images had a wrong time."""
+        if all(image.clock_error_s > MAX_CLOCK_ERROR_S for image in self._images):
+            _log.warning("%d images of the night that no good clock dated are left out", len(self._images))
+            self._forget()
+            if self._kept is not None:
+                self._camera.finish_night(None)
+        else:
+            self.finish()
+
+    def _forget(self) -> None:
+        self._images, self._picture, self._repeated, self._daylight_since = [], None, 0, None
+        self._moon.forget()
 
     def _is_repeated(self, frame: Frame) -> bool:
         """Return whether a frame is the one before once more, to the last count: no sensor's noise does that."""
@@ -175,21 +242,33 @@ class NightWorker:
 
     def look_at_moon(self, frames: Sequence[Frame]) -> None:
         """Keep the brightest places of a slot's short exposures until the night is over."""
-        self._moon.add(frames)
+        frame, cutouts = self._moon.add(frames)
+        if self._kept is not None:
+            note = FrameNote(frame, self._clock_error_s(frame.time))
+            self._kept.keep(KeptMoon(note, cutouts), since=frame.time - timedelta(days=1))
 
     def finish(self, heartbeat: Callable[[], None] = lambda: None) -> NightVerdict:
         """Name the stars of the night, store them and the verdict; ask for a refit after one that showed them."""
         self._warm.save()
-        images, self._images = self._images, []
-        picture, self._picture = self._picture, None
-        repeated, self._repeated = self._repeated, 0
-        frozen = (Finding("night_frozen", {"n": repeated}),) if repeated else ()
+        tries = 1 if self._kept is None else self._camera.begin_night_verdict()
+        if tries > _MOST_TRIES:
+            found = Finding("night_given_up", {"n": len(self._images), "tries": _MOST_TRIES})
+            night = self._night_of(self._images[0].time)
+            verdict = self._remember(night, "unusable", (found,), {"n_images": len(self._images)}, {})
+        else:
+            verdict = self._judge(heartbeat, again=tries > 1)
+        self._forget()
+        return verdict
+
+    def _judge(self, heartbeat: Callable[[], None], *, again: bool) -> NightVerdict:
+        """Do what `finish` says with the present images; `again` where it was begun before a restart."""
+        images, picture = self._images, self._picture
+        frozen = (Finding("night_frozen", {"n": self._repeated}),) if self._repeated else ()
         night = self._night_of(images[0].time)
         calibration = self._camera.current_model()
         if calibration is None or not self._trusted():
             kept = self._keep(picture, None, calibration)
             code = "night_without_calibration" if calibration is None else "night_clock_not_trusted"
-            self._moon.forget()
             return self._remember(night, "unusable", (Finding(code),), {"n_images": len(images)}, kept)
         views = []
         for image in images:
@@ -205,10 +284,10 @@ class NightWorker:
         measured = numbers_of(taken)
         kept = self._keep(picture, dict(zip([image.time for image in images], taken, strict=True)), calibration)
         offset = offset_of(views, matched, calibration)
-        stored = self._store(images, views, matched)
+        stored = self._store(images, views, matched, again=again)
         moon = self._moon.finish(calibration, within_px=BENT_PX, clock_error_s=self._clock_error_s)
         heartbeat()
-        stored_moon = self._camera.archive.add_sun_points(moon.points)
+        stored_moon = max(self._camera.archive.add_sun_points(moon.points), len(moon.points) if again else 0)
         verdict, findings = decide_night(summary, moonlit_share=self._moonlit_share(images))
         refused = [found.matches.findings[0] for found in matched if not found.matches.accepted]
         numbers: dict[str, float] = {
@@ -261,10 +340,13 @@ class NightWorker:
         images: Sequence[_Image],
         views: Sequence[StarView],
         matched: Sequence[MatchedView],
+        *,
+        again: bool,
     ) -> int:
         """Store the sightings of accepted images and return how many were new: none of an image that was not.
 
-        Where they replace former ones, those of an image that is not accepted any more stay.
+        Where they replace former ones, those of an image that is not accepted any more stay. `again`: some may be there
+        already, of the same verdict, and count as new.
         """
         points = [
             point
@@ -272,8 +354,9 @@ class NightWorker:
             if found.matches.accepted
             for point in self._points(image, view, found)
         ]
-        if self._replaces:
-            return self._camera.archive.replace_stars(self._camera.name, points)
+        if self._replaces or again:
+            new = self._camera.archive.replace_stars(self._camera.name, points)
+            return len(points) if again else new
         return self._camera.archive.add_sun_points(points)
 
     def _points(self, image: _Image, view: StarView, found: MatchedView) -> list[SunPoint]:
@@ -299,7 +382,7 @@ class NightWorker:
                 ellipticity=float(stars.ellipticity[row]),
                 snr=float(stars.snr[row]),
                 saturated_px=0,
-                clock_error_s=self._clock_error_s(image.time),
+                clock_error_s=max(self._clock_error_s(image.time), image.clock_error_s),
             )
             for row in range(len(stars))
         ]
@@ -321,7 +404,12 @@ class NightWorker:
         why = "; ".join(map(text_of, findings))
         found = Finding("night", {"date": f"{night}", "verdict": verdict, "reasons": why, **known})
         details = {"findings": [finding.as_json() for finding in findings], **parts}
-        self._camera.add_event(found, MESSAGES, time=self._now(), severity="info", details=details)
+        of_camera = self._camera.name
+        event = Event.of(found, MESSAGES, time=self._now(), severity="info", camera=of_camera, details=details)
+        if self._kept is None:
+            self._camera.archive.add_event(event)
+        else:
+            self._camera.finish_night(event)
         _log.info("%s", text_of(found))
         self.publish_conditions()
         return verdict
@@ -331,3 +419,19 @@ class NightWorker:
         nights = [event.details for event in self._camera.nights(limit=NIGHTS_COMPARED)]
         for code, reason in night_conditions(nights, self._limits).items():
             self._board.set_condition(code, reason)
+
+
+def _image_of(kept: KeptStars) -> _Image:
+    frame = kept.note.frame
+    return _Image(
+        time=frame.time,
+        exposure_us=frame.exposure_us,
+        gain_db=frame.gain_db,
+        stars=kept.stars,
+        halo=kept.halo,
+        clock_error_s=kept.note.clock_error_s,
+    )
+
+
+def _picture_of(kept: KeptStars) -> NightPicture:
+    return NightPicture(time=kept.note.frame.time, n_stars=len(kept.stars), jpeg=kept.picture or b"")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -52,9 +53,23 @@ class WarmPixelMap:
         if sensor != self._sensor:  # at the start, with another camera, region or binning
             self._begin(sensor)
         self._seen.append((frame.time, outstanding_pixels(frame.image, bayer=bayer)))
+        self._learn()
+        return repaired(frame.image, self._warm, bayer=bayer) if len(self) else frame.image
+
+    @property
+    def newest(self) -> IntArray:
+        """The pixels that stand out in the last image, by flat index."""
+        return self._seen[-1][1] if self._seen else np.zeros(0, dtype=np.int64)
+
+    def resume(self, sensor: SensorFormat, seen: Iterable[tuple[datetime, IntArray]]) -> None:
+        """Take up the images of a night from before a restart: the time of each, and the pixels that stood out."""
+        self._begin(sensor)
+        self._seen.extend(seen)
+        self._learn()
+
+    def _learn(self) -> None:
         if len(self._seen) >= _FEWEST and self._seen[-1][0] - self._seen[0][0] >= _SHORTEST:
             self._warm = warm_pixels([pixels for _, pixels in self._seen])
-        return repaired(frame.image, self._warm, bayer=bayer) if len(self) else frame.image
 
     def _begin(self, sensor: SensorFormat) -> None:
         self._seen.clear()

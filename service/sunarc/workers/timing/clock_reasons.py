@@ -18,9 +18,14 @@ def stepped(code: str, clock: str, step: ClockStep) -> Finding:
     return Finding(code, {"clock": clock, "step_s": step.step_s, "how": how, "at": at})
 
 
+def is_tai(offset_s: float) -> bool:
+    """Return whether two clocks differ by about TAI less UTC, which no wrong clock does but by chance."""
+    return abs(abs(offset_s) - TAI_MINUS_UTC_S) < _ABOUT_S
+
+
 def camera_offset(offset_s: float, *, limit_s: float) -> Finding:
     """Return that the camera's time is not the host's, and what that difference looks like."""
-    if abs(abs(offset_s) - TAI_MINUS_UTC_S) < _ABOUT_S:
+    if is_tai(offset_s):
         cause = f"; {TAI_MINUS_UTC_S:.0f} s is TAI - UTC"
         remedy = f'set camera.timestamp_scale = "{"tai" if offset_s > 0.0 else "utc"}"'
     else:

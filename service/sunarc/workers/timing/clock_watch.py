@@ -15,13 +15,14 @@ from annotated_types import Gt, Le
 from sunarc.archive import CameraArchive
 from sunarc.bounds import require_bounds
 from sunarc.calibration import MAX_CLOCK_ERROR_S
+from sunarc.cameras import TAI_MINUS_UTC_S
 from sunarc.errors import OutsideError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import ClockStatus, Reason, StatusRegistry
 from sunarc.workers.messages import MESSAGES
 from sunarc.workers.timing.clock_agreement import IMPLAUSIBLE_SETTLE_S, LARGE_STEP_S, ClockAgreement
-from sunarc.workers.timing.clock_reasons import camera_offset, stepped
+from sunarc.workers.timing.clock_reasons import camera_offset, is_tai, stepped
 from sunarc.workers.timing.clock_steps import ClockReading, ClockStep, GradualSteps, UntrustedTimes, step_between
 from sunarc.workers.timing.frame_time import FrameTime
 
@@ -148,8 +149,8 @@ class ClockWatch:
 
     def _bound_s(self) -> float:
         if self._camera_error_s is not None:
-            offsets = self._camera_offsets_s()
-            return max(self._camera_error_s, abs(self._camera_off_s), *(abs(offset) for offset in offsets), 0.0)
+            differing = (self._off_at_most_s(offset) for offset in self._camera_offsets_s())
+            return max(self._camera_error_s, abs(self._camera_off_s), *differing, 0.0)
         if self._agreement.wait_s(self._clock.monotonic()) > 0.0:
             return UNKNOWN_ERROR_S
         return self._kernel_bound_s()
@@ -161,9 +162,23 @@ class ClockWatch:
         return self._options.assumed_error_s or UNKNOWN_ERROR_S
 
     def _camera_offsets_s(self) -> tuple[float, ...]:
-        """Return by how much the camera's time differs from that of a good host; empty where that is not known."""
-        compares = self._finds_steps and self._camera_error_s is not None and self._clock.state().synchronised
-        return self._frame_time.host_offsets_s if compares else ()
+        """Return by how much the camera's time differs from the host's, 0 where the host's own error explains it.
+
+        TAI less UTC is no host's error, whether its clock is synchronised, assumed to be right, or neither.
+        """
+        if not self._finds_steps or self._camera_error_s is None:
+            return ()
+        host_s = 0.0 if self._clock.state().synchronised else self._kernel_bound_s()
+        return tuple(
+            offset if abs(offset) > host_s or is_tai(offset) else 0.0 for offset in self._frame_time.host_offsets_s
+        )
+
+    def _off_at_most_s(self, offset_s: float) -> float:
+        """Return the bound of the camera's error by its difference from the host: the host's own is added."""
+        if offset_s == 0.0:
+            return 0.0
+        assumed_s = 0.0 if self._clock.state().synchronised else self._options.assumed_error_s or 0.0
+        return max(abs(offset_s) + assumed_s, TAI_MINUS_UTC_S if is_tai(offset_s) else 0.0)
 
     def _is_camera_far_off(self) -> bool:
         smallest_s = min(self._camera_offsets_s(), key=abs, default=0.0)
@@ -238,7 +253,7 @@ class ClockWatch:
         """Return how far the camera's clock may be off: nothing when it stepped back, or agrees with a good host."""
         off_s = self._camera_off_s + step_s
         difference_s = abs((self._frame_time.now() - self._clock.now()).total_seconds())
-        agrees = self._clock.state().synchronised and difference_s < _TRANSPORT_S
+        agrees = self._kernel_bound_s() <= MAX_CLOCK_ERROR_S and difference_s < _TRANSPORT_S
         return 0.0 if agrees or abs(off_s) <= self._least_step_s else off_s
 
     def _write_down(self) -> None:

@@ -1,0 +1,130 @@
+"""A site with a wrong sign is said within the first ten sightings, and a right one never doubted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.fixtures.archive import new_archive
+from tests.workers.test_watch import SIZE, TRUTH
+
+from sunarc.archive import CameraArchive, CameraRecord
+from sunarc.calibration import CalibrationOptions, site_contradiction
+from sunarc.calibration.change_detection import WatchOptions
+from sunarc.cameras import Frame
+from sunarc.optics import project
+from sunarc.runtime.status import StatusRegistry
+from sunarc.simulation import SGP
+from sunarc.sky import Site, sun_angles, sun_directions
+from sunarc.workers import ProvisionalPoseEstimator, WatchWorker
+from sunarc.workers.capture.status import CaptureReport
+
+EVENING = datetime(2013, 5, 13, 23, 30, tzinfo=UTC)
+MORNING = datetime(2013, 5, 13, 14, 30, tzinfo=UTC)
+NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
+EAST = replace(SGP, longitude=-SGP.longitude)
+SOUTH = replace(SGP, latitude=-SGP.latitude)
+
+
+def seen_from(begin: datetime) -> tuple[np.ndarray, np.ndarray]:
+    times = begin.timestamp() + 30.0 * np.arange(10)
+    noise = np.random.default_rng(4).normal(0.0, 0.3, (10, 2))
+    return times, project(TRUTH, sun_directions(times, SGP)) + noise
+
+
+@pytest.mark.parametrize(
+    ("begin", "site", "code"),
+    [
+        (EVENING, SGP, None),
+        (MORNING, SGP, None),
+        (NOON, SGP, None),
+        (EVENING, EAST, "sun_contradicts_site"),
+        (MORNING, EAST, "sun_seen_below_horizon"),
+        (NOON, EAST, "sun_seen_below_horizon"),
+        (MORNING, SOUTH, "sun_contradicts_site"),
+        (NOON, SOUTH, None),  # 18 degrees from the zenith: which way is outwards is in doubt
+        (MORNING, replace(SGP, longitude=SGP.longitude + 15.0), None),  # an hour: without a lens nothing tells
+    ],
+)
+def test_the_first_ten_sightings_contradict_a_site_of_the_wrong_sign(
+    begin: datetime, site: Site, code: str | None
+) -> None:
+    unix_s, pixels = seen_from(begin)
+    found = site_contradiction(unix_s, pixels, site=site, image_size=SIZE, mirrored="no")
+    assert (None if found is None else found.code) == code
+
+
+def test_a_mirrored_image_goes_the_other_way_unless_that_is_known() -> None:
+    unix_s, pixels = seen_from(MORNING)
+    mirrored = np.column_stack([SIZE[0] - 1.0 - pixels[:, 0], pixels[:, 1]])
+    codes = {}
+    for hand in ("no", "yes", "auto"):
+        found = site_contradiction(unix_s, mirrored, site=SGP, image_size=SIZE, mirrored=hand)
+        codes[hand] = None if found is None else found.code
+    assert codes == {"no": "sun_contradicts_site", "yes": None, "auto": None}
+
+
+@pytest.mark.parametrize("false", [1, 3])
+def test_a_few_false_sightings_neither_hide_nor_make_a_contradiction(false: int) -> None:
+    unix_s, pixels = seen_from(EVENING)
+    pixels[:: 10 // false][:false] = (300.0, 1200.0)
+    found = site_contradiction(unix_s, pixels, site=EAST, image_size=SIZE, mirrored="no")
+    assert found is not None
+    assert site_contradiction(unix_s, pixels, site=SGP, image_size=SIZE, mirrored="no") is None
+
+
+@pytest.mark.parametrize(("site", "said"), [(EAST, True), (SGP, False)])
+def test_a_first_start_with_the_wrong_sign_of_the_longitude_is_said(
+    tmp_path: Path, board: StatusRegistry, *, site: Site, said: bool
+) -> None:
+    archive = new_archive(tmp_path)
+    archive.save_camera(CameraRecord.at(site, name="roof", width=SIZE[0], height=SIZE[1]))
+    camera = CameraArchive(archive, name="roof", site=site)
+
+    def now() -> datetime:
+        return EVENING + timedelta(hours=1)
+
+    reposer = ProvisionalPoseEstimator(camera, options=CalibrationOptions(), wander_deg=0.0, now=now)
+    watch = WatchWorker(camera=camera, options=WatchOptions(), reposer=reposer, now=now, board=board)
+    for unix_s, (x, y) in zip(*(values.tolist() for values in seen_from(EVENING)), strict=True):
+        watch.notice(datetime.fromtimestamp(unix_s, UTC), x_px=x, y_px=y, sigma_px=0.3)
+        assert watch.process_next()
+    reasons = {reason.code: reason for reason in board.snapshot().reasons}
+    assert ("sun_contradicts_site" in reasons) == said
+    if said:
+        assert "site.longitude" in reasons["sun_contradicts_site"].remedy
+    archive.close()
+
+
+def lit(level: float, exposure_us: float) -> Frame:
+    return Frame(
+        image=np.full((64, 64), round(4095 * level), dtype=np.uint16), time=NOON, exposure_us=exposure_us, gain_db=0.0,
+        pixel_format="Mono12", full_scale=4095, frame_id=1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        ([(0.64, 48_000.0)] * 2, True),  # the simulated day
+        ([(1.0, 5e6), (0.64, 48_000.0)] * 2, True),
+        ([(0.64, 48_000.0)], False),
+        ([(0.01, 48_000.0)] * 5, False),
+        ([(0.6, 5e6)] * 5, False),  # a bright town
+        ([(1.0, 10e6)] * 5, False),
+    ],
+)
+def test_daylight_while_the_sun_should_be_far_below_the_horizon_is_said(
+    board: StatusRegistry, frames: list[tuple[float, float]], *, said: bool
+) -> None:
+    report = CaptureReport(board, name="roof")
+    zenith = float(sun_angles(NOON.timestamp(), EAST).apparent_zenith)
+    assert zenith > 102.0
+    for level, exposure_us in frames:
+        report.night_level(lit(level, exposure_us), apparent_zenith=zenith)
+    assert ("daylight_at_night" in {reason.code for reason in board.snapshot().reasons}) == said
+    report.night_level(lit(0.01, 48_000.0), apparent_zenith=zenith)
+    assert "daylight_at_night" not in {reason.code for reason in board.snapshot().reasons}
