@@ -265,7 +265,7 @@ def check(
     camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Look at settings, disk, database, port, clock and camera; exit 1 when something would not work.
+    """Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something fails.
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
