@@ -38,6 +38,7 @@ from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.jit import set_aside_after_death
 from sunarc.offline.compile_kernels import compile_kernels as compile_all
 from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
 from sunarc.offline.project_files import project_csv, unproject_csv
@@ -113,6 +114,7 @@ def serve(
     """
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
+    set_aside_after_death()
     app.end_process(app.serve_hub(load_hub_settings(config)) if is_hub else app.serve(load_settings(config)))
 
 
