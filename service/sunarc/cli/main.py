@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from sunarc import __version__, app
 from sunarc.cli.calibrate import calibrate
@@ -276,6 +277,6 @@ def check(
     if as_json:
         print_json([result._asdict() for result in results])
     else:
-        _out.print(table(("", "", ""), [[result.outcome, result.what, result.text] for result in results]))
+        _out.print(table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results]))
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)
