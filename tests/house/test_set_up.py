@@ -88,7 +88,7 @@ def test_a_lock_of_apt_is_waited_for_and_said(root: Path, tmp_path: Path, lock: 
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         before_s = perf_counter()
-        setup = [root / "deploy" / "setup", "sunarc-no-such-package"]
+        setup = [str(root / "deploy" / "setup"), "sunarc-no-such-package"]
         answer = subprocess.run(setup, env=environment, capture_output=True, text=True, check=False)
         assert perf_counter() - before_s > 2.0
     assert f"process {holder.pid} (" in answer.stdout

@@ -92,10 +92,7 @@ def _receiver(sink: Sink) -> tuple[Outcome, str]:
     try:
         _within(sink.probe)
     except OutsideError as error:
-        return (
-            "warn",
-            f"{error}; messages wait until it answers; check its address in push.mqtt or push.webhooks, and the network",
-        )
+        return "warn", f"{error}; messages wait until it answers; check its address in the settings, and the network"
     return "ok", "it takes the connection"
 
 
