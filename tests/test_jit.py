@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 from tests.fixtures.kernels import damage_kernels
+
+from sunarc import jit
 
 KERNEL = """
 import os, sys
@@ -87,6 +92,24 @@ def test_no_other_end_costs_the_compiled_kernels(tmp_path: Path, result: str, st
     run(folder, script=SERVING)
     stop_post("sunarc.service", folder, result=result, status=status)
     assert run(folder, script=SERVING).stdout == "1"
+
+
+def test_a_folder_that_cannot_be_renamed_is_set_aside_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on an overlay, whose lower layer has the folder."""
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache" / "kernel.nbc").touch()
+    (tmp_path / "cache.died").write_text("SEGV")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+
+    monkeypatch.setattr(os, "rename", refuse)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    jit.set_aside_after_death()
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == [
+        "cache.aside",
+        "cache.aside/kernel.nbc",
+    ]
 
 
 ARRAYS = """

@@ -91,14 +91,14 @@ def set_aside_after_exit(exit_code: int | None) -> None:
 
 
 def _set_aside(reason: str) -> None:
-    """Rename the cache's folder, in place of the one that was set aside before; every kernel is compiled anew."""
+    """Move the cache's folder away, in place of the one that was set aside before; every kernel is compiled anew."""
     if not numba.config.CACHE_DIR:
         _log.warning("%s; if it ends so again, remove the compiled kernels beside the sources (*.nbi, *.nbc)", reason)
         return
     folder, aside = Path(numba.config.CACHE_DIR), Path(f"{numba.config.CACHE_DIR}.aside")
     try:
         shutil.rmtree(aside, ignore_errors=True)
-        folder.rename(aside)
+        shutil.move(folder, aside)  # copies where an overlay (a root that is kept read-only) refuses to rename a folder
     except OSError as error:
         _log.warning(
             "%s; compiled kernels are not set aside (%s): if it ends so again, remove %s", reason, error, folder
