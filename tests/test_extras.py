@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sunarc import extras
 from sunarc.errors import InputError
 from sunarc.exports import Table, Variable, netcdf_bytes
 from sunarc.extras import extra_module, is_installed
@@ -22,3 +25,19 @@ def test_a_module_that_is_not_installed_names_its_extra(monkeypatch: pytest.Monk
         netcdf_bytes(table)
     assert caught.value.field == "extra netcdf"
     assert "sunarc[netcdf]" in caught.value.remedy
+
+
+def test_the_package_has_its_extras_and_a_remedy_for_the_others_that_its_owner_can_follow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nobody can install an extra into the package's folder."""
+    build = Path(__file__).parents[1] / "deploy" / "build-deb"
+    (packed,) = re.findall(r"whl\)\[([a-z,]+)\]", build.read_text())
+    assert tuple(packed.split(",")) == extras.PACKED
+    assert "night" in extras.PACKED
+    monkeypatch.setattr(extras, "_PACKAGED", Path(extras.__file__).parent)
+    for extra, remedy in (("night", "deploy/install"), ("geotiff", "deploy/setup")):
+        with pytest.raises(InputError) as caught:
+            extra_module("no_such_module", extra=extra)
+        assert remedy in caught.value.remedy
+        assert f"sunarc[{extra}]" not in caught.value.remedy

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+from tests.fixtures.kernels import damage_kernels
+
+from sunarc import jit
 
 KERNEL = """
 import os, sys
@@ -45,6 +53,63 @@ def test_a_cache_that_a_power_cut_damaged_is_written_anew(tmp_path: Path, kind: 
     assert (done.returncode, done.stdout) == (0, "0"), done.stderr
     assert "cannot be read" in done.stderr
     assert run(folder).stdout == "1"
+
+
+DEPLOY = Path(__file__).parents[1] / "deploy"
+SERVING = KERNEL.replace("for _", "from sunarc.jit import set_aside_after_death\nset_aside_after_death()\nfor _")
+
+
+def stop_post(unit: str, folder: Path, *, result: str, status: str) -> None:
+    """Run what a unit runs after the end of its process, with what systemd says of that end."""
+    text = (DEPLOY / unit).read_text().replace("\\\n", "")
+    (script,) = re.findall(r"^ExecStopPost=-/bin/sh -c '(.*)'$", text, re.MULTILINE)
+    environment = {"NUMBA_CACHE_DIR": str(folder), "SERVICE_RESULT": result, "EXIT_STATUS": status}
+    subprocess.run(["/bin/sh", "-c", script], env=environment, check=True)
+
+
+@pytest.mark.parametrize("unit", ["sunarc.service", "hub/sunarc-hub.service"])
+def test_a_damaged_kernel_ends_one_life_and_the_next_compiles_it_anew(tmp_path: Path, unit: str) -> None:
+    folder = tmp_path / "cache"
+    run(folder, script=SERVING)
+    for _ in range(2):  # the second time another folder is aside already
+        assert damage_kernels(folder) == 1
+        ended = run(folder, script=SERVING)
+        assert ended.returncode in {-signal.SIGSEGV, -signal.SIGILL}
+        stop_post(unit, folder, result="signal", status=signal.Signals(-ended.returncode).name.removeprefix("SIG"))
+        healed = run(folder, script=SERVING)
+        assert (healed.returncode, healed.stdout) == (0, "0"), healed.stderr
+        assert f"set aside in {folder}.aside" in healed.stderr
+        assert run(folder, script=SERVING).stdout == "1"
+    assert {path.name for path in tmp_path.iterdir()} == {"cache", "cache.aside", "kernel.py"}
+
+
+@pytest.mark.parametrize(
+    ("result", "status"),
+    [("signal", "KILL"), ("signal", "TERM"), ("watchdog", "ABRT"), ("exit-code", "3"), ("success", "0")],
+)
+def test_no_other_end_costs_the_compiled_kernels(tmp_path: Path, result: str, status: str) -> None:
+    folder = tmp_path / "cache"
+    run(folder, script=SERVING)
+    stop_post("sunarc.service", folder, result=result, status=status)
+    assert run(folder, script=SERVING).stdout == "1"
+
+
+def test_a_folder_that_cannot_be_renamed_is_set_aside_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on an overlay, whose lower layer has the folder."""
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache" / "kernel.nbc").touch()
+    (tmp_path / "cache.died").write_text("SEGV")
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+
+    monkeypatch.setattr(os, "rename", refuse)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    jit.set_aside_after_death()
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == [
+        "cache.aside",
+        "cache.aside/kernel.nbc",
+    ]
 
 
 ARRAYS = """

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import shutil
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
@@ -17,6 +19,11 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
 _log = logging.getLogger(__name__)
+
+_FATAL = frozenset(
+    {signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV, signal.SIGSYS, signal.SIGTRAP}
+)
+"""Signals that a process gets from what it executes; the units (ExecStopPost) know the same."""
 
 
 class TolerantCache(FunctionCache):  # type: ignore[misc]
@@ -49,10 +56,55 @@ class TolerantCache(FunctionCache):  # type: ignore[misc]
     def save_overload(self, sig: object, data: object) -> None:
         """Store a compiled kernel; after a failure, store no more of this function."""
         try:
+            self._impl.locator.ensure_cache_path()  # which may have been set aside since the kernel was defined
             super().save_overload(sig, data)
         except (OSError, RuntimeError) as error:  # RuntimeError: numba has no object code to store
             self.disable()
             _log.warning("%s: %s; kernels are compiled again at the next start", self.cache_path, error)
+
+
+def set_aside_after_death() -> None:
+    """Set the cache aside where the former life of this service ended by a signal that a damaged kernel causes.
+
+    The service's unit then leaves a file beside the cache's folder (NUMBA_CACHE_DIR), with the signal's name in it.
+    """
+    if not numba.config.CACHE_DIR:
+        return
+    note = Path(f"{numba.config.CACHE_DIR}.died")
+    try:
+        name = note.read_text("ascii", errors="replace").strip()
+        note.unlink()
+    except OSError:
+        return
+    _set_aside(f"the service ended by SIG{name}")
+
+
+def set_aside_after_exit(exit_code: int | None) -> None:
+    """Set the cache aside where a child process ended by a signal that a damaged kernel causes.
+
+    Parameters
+    ----------
+    exit_code : of the child, negative for a signal; None where it is not known.
+    """
+    if exit_code is not None and -exit_code in _FATAL:
+        _set_aside(f"a process of the solver ended by {signal.Signals(-exit_code).name}")
+
+
+def _set_aside(reason: str) -> None:
+    """Move the cache's folder away, in place of the one that was set aside before; every kernel is compiled anew."""
+    if not numba.config.CACHE_DIR:
+        _log.warning("%s; if it ends so again, remove the compiled kernels beside the sources (*.nbi, *.nbc)", reason)
+        return
+    folder, aside = Path(numba.config.CACHE_DIR), Path(f"{numba.config.CACHE_DIR}.aside")
+    try:
+        shutil.rmtree(aside, ignore_errors=True)
+        shutil.move(folder, aside)  # copies where an overlay (a root that is kept read-only) refuses to rename a folder
+    except OSError as error:
+        _log.warning(
+            "%s; compiled kernels are not set aside (%s): if it ends so again, remove %s", reason, error, folder
+        )
+    else:
+        _log.warning("%s; compiled kernels are set aside in %s and compiled anew", reason, aside)
 
 
 def _stamps(function: FunctionType, visited: set[FunctionType]) -> Iterator[str]:

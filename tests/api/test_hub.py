@@ -110,6 +110,16 @@ def test_rows_are_stored_and_answered_for_their_camera(hub: Hub, imager: Archive
     assert hub.client.get("/v1/cameras/mast/days").status_code == 404
 
 
+def test_no_rows_after_minus_one_ask_where_the_hub_stands(hub: Hub, imager: Archive) -> None:
+    """As `sunarc check` asks: nothing is stored, nothing is set apart, and a wrong token is refused."""
+    hub.put(body_of(imager))
+    nothing = gzip.compress(b"")
+    assert hub.put(nothing, after=-1).json() == {"committed": 5}
+    assert hub.reasons() == []
+    assert hub.put(nothing, after=-1, token="x" * 16).status_code == 401
+    assert len(hub.client.get("/v1/cameras/roof/sun-points").json()["sun_points"]) == 3
+
+
 @pytest.mark.parametrize("path", ["days", "calibration", "sun-points", "events"])
 def test_a_hub_has_no_camera_of_its_own(hub: Hub, path: str) -> None:
     answer = hub.client.get(f"/v1/{path}")

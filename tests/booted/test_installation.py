@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from .machine import wait_for
+
 if TYPE_CHECKING:
     from .conftest import Field, Fields
 
@@ -28,6 +30,15 @@ for folder, folders, files in os.walk("/"):
     for path in (folder, *(os.path.join(folder, name) for name in files)):
         if os.access(path, os.W_OK) and not stat.S_IFMT(os.lstat(path).st_mode) in (stat.S_IFLNK, stat.S_IFSOCK):
             print(path)
+"""
+
+
+LOCKING = """
+import fcntl, pathlib, time
+with open("/var/lib/dpkg/lock-frontend", "w") as lock:
+    fcntl.lockf(lock, fcntl.LOCK_EX)
+    pathlib.Path("/run/locked").touch()
+    time.sleep(30.0)
 """
 
 
@@ -68,7 +79,10 @@ def test_the_script_installs_on_a_fresh_machine_and_once_more_over_itself(new_fi
     assert "install: ready: serving at" in printed
     stored = field.wait_for_sightings(2)
     pid = field.main_pid()
+    field.do("systemd-run", "--unit=upgrading", "python3", "-c", LOCKING)  # as unattended-upgrades does
+    wait_for(lambda: field.call("test", "-e", "/run/locked").returncode == 0, within_s=60.0, what="the lock")
     printed = run_script(field, work / "sunarc.deb")
+    assert "install: waiting for apt's lock" in printed
     assert "install: copying the database to /var/lib/sunarc/before-" in printed
     assert "install: ready: serving at" in printed
     assert field.main_pid() != pid

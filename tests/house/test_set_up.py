@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
 from pathlib import Path
 from time import perf_counter
 
@@ -57,6 +59,41 @@ def test_a_venv_on_another_interpreter_is_made_anew(fresh: Path) -> None:
     python.chmod(0o755)
     assert "making" in set_up(fresh / "deploy" / "demo")
     assert ask(fresh, "import sunarc; print('here')") == "here"
+
+
+HOLDER = """
+import fcntl, sys, time
+with open(sys.argv[1], "w") as lock:
+    fcntl.lockf(lock, fcntl.LOCK_EX)
+    print("held", flush=True)
+    time.sleep(float(sys.argv[2]))
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="apt's locks are root's")
+@pytest.mark.parametrize("lock", ["lists/lock", "dpkg/lock-frontend"])
+def test_a_lock_of_apt_is_waited_for_and_said(root: Path, tmp_path: Path, lock: str) -> None:
+    """With Debian's own apt-get, in folders of its own, where it finds no package."""
+    for folder in ("lists/partial", "dpkg", "archives/partial"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "dpkg" / "status").touch()
+    (tmp_path / "apt.conf").write_text(
+        f'Dir::State::Lists "{tmp_path}/lists"; Dir::State::status "{tmp_path}/dpkg/status";'
+        f'Dir::Cache::archives "{tmp_path}/archives";'
+        'Dir::Etc::sourcelist "/dev/null"; Dir::Etc::sourceparts "/dev/null";'
+    )
+    environment = {**os.environ, "APT_CONFIG": str(tmp_path / "apt.conf")}
+    command = [sys.executable, "-c", HOLDER, str(tmp_path / lock), "2.5"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        before_s = perf_counter()
+        setup = [str(root / "deploy" / "setup"), "sunarc-no-such-package"]
+        answer = subprocess.run(setup, env=environment, capture_output=True, text=True, check=False)
+        assert perf_counter() - before_s > 2.0
+    assert f"process {holder.pid} (" in answer.stdout
+    assert "Could not get lock" not in answer.stderr
+    assert "Unable to locate package sunarc-no-such-package" in answer.stderr
 
 
 def test_a_checkout_without_its_lock_is_told_so_in_one_line(checkout: Path, tmp_path: Path) -> None:

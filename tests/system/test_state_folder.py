@@ -115,6 +115,17 @@ def test_an_emptied_database_is_restored_and_a_damaged_calibration_not_served(
     assert "Traceback" not in log.read_text()
 
 
+def test_a_secret_that_cannot_be_read_is_a_condition_and_the_service_serves(config: Path, tmp_path: Path) -> None:
+    log, secret = tmp_path / "log", tmp_path / "secret"
+    push = f'[push]\nwebhooks = ["http://127.0.0.1:9/hook"]\nwebhook_secret_file = "{secret}"\n[api]'
+    config.write_text(config.read_text().replace("[api]", push))
+    with sunarc("serve", "--config", str(config), log=log) as service:
+        wait_for(lambda: answers(port_of(config)), within_s=60.0, log=log)
+        wait_for(lambda: any(code.startswith("push_unusable_") for code in reasons(config)), within_s=30.0, log=log)
+        stop(service)
+    assert "Traceback" not in log.read_text()
+
+
 def test_a_store_carried_to_another_site_is_one_line_and_exit_2(config: Path, database: Path) -> None:
     config.write_text(config.read_text().replace("latitude = 36.604043", "latitude = 48.1"))
     done = run_serve(config)

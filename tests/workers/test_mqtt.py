@@ -6,6 +6,7 @@ import json
 import re
 import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -205,10 +206,32 @@ def test_a_broker_that_answers_nothing_holds_up_nobody(bench: Pushing, monkeypat
 
 
 @pytest.mark.parametrize("text", ["", "sunarc", ":word"])
-def test_a_login_that_is_none_is_refused(bench: Pushing, text: str) -> None:
+def test_a_login_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, broker: Mosquitto, text: str) -> None:
     (bench.folder / "login").write_text(text)
+    worker = bench.worker(sink(bench, broker.port, mqtt_login_file=bench.folder / "login"))
     with pytest.raises(ConfigurationError):
-        sink(bench, 1883, mqtt_login_file=bench.folder / "login")
+        worker._sink.probe()
+    assert (step(worker), bench.codes()) == (60.0, {"push_unusable_mqtt"})
+    (bench.folder / "login").write_text("sunarc:word")
+    assert (step(worker), bench.codes()) == (1.0, set())
+    worker._sink.close(orderly=False)
+
+
+def test_a_missing_library_is_a_condition(bench: Pushing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+    worker = bench.worker(sink(bench, 1883))
+    assert (step(worker), bench.codes()) == (60.0, {"push_unusable_mqtt"})
+
+
+def test_a_probe_leaves_what_the_running_service_shows(bench: Pushing, broker: Mosquitto) -> None:
+    worker = bench.worker(sink(bench, broker.port))
+    bench.look("mqtt")
+    step(worker)
+    before = retained(broker.port)
+    sink(bench, broker.port).probe()
+    assert retained(broker.port) == before
+    assert before[THERE] == "online"
+    worker._sink.close(orderly=False)
 
 
 def test_the_announcement_to_home_assistant_has_what_it_needs() -> None:

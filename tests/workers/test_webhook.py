@@ -305,10 +305,26 @@ def test_addresses_that_are_none_are_refused(given: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("text", ["short", "", "whsec_!!!", "whsec_c2hvcnQ="])
-def test_a_secret_that_is_none_is_refused(bench: Pushing, text: str) -> None:
-    (bench.folder / "secret").write_text(text)
-    with pytest.raises(ConfigurationError):
-        sink(bench, "http://a.example/")
-    (bench.folder / "secret").unlink()
-    with pytest.raises(ConfigurationError):
-        sink(bench, "http://a.example/")
+def test_a_secret_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, text: str) -> None:
+    with receiving() as receiver:
+        name = webhook_name(receiver.url)
+        bench.look(name)
+        bench.happen(2, name)
+        worker = bench.worker(sink(bench, receiver.url))
+        (bench.folder / "secret").write_text(text)
+        assert (step(worker), bench.codes()) == (60.0, {f"push_unusable_{name}"})
+        (bench.folder / "secret").unlink()
+        with pytest.raises(ConfigurationError):
+            worker._sink.probe()
+        assert (step(worker), bench.codes()) == (60.0, {f"push_unusable_{name}"})
+        (bench.folder / "secret").write_text(SECRET)
+        assert (step(worker), bench.codes()) == (1.0, set())
+        assert receiver.texts() == ["0", "1"]
+
+
+def test_a_probe_connects_and_posts_nothing(bench: Pushing) -> None:
+    with receiving() as receiver:
+        sink(bench, receiver.url).probe()
+        assert (receiver.taken, receiver.refused) == ([], [])
+    with pytest.raises(OutsideError):
+        sink(bench, f"http://127.0.0.1:{free_port()}/").probe()

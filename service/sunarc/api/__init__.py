@@ -8,9 +8,10 @@ requests and answers · `middleware` limits, hosts and tokens, in front of every
 
 from sunarc.api.app import create_app
 from sunarc.api.hub_app import create_hub_app
+from sunarc.api.middleware.authentication import read_token
 from sunarc.api.middleware.connection_limit import BoundedConnection
 from sunarc.api.options import ApiOptions
 from sunarc.api.routes.feed import token_digest
 from sunarc.api.routes.fleet import members
 
-__all__ = ["ApiOptions", "BoundedConnection", "create_app", "create_hub_app", "members", "token_digest"]
+__all__ = ["ApiOptions", "BoundedConnection", "create_app", "create_hub_app", "members", "read_token", "token_digest"]

@@ -35,10 +35,6 @@ def push_workers(
     board : where receivers that fail are shown.
     client : what this service is called at a broker.
     every_s : seconds between two looks at the cameras.
-
-    Raises
-    ------
-    ConfigurationError : a file of the options cannot be read.
     """
     names = [*(["mqtt"] if options.mqtt else []), *map(webhook_name, options.webhooks)]
     if not names:
@@ -46,9 +42,7 @@ def push_workers(
             archive.name_sinks(())  # else notices would wait for ever
         return ()
     notices = NoticeWorker(archive=archive, states=states, sinks=names, clock=clock, board=board, every_s=every_s)
-    sinks: list[Sink] = [Webhook(url, secret_file=options.webhook_secret_file, clock=clock) for url in options.webhooks]
-    if options.mqtt is not None:
-        sinks.append(MqttBroker(options, states=lambda: notices.latest, clock=clock, client=client))
+    sinks = receivers(options, states=lambda: notices.latest, clock=clock, client=client)
     workers = [PushWorker(archive=archive, sink=sink, clock=clock, board=board) for sink in sinks]
     return (
         Supervised(name="notices", make_worker=lambda: notices),
@@ -57,6 +51,16 @@ def push_workers(
             for sink, worker in zip(sinks, workers, strict=True)
         ),
     )
+
+
+def receivers(
+    options: PushOptions, *, states: Callable[[], Mapping[str, CameraState]], clock: Clock, client: str
+) -> list[Sink]:
+    """Return the receivers of the options; `push_workers` describes the parameters."""
+    sinks: list[Sink] = [Webhook(url, secret_file=options.webhook_secret_file, clock=clock) for url in options.webhooks]
+    if options.mqtt is not None:
+        sinks.append(MqttBroker(options, states=states, clock=clock, client=client))
+    return sinks
 
 
 def _same(worker: PushWorker) -> PushWorker:

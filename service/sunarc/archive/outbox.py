@@ -83,6 +83,11 @@ class Outbox(Store):
                 connection.execute(delete(outbox))
                 connection.execute(delete(outbox_position))
 
+    def outbox_enabled(self) -> bool:
+        """Return whether changes are written to the outbox."""
+        with self._reading() as connection:
+            return connection.scalar(select(func.count()).select_from(outbox_position)) == 1
+
     def outbox_position(self) -> OutboxPosition:
         """Return how far the outbox came; it has to be enabled."""
         with self._reading() as connection:

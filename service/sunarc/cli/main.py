@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from sunarc import __version__, app
 from sunarc.cli.calibrate import calibrate
@@ -38,6 +39,7 @@ from sunarc.cli.study import study_cli
 from sunarc.detection import BAYERS
 from sunarc.diagnostics import checks
 from sunarc.errors import ConfigurationError, InputError, OutsideError, SunarcError
+from sunarc.jit import set_aside_after_death
 from sunarc.offline.compile_kernels import compile_kernels as compile_all
 from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
 from sunarc.offline.project_files import project_csv, unproject_csv
@@ -113,6 +115,7 @@ def serve(
     """
     is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
     start_log(os.environ)
+    set_aside_after_death()
     app.end_process(app.serve_hub(load_hub_settings(config)) if is_hub else app.serve(load_settings(config)))
 
 
@@ -265,7 +268,7 @@ def check(
     camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Look at settings, disk, database, port, clock and camera; exit 1 when something would not work.
+    """Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something fails.
 
     Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
     """
@@ -274,6 +277,6 @@ def check(
     if as_json:
         print_json([result._asdict() for result in results])
     else:
-        _out.print(table(("", "", ""), [[result.outcome, result.what, result.text] for result in results]))
+        _out.print(table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results]))
     if any(result.outcome == "fail" for result in results):
         raise typer.Exit(1)

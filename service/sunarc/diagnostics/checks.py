@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import socket
 import sys
+import threading
+import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import sunarc
-from sunarc.app import camera_opener, require_stored_site
-from sunarc.archive import check, head_revision, newest_sound_copy, open_archive
+from sunarc.api import read_token
+from sunarc.app import camera_opener, night_capture, receivers, require_stored_site, with_credentials
+from sunarc.archive import OutboxPosition, check, head_revision, newest_sound_copy, open_archive
 from sunarc.diagnostics.camera_checks import CheckResult, Outcome, survey
-from sunarc.errors import SunarcError
+from sunarc.errors import ConfigurationError, OutsideError, SunarcError
 from sunarc.runtime.clock import Clock, host_clock_state
 from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.settings import Settings
 from sunarc.utc import utc_time
+from sunarc.workers import FirstPose, HubConnection, HubRefusal, Sink
 
 _LEAST_FREE_BYTES = 2_000_000_000
 _LARGEST_CLOCK_ERROR_S = 1.0
 _OLDEST_BACKUP = timedelta(days=3)
 _ANSWER_S = 2.0
+_RECEIVER_S = 12.0
+"""For a receiver of messages or rows, its name's resolution included; a broker has 10 s, see `MqttBroker`."""
 
 
 def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
@@ -38,6 +49,8 @@ def run_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResult]:
     yield _checked("backups", lambda: _backups(settings, clock))
     yield _checked("port", lambda: _port(settings, running))
     yield _checked("clock", _clock)
+    with _rights_of_owner(settings.state):
+        yield from _optional(settings, clock)
     yield _checked("camera", lambda: _camera(settings, clock) if running is None else _camera_in_use(running))
 
 
@@ -49,6 +62,109 @@ def run_camera_checks(settings: Settings, *, clock: Clock) -> Iterator[CheckResu
         yield CheckResult("camera", outcome, f"{text}; stop the service to look closer")
         return
     yield from survey(settings, clock=clock)
+
+
+def _optional(settings: Settings, clock: Clock) -> Iterator[CheckResult]:
+    """Try the parts that the settings ask for, by what `serve` does with them; parts that are off give no result."""
+    access = with_credentials(settings.api)
+    for name, path in (("token_file", access.token_file), ("read_token_file", access.read_token_file)):
+        if path is not None:
+            yield _checked(f"api.{name}", partial(_token, path, f"api.{name}"))
+    if settings.first_pose.lens_prior is not None:
+        yield _checked("lens prior", lambda: _done(FirstPose.of(settings.first_pose), "read"))
+    if settings.night.enabled:
+        yield _checked("night", lambda: _done(night_capture(settings.night, lambda _: settings.site), "possible"))
+    if settings.hub.url is not None:
+        yield _checked("hub", lambda: _hub(settings))
+    for sink in receivers(settings.push, states=dict, clock=clock, client=settings.name):
+        yield _checked(sink.name, partial(_receiver, sink))
+
+
+def _done(_result: object, text: str) -> tuple[Outcome, str]:
+    return "ok", text
+
+
+def _token(path: Path, setting: str) -> tuple[Outcome, str]:
+    return _done(read_token(path, setting=setting), "read")
+
+
+def _receiver(sink: Sink) -> tuple[Outcome, str]:
+    try:
+        _within(sink.probe)
+    except OutsideError as error:
+        return "warn", f"{error}; messages wait until it answers; check its address in the settings, and the network"
+    return "ok", "it takes the connection"
+
+
+def _hub(settings: Settings) -> tuple[Outcome, str]:
+    """Send no rows to the hub, with the token, as the service does; before its first start only connect."""
+    connection, position = HubConnection(settings.hub, camera=settings.name), _outbox(settings)
+    try:
+        if position is None:
+            _within(partial(_connect, str(settings.hub.url)))
+            return "ok", "it takes the connection; the token is tried at the first start"
+        # After -1: the hub answers where it stands, and stores nothing.
+        _within(lambda: connection.send(replace(position, committed=-1), []))
+    except HubRefusal as refusal:
+        raise ConfigurationError(f"the hub refuses with {refusal.status}: {refusal}") from None
+    except OutsideError as error:
+        return "warn", f"{error}; rows wait until it answers; check hub.url and the network"
+    return "ok", "it takes the token"
+
+
+def _outbox(settings: Settings) -> OutboxPosition | None:
+    if settings.store is None and not (settings.database.exists() and settings.database.stat().st_size):
+        return None
+    with open_archive(settings.archive) as archive:
+        return archive.outbox_position() if archive.outbox_enabled() else None
+
+
+def _connect(url: str) -> None:
+    parts = urllib.parse.urlsplit(url)
+    try:
+        port = parts.port or (443 if parts.scheme == "https" else 80)
+        socket.create_connection((parts.hostname or "", port), timeout=_ANSWER_S).close()
+    except (OSError, ValueError) as error:
+        raise OutsideError(f"{parts.hostname}: {error}") from error
+
+
+def _within(call: Callable[[], object]) -> None:
+    """Call something that waits for another host, for a limited time: a resolver may take a minute."""
+    ended: list[BaseException | None] = []
+
+    def run() -> None:
+        try:
+            call()
+        except BaseException as error:  # noqa: BLE001 - raised in the thread that waits
+            ended.append(error)
+        else:
+            ended.append(None)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(_RECEIVER_S)
+    if not ended:
+        raise OutsideError(f"no answer within {_RECEIVER_S:g} s")
+    if ended[0] is not None:
+        raise ended[0]
+
+
+@contextmanager
+def _rights_of_owner(folder: Path) -> Iterator[None]:
+    """Have the rights of a folder's owner meanwhile: root could read files that the service cannot."""
+    if os.geteuid() != 0 or not folder.exists():
+        yield
+        return
+    owner, groups = folder.stat(), os.getgroups()
+    os.setgroups([owner.st_gid])
+    os.setegid(owner.st_gid)
+    os.seteuid(owner.st_uid)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.setegid(0)
+        os.setgroups(groups)
 
 
 def _checked(what: str, check_it: Callable[[], tuple[Outcome, str]]) -> CheckResult:

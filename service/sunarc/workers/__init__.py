@@ -14,7 +14,7 @@ from sunarc.workers.condition_times import ConditionTimesWorker
 from sunarc.workers.database_file import DatabaseWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.feeding.feed import FeedWorker
-from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions
+from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions, HubRefusal
 from sunarc.workers.fit_input import points_of
 from sunarc.workers.housekeeping import HousekeepingWorker
 from sunarc.workers.images.compose import ComposeWorker
@@ -62,6 +62,7 @@ __all__ = [
     "HousekeepingWorker",
     "HubConnection",
     "HubOptions",
+    "HubRefusal",
     "LensPriorOptions",
     "MoonCapture",
     "MoonExposures",

@@ -196,6 +196,11 @@ MESSAGES = Messages(
         "Messages wait in the archive and are sent later, in their order.",
         "check the receiver, the network, and the settings in [push] (address, certificate, login)",
     ),
+    push_unusable=Message(
+        "messages cannot be sent to {name}: {error}",
+        "A file or a library that this receiver needs is missing here; messages wait in the archive. All else goes on.",
+        "make the file that is named readable for the service's user, or correct [push]; retried every minute",
+    ),
     push_refused=Message(
         "{name} refuses messages, {n:g} until now, the last of kind {kind}: {error}",
         "They are not sent again; later ones are.",

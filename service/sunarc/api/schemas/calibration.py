@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
+import sunarc
 from sunarc.api.schemas.parameters import (
     AnsweringId,
     Answers,
@@ -187,7 +188,7 @@ class Status(BaseModel):
     health: Annotated[Health, described("The worst of the reasons' severities; `ready` without one.")]
     reasons: Annotated[tuple[Reason, ...], described("Why it is degraded or not ready; empty when it is ready.")]
     findings: FindingsJson
-    version: Annotated[str, described("The software's version.", "0.2.0")]
+    version: Annotated[str, described("The software's version.", sunarc.__version__)]
     camera_name: Annotated[str, described("Name of this service's camera.", "imager")]
     started_at: Time
     frame_time: Time = Field(description="The current time of the frames' clock.")

@@ -22,6 +22,7 @@ from sunarc.calibration import (
     find_pose_steps,
 )
 from sunarc.findings import Finding
+from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import Clock
 from sunarc.sky import Site
@@ -145,6 +146,7 @@ def _in_child(
         exit_code = _exit_code(process)
         if clock.wait(stop, _STOP_FOLLOWS_S):  # one stop ends both, and the child a moment before this is reached
             return None
+        set_aside_after_exit(exit_code)
         raise SolverDiedError(Finding("solver_died", {"end": _end(exit_code)})) from None
     finally:
         receiving.close()

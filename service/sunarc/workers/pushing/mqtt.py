@@ -47,11 +47,7 @@ class MqttBroker:
     options : with an address.
     states : returns the cameras as they are, by name.
     clock : real time.
-
-    Raises
-    ------
-    ConfigurationError : a file cannot be read.
-    InputError : the extra is not installed.
+    client : what this service is called at the broker.
     """
 
     name = "mqtt"
@@ -59,12 +55,12 @@ class MqttBroker:
     def __init__(
         self, options: PushOptions, *, states: Callable[[], Mapping[str, CameraState]], clock: Clock, client: str
     ) -> None:
-        self._mqtt = extra_module("paho.mqtt.client", extra="mqtt")
+        self._mqtt: Any = None
         url = urllib.parse.urlsplit(options.mqtt or "")
         tls = url.scheme == "mqtts"
         self._host, self._port = url.hostname or "", url.port or (8883 if tls else 1883)
         self._context = ssl.create_default_context() if tls else None
-        self._login = read_login(options.mqtt_login_file)
+        self._login_file = options.mqtt_login_file
         self._availability = f"{_ROOT}/{topic_name(client)}/availability"
         self._states, self._clock = states, clock
         self._connection: Client | None = None
@@ -93,6 +89,15 @@ class MqttBroker:
         for info in under_way:
             self._wait_for(client, info)
 
+    def probe(self) -> None:
+        """Connect and log in, and end the connection; nothing is published."""
+        try:
+            client = self._log_in(self._new_client())  # without a last will: the service may be connected meanwhile
+            client.disconnect()
+            client.loop(_TURN_S)
+        finally:
+            self.close(orderly=False)
+
     def deliver(self, notice: Notice) -> None:
         """Publish a notice, and wait for the broker's receipt."""
         self._publish(self._connected(), f"{camera_topic(notice.camera)}/events", json.dumps(message_of(notice)))
@@ -117,25 +122,31 @@ class MqttBroker:
     def _connected(self) -> Client:
         if self._connection is None:
             client = self._new_client()
-            try:
-                client.connect(self._host, self._port, keepalive=_KEEP_ALIVE_S)
-            except (OSError, ValueError) as error:
-                raise OutsideError(f"broker {self._host}: {error}") from error
-            self._connection = client
-            self._until(client, lambda: bool(self._accepted), "did not answer")
-            if self._accepted[0] is not None:
-                raise OutsideError(f"broker {self._host} refuses: {self._accepted[0]}")
-            self._publish(client, self._availability, _ONLINE, retain=True)
+            client.will_set(self._availability, _OFFLINE, qos=1, retain=True)
+            self._publish(self._log_in(client), self._availability, _ONLINE, retain=True)
+            return client
         return self._connection
 
+    def _log_in(self, client: Client) -> Client:
+        try:
+            client.connect(self._host, self._port, keepalive=_KEEP_ALIVE_S)
+        except (OSError, ValueError) as error:
+            raise OutsideError(f"broker {self._host}: {error}") from error
+        self._connection = client
+        self._until(client, lambda: bool(self._accepted), "did not answer")
+        if self._accepted[0] is not None:
+            raise OutsideError(f"broker {self._host} refuses: {self._accepted[0]}")
+        return client
+
     def _new_client(self) -> Client:
+        self._mqtt = extra_module("paho.mqtt.client", extra="mqtt")
+        login = read_login(self._login_file)
         client: Client = self._mqtt.Client(self._mqtt.CallbackAPIVersion.VERSION2, protocol=self._mqtt.MQTTv311)
         client.connect_timeout = _WITHIN_S
-        if self._login is not None:
-            client.username_pw_set(*self._login)
+        if login is not None:
+            client.username_pw_set(*login)
         if self._context is not None:
             client.tls_set_context(self._context)
-        client.will_set(self._availability, _OFFLINE, qos=1, retain=True)
         accepted: list[str | None] = []
         self._accepted = accepted
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from sunarc.archive import Archive, Notice
-from sunarc.errors import OutsideError
+from sunarc.errors import ConfigurationError, InputError, OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.messages import worker_code
 from sunarc.runtime.status import Reason, StatusRegistry
@@ -20,7 +20,7 @@ _LONGEST_WAIT_S = 60.0
 _MOST_AT_ONCE = 50
 _FAILING_S = 60.0
 """A receiver that was not reached for so long is a condition; a restart of it is shorter."""
-_FAILING, _REFUSED = "push_failing", "push_refused"
+_FAILING, _REFUSED, _UNUSABLE = "push_failing", "push_refused", "push_unusable"
 
 
 class NoticeRefusedError(Exception):
@@ -28,9 +28,12 @@ class NoticeRefusedError(Exception):
 
 
 class Sink(Protocol):
-    """A receiver."""
+    """A receiver; a file or an extra that is missing here is a ConfigurationError or InputError of its calls."""
 
     name: str
+
+    def probe(self) -> None:
+        """Connect as for a message, and send none; OutsideError where it cannot be reached."""
 
     def refresh(self) -> None:
         """Show how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached."""
@@ -88,8 +91,13 @@ class PushWorker:
         except OutsideError as error:
             self._sink.close(orderly=False)
             return self._failed(str(error))
+        except (ConfigurationError, InputError) as error:
+            self._sink.close(orderly=False)
+            self._show(_UNUSABLE, condition_of(_UNUSABLE, self._sink.name, error=str(error)))
+            return _LONGEST_WAIT_S
         self._failures, self._reached_s = 0, self._clock.monotonic()
         self._show(_FAILING, None)
+        self._show(_UNUSABLE, None)
         return 0.0 if len(notices) == _MOST_AT_ONCE else _POLL_S
 
     def _deliver(self, notice: Notice) -> None:

@@ -24,6 +24,7 @@ from sunarc.workers.pushing.push import NoticeRefusedError
 
 _WITHIN_S = 15.0
 """From the beginning of the connection to the status line of the answer; a worker may be silent for 120 s."""
+_LEAST_S = 0.01
 _MOST_ADDRESSES = 4
 """Of a host that has many."""
 _RETRIED = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
@@ -38,29 +39,37 @@ class Webhook:
     Parameters
     ----------
     url : checked address.
-    secret_file : with the key of the signature.
+    secret_file : with the key of the signature; read when it is first needed.
     clock : real time.
-
-    Raises
-    ------
-    ConfigurationError : a file cannot be read.
     """
 
     def __init__(self, url: str, *, secret_file: Path | None, clock: Clock) -> None:
         self.name = webhook_name(url)
         self._url = urllib.parse.urlsplit(url)
-        self._key = read_secret(secret_file)
+        self._secret_file = secret_file
+        self._key = b""
         self._context = ssl.create_default_context() if self._url.scheme == "https" else None
         self._clock = clock
 
     def refresh(self) -> None:
-        """Do nothing: a webhook keeps no state."""
+        """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
+        self._key = self._key or read_secret(self._secret_file)
+
+    def probe(self) -> None:
+        """Read the key, connect, and end the connection."""
+        self.refresh()
+        until_s = self._clock.monotonic() + _WITHIN_S
+        try:
+            _connected(self._url, self._context, lambda: max(until_s - self._clock.monotonic(), _LEAST_S)).close()
+        except (OSError, ValueError) as error:
+            raise OutsideError(f"{self._url.hostname}: {error}") from error
 
     def close(self, *, orderly: bool) -> None:
         """Do nothing: every notice has a connection of its own."""
 
     def deliver(self, notice: Notice) -> None:
         """Post a notice, and wait for the status of the answer."""
+        self.refresh()
         body = json.dumps(message_of(notice), separators=(",", ":")).encode()
         timestamp = str(int(self._clock.now().timestamp()))
         headers = {
