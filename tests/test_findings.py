@@ -8,7 +8,7 @@ import math
 import pytest
 
 from sunarc.calibration import messages
-from sunarc.findings import Finding, Message, Messages, findings_of, from_json, uncoded
+from sunarc.findings import Finding, Message, Messages, findings_of, from_json, significant, uncoded
 
 ROOM = Messages(too_hot=Message("{what}: {value:.1f} °C (at most {limit:g} °C)", "Hot.", "cool {what}"))
 
@@ -17,6 +17,21 @@ def test_the_sentence_and_the_remedy_are_made_of_the_data() -> None:
     finding = Finding("too_hot", {"what": "sensor", "value": 61.26, "limit": 60.0})
     assert ROOM.text_of(finding) == "sensor: 61.3 °C (at most 60 °C)"
     assert ROOM.remedy_of(finding) == "cool sensor"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1.23456, "1.2"), (0.0058123, "0.0058"), (1234.56, "1235"), (12.34, "12"), (-0.999, "-1.0"), (0.0, "0.0"),
+     (math.nan, "unknown"), (None, "unknown")],
+)  # fmt: skip
+def test_a_number_is_shown_with_its_significant_digits(value: float | None, text: str) -> None:
+    assert significant(value, 2) == text
+
+
+def test_counts_take_a_plural_and_what_is_not_finite_is_unknown() -> None:
+    room = Messages(fit=Message("{n:sighting}, {days:day}, {sigma:~2} px, {rmse:.3f} px", "Fit."))
+    text = room.text_of(Finding("fit", {"n": 434, "days": 1, "sigma": 0.27849, "rmse": math.nan}))
+    assert text == "434 sightings, 1 day, 0.28 px, unknown px"
 
 
 @pytest.mark.parametrize("data", [{}, {"what": "sensor", "value": "hot", "limit": 1.0}])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import string
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -32,11 +34,38 @@ class Finding:
         return {"code": self.code, "data": data}
 
 
+class _Words(string.Formatter):
+    """`str.format`, with a count of things as `{n:day}` (1 day, 2 days) and two significant digits as `{x:~2}`."""
+
+    def format_field(self, value: object, format_spec: str) -> str:
+        if isinstance(value, float) and math.isnan(value):
+            return "unknown"
+        if format_spec.startswith("~") and isinstance(value, int | float):
+            return significant(value, int(format_spec[1:]))
+        if re.fullmatch("[a-z]{3,}", format_spec):
+            return f"{value} {format_spec}" + ("" if value == 1 else "s")
+        return str(super().format_field(value, format_spec))
+
+
+_WORDS = _Words()
+
+
+def significant(value: float | None, digits: int) -> str:
+    """Return a number with so many significant digits, without an exponent: 1.2345 is 1.2, and 1234.5 is 1234.
+
+    Digits before the point are all kept. None and what is not finite are `unknown`.
+    """
+    if value is None or not math.isfinite(value):
+        return "unknown"
+    leading = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded number: 0.999 is 1.0
+    return f"{value:.{max(digits - 1 - leading, 0)}f}"
+
+
 class Message(NamedTuple):
     """The message of a code.
 
-    text: the sentence, a template of `str.format` over the data. meaning: what it says of the service. action: what to
-    do about it, a template too.
+    text: the sentence, a template of `str.format` over the data; `{n:day}` is a count, `{x:~2}` has two digits.
+    meaning: what it says of the service. action: what to do about it, a template too.
     """
 
     text: str
@@ -57,7 +86,7 @@ class Messages(dict[str, Message]):
 
     def _filled(self, finding: Finding, column: int) -> str | None:
         try:
-            return self[finding.code][column].format_map(finding.data)
+            return _WORDS.vformat(self[finding.code][column], (), finding.data)
         except (KeyError, ValueError, TypeError):  # a stored finding of another version may lack a value
             return None
 

@@ -68,6 +68,28 @@ def test_some_nan_and_some_doubles_do_no_harm(clear_day: Simulated) -> None:
     assert {"dropped_not_finite", "dropped_duplicate_time"} <= set(codes(found.verdict.findings))
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_mirrored_track_says_so(clear_day: Simulated, swapped: bool) -> None:  # noqa: FBT001
+    x, y = clear_day.points.pixels.T
+    pixels = np.stack([y, x] if swapped else [SIZE[0] - 1 - x, y], axis=1)
+    found = calibrate(SunPoints(unix_s=clear_day.points.unix_s, pixels=pixels), site=clear_day.site, image_size=SIZE)
+    assert not found.verdict.accepted
+    first = found.verdict.findings[0]
+    assert (first.code, first.data["mirrored"]) == ("other_handedness_fits", "yes")
+
+
+def test_what_is_refused_for_another_reason_is_not_called_mirrored(clear_day: Simulated) -> None:
+    late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
+    assert "other_handedness_fits" not in _refused(late, clear_day.site)
+
+
+def test_an_image_size_that_is_too_large_is_doubted(clear_day: Simulated) -> None:
+    right = calibrate(clear_day.points, site=clear_day.site, image_size=SIZE)
+    assert "image_size_doubtful" not in codes(right.verdict.findings)
+    found = calibrate(clear_day.points, site=clear_day.site, image_size=(2048, 2048))
+    assert "image_size_doubtful" in codes(found.verdict.findings)
+
+
 def test_times_an_hour_off_say_what_else_would_explain_it(clear_day: Simulated) -> None:
     late = SunPoints(unix_s=clear_day.points.unix_s + 3600.0, pixels=clear_day.points.pixels)
     assert "camera_tilted_by_clock" in _refused(late, clear_day.site)

@@ -62,6 +62,28 @@ def test_few_sightings_do_not_name_a_projection() -> None:
     assert "projection_ambiguous" in [one.code for one in found.verdict.findings]
 
 
+def test_of_a_morning_the_hours_are_named_that_are_missing() -> None:
+    whole = _day(_lens("equidistant", 4), cadence_s=600.0, sigma_px=0.05)
+    found = calibrate_unknown_lens(
+        whole.select(np.arange(len(whole)) < len(whole) // 3),
+        site=pop.SGP,
+        image_size=SIZE,
+        options=CalibrationOptions(),
+    ).calibration
+    assert not found.verdict.accepted
+    (hours,) = [one.data for one in found.verdict.findings if one.code == "hours_missing"]
+    assert 2.0 <= float(hours["covered_h"]) <= 6.0
+    assert float(hours["up_h"]) > 2.0 * float(hours["covered_h"])
+
+
+def test_without_sightings_no_projection_is_called_probable() -> None:
+    nothing = _day(_lens("equidistant", 4)).select(np.zeros(0, dtype=np.int64))
+    choice = choose_projection(nothing, site=pop.SGP, image_size=SIZE, options=CalibrationOptions())
+    assert not choice.compared
+    found = calibrate_unknown_lens(nothing, site=pop.SGP, image_size=SIZE, options=CalibrationOptions()).calibration
+    assert [one.code for one in found.verdict.findings] == ["too_few_sightings"]
+
+
 def test_too_few_sightings_leave_the_named_one_and_say_so() -> None:
     points = _day(_lens("equidistant", 4), cadence_s=7200.0)
     options = CalibrationOptions(projection="orthographic")

@@ -23,6 +23,14 @@ def test_an_id_is_never_cut() -> None:
         assert ID in shown(row, width=width)
 
 
+def test_a_narrow_terminal_cuts_no_cell() -> None:
+    row: list[object] = ["roof", "moved", "2023-05-13T18:00\n2023-06-01T09:30", "+3600", "0.0031°"]
+    out = "".join(shown(row, width=50).split())
+    assert "…" not in out
+    for part in ("+3600", "moved"):
+        assert part in out
+
+
 def test_a_long_name_leaves_room_for_the_other_columns() -> None:
     row: list[object] = ["/srv/images/2013/05/14/" + 80 * "x" + ".png", "clear", "a", "b", 0.25]
     assert "clear" in shown(row, width=80)

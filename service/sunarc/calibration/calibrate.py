@@ -23,14 +23,17 @@ from sunarc.optics import Camera
 from sunarc.sky import Site
 
 _AMBIGUOUS = 3.0
-"""Half squares by which one hand must be the more plausible one."""
+"""Half squares by which one handedness must be the more plausible one."""
+_BETTER = 10.0
+"""Half squares by which the other handedness must be more plausible to be named as the cause of a refusal."""
 
 
 class Start(NamedTuple):
-    """First cameras, one an epoch, and what trying both hands said."""
+    """First cameras, one an epoch, what trying both hands said, and how implausible they are, in half squares."""
 
     cameras: list[Camera]
     handedness: Handedness
+    cost: float
 
 
 def calibrate(
@@ -90,11 +93,25 @@ def _calibrated(job: Job) -> Calibration:
     observed = observations(job.usable)
     picked = most_plausible_start(observed, job)
     if picked is None:
-        return refused(job, (*below_horizon(job.usable, job.options), Finding("no_camera_fits")))
+        against = (*below_horizon(job.usable, job.options), Finding("no_camera_fits"))
+        return _explained(refused(job, against), observed, job, math.inf)
     found = _fitted(job, observed, picked.cameras)
     if isinstance(found, Finding):
         return _calibrated(job._replace(usable=without_night(job.usable, found)))
-    return calibration_from_fit(found, job, picked.handedness)
+    return _explained(calibration_from_fit(found, job, picked.handedness), observed, job, picked.cost)
+
+
+def _explained(calibration: Calibration, observed: Observations, job: Job, cost: float) -> Calibration:
+    """Return a calibration; where it is refused and the other handedness is far more plausible, its verdict says so."""
+    verdict, known = calibration.verdict, job.options.mirrored
+    if verdict.accepted or known == "auto" or job.start is not None:
+        return calibration
+    other: Mirrored = "no" if known == "yes" else "yes"
+    tried = most_plausible_start(observed, job._replace(options=replace(job.options, mirrored=other)))
+    if tried is None or cost - tried.cost < _BETTER:
+        return calibration
+    found = Finding("other_handedness_fits", {"mirrored": other, "stated": known})
+    return replace(calibration, verdict=replace(verdict, findings=(found, *verdict.findings)))
 
 
 def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted | Finding:
@@ -131,4 +148,4 @@ def most_plausible_start(observed: Observations, job: Job) -> Start | None:
     if not math.isfinite(cost):
         return None
     ambiguous = len(found) > 1 and found[1][0] - cost < _AMBIGUOUS
-    return Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous))
+    return Start(cameras, Handedness(mirrored=hand_options.mirrored == "yes", ambiguous=ambiguous), cost)

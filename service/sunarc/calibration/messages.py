@@ -45,9 +45,9 @@ MESSAGES = Messages(
     ),
     not_evaluated=Message("the fit is not evaluated yet", "Never in a stored document."),
     # what a fit says of itself
-    fit_rmse=Message("{n} sightings of {days} days fit with an RMSE of {rmse_px:.3f} px", "Summary of the fit."),
+    fit_rmse=Message("{n:sighting} on {days:day} fit with an RMSE of {rmse_px:~2} px", "Summary of the fit."),
     direction_sigma=Message(
-        "direction uncertainty {sigma_deg:.4f}° (1-sigma per axis, RMS over the sky)", "Summary of the fit."
+        "direction uncertainty {sigma_deg:~2}° (1-sigma per axis, RMS over the sky)", "Summary of the fit."
     ),
     dropped_not_finite=Message("{n} sightings without a finite time or pixel were left out", "Input of the fit."),
     dropped_outside_image=Message(
@@ -98,9 +98,16 @@ MESSAGES = Messages(
         "a mirrored and an unmirrored camera fit alike", _REFUSED, "give --mirrored no or --mirrored yes"
     ),
     projection_ambiguous=Message(
-        "{n} sightings (at least {least} are needed) make {projection} 10^{log10_odds:.1f} times as probable as {next}",
+        "the sightings do not determine the lens's projection: of {n} (at least {least} are needed) {projection} is "
+        "10^{log10_odds:.1f} times as probable as {next} (at least 10^{least_log10_odds:.1f} are needed)",
         _REFUSED,
-        "name it with --projection, or collect sightings of a whole day",
+        "name the projection with --projection, or collect sightings of a whole clear day",
+    ),
+    other_handedness_fits=Message(
+        "the sightings fit far better with --mirrored {mirrored} (--mirrored {stated} is set): the image is mirrored "
+        "otherwise than stated, or x and y are swapped",
+        "Beside the reason for which the fit is refused.",
+        "give --mirrored {mirrored}, in the settings calibration.mirrored; or swap the columns x_px and y_px",
     ),
     rmse_too_large=Message(
         "RMSE of the sightings {rmse_px:.2f} px (at most {limit_px:g} px)",
@@ -117,7 +124,14 @@ MESSAGES = Messages(
         "look for a change of lens, focus, mount or image size within these days, and fit before and after it apart",
     ),
     direction_sigma_too_large=Message(
-        "direction uncertainty {sigma_deg:.2f}° (at most {limit_deg:g}°): the sightings cover too little of the sky",
+        "direction uncertainty {sigma_deg:~2}° (at most {limit_deg:g}°), of {n:sighting} on {days:day} that scatter by "
+        "{scatter_px:~2} px",
+        "The fit is refused. 2° is four times the sun's diameter: with more, clouds cannot be placed. `sunarc "
+        "reanalyse` takes fits of up to 30° to seek the changes of a camera by, and serves none of them.",
+        "collect sightings on further clear days; where they scatter by pixels, check times, site and mirroring",
+    ),
+    direction_sigma_unknown=Message(
+        "no direction uncertainty can be stated of {n:sighting} on {days:day}",
         _REFUSED,
         _MORE_DAYS,
     ),
@@ -127,6 +141,16 @@ MESSAGES = Messages(
         "The fit is refused. Thirds of a day, or whole days, were predicted by fits of the other sightings, and the "
         "errors compared with what these fits state, together and one by one.",
         "collect sightings of whole clear days; check the clock, the mount and the projection",
+    ),
+    hours_missing=Message(
+        "on {date} the sightings cover {covered_h:.1f} of {up_h:.1f} hours of sun; none at {missing} UTC",
+        "Beside the reason for which the fit is refused; of the day with most sightings.",
+        "collect sightings in these hours, or on further clear days",
+    ),
+    image_size_doubtful=Message(
+        "the principal point is {off_px:.0f} px, {share:.0%} of the image's shorter side, from the image's centre",
+        "The fit is used.",
+        "check the image size, and that the image is neither cropped nor scaled",
     ),
     tilt_too_large=Message(
         "camera tilt {tilt_deg:.1f}° (at most {limit_deg:g}°, --level-within): if the camera is level, the times "
@@ -141,16 +165,20 @@ MESSAGES = Messages(
         "check that the camera is tilted",
     ),
     camera_tilted_by_clock=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead it is level, which is "
-        "{odds:.2g} times as probable as such a tilt",
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; with clocks {hours:+g} h ahead, or at a "
+        "longitude of {longitude:.1f}, it is level (one thing to a camera), which is {odds:.2g} times as probable as "
+        "such a tilt",
         _ASKED,
-        "check the clock's zone (--utc-offset); where the camera is tilted, give --level-within",
+        "check the clock's zone (--utc-offset) and the longitude (east is positive); where the camera is tilted, give "
+        "--level-within",
     ),
     camera_tilted_by_longitude=Message(
-        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f} it is level, which is "
-        "{odds:.2g} times as probable as such a tilt",
+        "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a longitude of {longitude:.1f}, or with "
+        "clocks {hours:+.2g} h ahead, it is level (one thing to a camera), which is {odds:.2g} times as probable as "
+        "such a tilt",
         _ASKED,
-        "check the longitude (east is positive); where the camera is tilted, give --level-within",
+        "check the longitude (east is positive) and the clock's zone (--utc-offset); where the camera is tilted, give "
+        "--level-within",
     ),
     camera_tilted_by_latitude=Message(
         "the sightings fit a camera tilted by {tilt_deg:.1f}°; at a latitude of {latitude:.1f} it is level, which is "
@@ -208,7 +236,7 @@ MESSAGES = Messages(
     # a fit beside the active one
     first_calibration=Message("first calibration of this camera", "It becomes the active one."),
     direction_sigma_compared=Message(
-        "direction uncertainty {now_deg:.4f}° (was {before_deg:.4f}°)", "The fit becomes the active one."
+        "direction uncertainty {now_deg:~3}° (was {before_deg:~3}°)", "The fit becomes the active one."
     ),
     replaces_damaged=Message(
         "it replaces a damaged calibration",
@@ -216,7 +244,7 @@ MESSAGES = Messages(
         "check the disk",
     ),
     cross_validation_rmse=Message(
-        "cross-validation RMSE {rmse_px:.3f} px (expected {expected_px:.3f} px)", _ACTIVE_STAYS, _MORE_DAYS
+        "cross-validation RMSE {rmse_px:~2} px (expected {expected_px:~2} px)", _ACTIVE_STAYS, _MORE_DAYS
     ),
     handedness_differs=Message(
         "image handedness differs from the active calibration",
@@ -228,7 +256,7 @@ MESSAGES = Messages(
         _ACTIVE_STAYS,
     ),
     direction_sigma_increased=Message(
-        "direction uncertainty increased: {now_deg:.4f}° (was {before_deg:.4f}°)", _ACTIVE_STAYS, _MORE_DAYS
+        "direction uncertainty increased: {now_deg:~3}° (was {before_deg:~3}°)", _ACTIVE_STAYS, _MORE_DAYS
     ),
     contradicts_active=Message(
         "{share:.0%} of the sky contradicts the active calibration, by up to {distance_px:.2f} px: the camera may have "

@@ -26,7 +26,7 @@ from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.calibration.model.result import Verdict
 from sunarc.calibration.model.sightings import FilteredSightings, SunPoints, filter_sightings
 from sunarc.calibration.pose_change_points import Moved, calibrate_moved
-from sunarc.calibration.quality.fit_checks import before_fit
+from sunarc.calibration.quality.fit_checks import before_fit, missing_hours
 from sunarc.calibration.robust_loss import robust_sigma, tukey_loss
 from sunarc.findings import Finding
 from sunarc.optics import PROJECTIONS, Projection
@@ -50,6 +50,11 @@ class ProjectionChoice(NamedTuple):
     n: int
 
     @property
+    def compared(self) -> bool:
+        """Whether two projections or more could be fitted."""
+        return sum(math.isfinite(value) for value in self.log_evidence.values()) > 1
+
+    @property
     def finding(self) -> Finding:
         """How far the sightings decide: `projection_chosen` or `projection_ambiguous`, with the next best one."""
         others = {name: value for name, value in self.log_evidence.items() if name != self.projection}
@@ -63,6 +68,7 @@ class ProjectionChoice(NamedTuple):
                 "log10_odds": -max(others[name], _IMPOSSIBLE) / math.log(10.0),
                 "n": self.n,
                 "least": _FEWEST,
+                "least_log10_odds": STRONG_EVIDENCE / math.log(10.0),
             },
         )
 
@@ -88,8 +94,9 @@ def calibrate_unknown_lens(
     moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle)
     verdict = moved.calibration.verdict
     if finding.code == "projection_ambiguous" and verdict.accepted:
-        verdict = Verdict(accepted=False, findings=(finding,))
-    else:
+        hours = missing_hours(filter_sightings(points, site=site), site)
+        verdict = Verdict(accepted=False, findings=(finding, *hours))
+    elif choice.compared:
         verdict = replace(verdict, findings=(*verdict.findings, finding))
     return moved._replace(calibration=replace(moved.calibration, verdict=verdict))
 

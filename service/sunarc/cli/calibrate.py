@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from sunarc.calibration import CalibrationOptions, PriorTolerances
+from sunarc.calibration.messages import MESSAGES
 from sunarc.cli.lens_prior import (
     JointFile,
     JointFolder,
@@ -24,6 +25,7 @@ from sunarc.cli.lens_prior import (
 from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
+from sunarc.findings import findings_of, significant
 from sunarc.offline.calibrate_archive import calibrate_archive
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.cameras import parse_image_size
@@ -243,6 +245,7 @@ def _given(value: Value | None, name: str) -> Value:
 
 def _print_calibration(document: dict[str, Any]) -> None:
     model, metrics, verdict = document["model"], document["metrics"], document["verdict"]
+    sky = document["uncertainty"]
     rows: list[list[Any]] = [
         ["projection", model["projection"] + (", mirrored" if document["image"]["mirrored"] else "")],
         ["focal length", "{:.3f}, {:.3f} px".format(*model["focal_length_px"])],
@@ -252,13 +255,20 @@ def _print_calibration(document: dict[str, Any]) -> None:
         ["RMSE", _rmse(metrics)],
         [
             "1-sigma over the sky",
-            "{sky_rms_deg:.4f}° RMS, {sky_max_deg:.4f}° at most".format(**document["uncertainty"]),
+            f"{significant(sky['sky_rms_deg'], 2)}° RMS, {significant(sky['sky_max_deg'], 2)}° at most",
         ],
-        ["field beside the lens", _field(document["uncertainty"]["field"])],
+        ["field beside the lens", _field(sky["field"])],
         ["verdict", "accepted" if verdict["accepted"] else "marginal" if verdict["marginal"] else "refused"],
         *(["", reason] for reason in verdict["reasons"]),
+        *(["remedy", remedy] for remedy in _remedies(verdict)),
     ]
     Console(soft_wrap=True).print(table(("", ""), rows))
+
+
+def _remedies(verdict: dict[str, Any]) -> list[str]:
+    """Return what to do about a calibration that is not accepted, each once."""
+    found = [] if verdict["accepted"] else [MESSAGES.remedy_of(finding) for finding in findings_of(verdict)]
+    return [one for one in dict.fromkeys(found) if one != "none"]
 
 
 def _field(field: dict[str, Any]) -> str:
@@ -273,4 +283,4 @@ def _rmse(metrics: dict[str, Any]) -> str:
     """Return the RMSE in words; what was refused before a fit has none."""
     if metrics["rmse_px"] is None or metrics["rmse_deg"] is None:
         return "no fit"
-    return f"{metrics['rmse_px']:.4f} px, {metrics['rmse_deg']:.5f}°"
+    return f"{significant(metrics['rmse_px'], 2)} px, {significant(metrics['rmse_deg'], 2)}°"

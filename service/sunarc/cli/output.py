@@ -19,13 +19,15 @@ def print_json(value: Any) -> None:  # noqa: ANN401 - whatever JSON holds
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """Return a table; None is an empty cell, a float has three places.
 
-    The first column names a row; where the names are short (ids), a narrow terminal cuts the other columns first.
+    The first column names a row; where the names are short (ids), a narrow terminal breaks the other columns first.
     """
     cells = [
         ["" if cell is None else f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row]
         for row in rows
     ]
     made = Table(*columns)
+    for column in made.columns:
+        column.overflow = "fold"  # a narrow terminal breaks a cell, and cuts none
     if columns and max((len(row[0]) for row in cells), default=0) <= _NAME_CHARACTERS:
         made.columns[0].no_wrap = True
         made.columns[0].overflow = "ignore"

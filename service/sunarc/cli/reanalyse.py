@@ -16,6 +16,7 @@ from sunarc.cli.options import SITE, AsJson, DetectionMethod, choice_of
 from sunarc.cli.output import print_json, table
 from sunarc.cli.progress import progress_bars
 from sunarc.errors import InputError
+from sunarc.findings import significant
 from sunarc.offline.cameras import parse_image_size
 from sunarc.offline.detect_files import METHODS
 from sunarc.offline.image_names import utc_offset_of
@@ -70,7 +71,8 @@ def reanalyse_archive(
 ) -> None:
     """Find every sun in an archive of images, the epochs of its cameras, and a calibration for each.
 
-    Exits 1 where no epoch has a calibration, or one does not explain its days (a change of lens that was not found).
+    Exits 1 where a camera has no image that can be used, no epoch has a calibration, or one does not explain its days
+    (a change of lens that was not found).
 
     Example: sunarc reanalyse images/ --latitude 36.6 --longitude -97.5 --altitude 318 --utc-offset 0 -o result
     """
@@ -96,7 +98,11 @@ def reanalyse_archive(
     else:
         _print(summary, target)
     unexplained = [one for one in summary.documents.values() if _is_unexplained(one)]
-    if unexplained or not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"]):
+    if (
+        indexed.refused
+        or unexplained
+        or not any(epoch["accepted"] for one in summary.report["cameras"] for epoch in one["epochs"])
+    ):
         raise typer.Exit(1)
 
 
@@ -167,17 +173,16 @@ def _print(summary: Summary, target: Path) -> None:
                 one["camera"],
                 epoch["epoch"],
                 epoch["cause"],
-                epoch["start"][:16],
-                epoch["end"][:16],
+                f"{epoch['start'][:16]}\n{epoch['end'][:16]}",
                 f"{epoch['clock_offset_s']:+.0f}",
                 epoch["sightings"],
-                epoch["rmse_px"],
-                epoch["sky_rms_deg"],
+                significant(epoch["rmse_px"], 2),
+                significant(epoch["sky_rms_deg"], 2),
                 "yes" if epoch["accepted"] else "no",
             )
             for epoch in one["epochs"]
         ]
-    header = ("camera", "epoch", "cause", "from", "to", "clock, s", "suns", "RMSE, px", "sky, °", "accepted")
+    header = ("camera", "epoch", "cause", "from, to", "clock, s", "suns", "RMSE, px", "sky, °", "ok")
     Console(soft_wrap=True).print(table(header, rows))
     images, suns = (sum(one[key] for one in summary.report["cameras"]) for key in ("images", "accepted"))
     left_out = sum(summary.report["failures"].values())

@@ -49,6 +49,9 @@ def test_a_wrong_zone_is_named_with_the_hours(hours: float) -> None:
     assert question is not None
     assert question.code == "camera_tilted_by_clock"
     assert question.data["hours"] == hours
+    # the longitude at which the camera would be level, too: 15 degrees an hour
+    turned = (float(question.data["longitude"]) - SITE.longitude + 15.0 * hours + 180.0) % 360.0 - 180.0
+    assert abs(turned) < 0.1
     assert 1.0 < float(question.data["odds"]) < 1e4
 
 
@@ -68,6 +71,7 @@ def test_the_wrong_sign_of_the_longitude_is_named() -> None:
     assert question is not None
     assert question.code == "camera_tilted_by_longitude"
     assert question.data["longitude"] == pytest.approx(23.7, abs=3.0)
+    assert float(question.data["hours"]) == pytest.approx(-2.0 * 23.7 / 15.04, abs=0.25)
     assert float(question.data["odds"]) > 1.0
 
 

@@ -125,8 +125,8 @@ async function refreshSky() {
   redrawSky();
   fillFacts("sun", {
     Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
-    "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px)}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
-    "Last sighting at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px)} (${moment(last.time)})` : "not yet",
+    "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px, " px")}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
+    "Last sighting at": last ? `${fixed(last.x_px, 2)}, ${fixed(last.y_px, 2)} px ± ${telling(last.sigma_px, " px")} (${moment(last.time)})` : "not yet",
   });
 }
 

@@ -15,6 +15,7 @@ from sunarc.calibration.quality.day_quality import arc_length_deg
 from sunarc.calibration.quality.explained_days import unexplained_days
 from sunarc.calibration.quality.tilt import tilt_question
 from sunarc.findings import Finding
+from sunarc.sky import Site, date_of_day, day_bounds_unix_s, sun_angles
 
 _FEWEST = 20
 _FEWEST_BELOW = 4
@@ -28,6 +29,13 @@ _OVER_STATED = 1.5
 """RMSE over that of the stated sigmas that is no fault of the camera: detectors state theirs to a factor of 1.5."""
 _KNOWN_LENS_SKY_DEG = 2.0
 """1-sigma over the sky that may be stated where the lens is known: such a pose is there until a full fit is."""
+_HOUR_S = 3600.0
+_FEW_HOURS = 0.2
+"""Share of the hours of sun that a whole day may lack."""
+_LOW_SUN_DEG = 85.0
+"""Zenith angle, degrees, up to which a sun is expected to be seen."""
+_OFF_CENTER = 0.04
+"""Share of the image's shorter side by which lenses lie off their sensor's middle at most."""
 _LEAST_ANGLE_DEG = 20.0
 """Angle from the axis up to which the radius of any fisheye rises."""
 
@@ -105,11 +113,23 @@ def fit_verdict(
         found.append(Finding("provisional"))
     if options.mirrored == "auto":
         found.append(Finding("mirrored" if handedness.mirrored else "not_mirrored"))
+    found += _off_center(calibration)
     if question is None or options.level_within_deg is not None:
         return Verdict(accepted=True, findings=tuple(found))
     # a camera that was bumped has been level before, by the same clock and at the same place
     doubtful = float(question.data["odds"]) > 1.0 and calibration.evidence.options.get("free") != "pose"
     return Verdict(accepted=not doubtful, marginal=doubtful, findings=(question, *found))
+
+
+def _off_center(calibration: Calibration) -> Iterator[Finding]:
+    """Yield that the image size is doubtful, where the lens surely lies far off the middle of the image."""
+    camera, names = calibration.camera, calibration.parameter_names
+    offset = np.subtract(camera.principal_point_px, [(camera.width - 1) / 2.0, (camera.height - 1) / 2.0])
+    places = [names.index(name) for name in ("principal_point_x_px", "principal_point_y_px") if name in names]
+    sigma = math.sqrt(float(np.sum(np.diag(calibration.covariance)[places])))
+    off, side = float(np.linalg.norm(offset)), min(camera.width, camera.height)
+    if off - 2.0 * sigma > _OFF_CENTER * side:
+        yield Finding("image_size_doubtful", {"off_px": off, "share": off / side})
 
 
 def _against_scatter(
@@ -131,8 +151,33 @@ def _against_scatter(
             yield unexplained
     known = calibration.evidence.options.get("free", "all") != "all"
     largest_deg = max(options.max_sky_deg, _KNOWN_LENS_SKY_DEG if known else 0.0)
+    seen = {"n": calibration.metrics.n, "days": len(calibration.evidence.days)}
+    if not math.isfinite(sigma):
+        yield Finding("direction_sigma_unknown", seen)
+    elif sigma > largest_deg:
+        scatter = {"scatter_px": calibration.evidence.sigma_px}
+        limits = {"sigma_deg": sigma, "limit_deg": largest_deg}
+        yield Finding("direction_sigma_too_large", {**limits, **seen, **scatter})
     if not sigma <= largest_deg:
-        yield Finding("direction_sigma_too_large", {"sigma_deg": sigma, "limit_deg": largest_deg})
+        yield from missing_hours(usable, calibration.site)
+
+
+def missing_hours(usable: FilteredSightings, site: Site) -> Iterator[Finding]:
+    """Yield the hours of sun without a sighting, of the day with most sightings; nothing where few are missing."""
+    days, counts = np.unique(usable.day, return_counts=True)
+    if days.size == 0:
+        return
+    day = date_of_day(int(days[np.argmax(counts)]))
+    first, last = day_bounds_unix_s(day, longitude=site.longitude)
+    hours = np.arange(math.ceil(first / _HOUR_S), math.ceil(last / _HOUR_S))
+    up = hours[sun_angles((hours + 0.5) * _HOUR_S, site).apparent_zenith < _LOW_SUN_DEG]
+    missing = np.setdiff1d(up, np.floor(usable.unix_s / _HOUR_S))
+    if missing.size <= _FEW_HOURS * up.size:
+        return
+    runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1)
+    text = ", ".join(f"{int(run[0]) % 24:02d}:00 to {(int(run[-1]) + 1) % 24:02d}:00" for run in runs)
+    covered = float(up.size - missing.size)
+    yield Finding("hours_missing", {"date": str(day), "covered_h": covered, "up_h": float(up.size), "missing": text})
 
 
 def _largest_rmse_px(usable: FilteredSightings, options: CalibrationOptions) -> float:

@@ -46,8 +46,9 @@ class _Explanation(NamedTuple):
 def tilt_question(camera: Camera, site: Site) -> Finding | None:
     """Return what else than a tilt may be behind a tilted camera, with its odds; None where it is level to 5 degrees.
 
-    The data are `tilt_deg`; the `hours` that the clocks are ahead, or the `longitude` or `latitude`, that make the
-    camera level; and `odds`, how much more probable that is than a real tilt: 0 where nothing simple makes it level.
+    The data are `tilt_deg`; the `hours` that the clocks are ahead and the `longitude`, either of which makes the
+    camera level, or the `latitude` that does; and `odds`, how much more probable that is than a real tilt: 0 where
+    nothing simple makes it level.
     """
     axis = rotation_matrix(camera.rotation_cam_enu)[2]
     tilt_deg = float(angles_from_direction(axis)[0])
@@ -57,11 +58,11 @@ def tilt_question(camera: Camera, site: Site) -> Finding | None:
     odds = best.density / (_NO_MISTAKE * float(_mounted(axis)))
     if odds < _NOT_WORTH_ASKING:
         return Finding("camera_tilted", {"tilt_deg": tilt_deg, "odds": 0.0})
-    level = {
-        "camera_tilted_by_clock": {"hours": best.turn_deg / _TURN_DEG_PER_H},
-        "camera_tilted_by_longitude": {"longitude": float(wrapped_deg(site.longitude - best.turn_deg))},
-        "camera_tilted_by_latitude": {"latitude": site.latitude + best.turn_deg},
-    }[best.code]
+    if best.code == "camera_tilted_by_latitude":
+        level = {"latitude": site.latitude + best.turn_deg}
+    else:  # a turn about the pole is one thing to a camera, whichever of the two is wrong
+        hours, longitude = best.turn_deg / _TURN_DEG_PER_H, float(wrapped_deg(site.longitude - best.turn_deg))
+        level = {"hours": hours, "longitude": longitude}
     return Finding(best.code, {**level, "tilt_deg": tilt_deg, "odds": odds})
 
 
