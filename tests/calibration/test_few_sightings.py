@@ -44,7 +44,10 @@ def test_the_noise_of_twenty_sightings_is_found(days: int, sigma_px: float) -> N
         fit = calibrate(points, site=SGP, image_size=(truth.width, truth.height))
         # of 40 numbers nearly all are needed for 20 unknowns
         assert fit.evidence.n_used >= N - 2
-        assert fit.verdict.accepted or codes(fit.verdict.findings) == ["direction_sigma_too_large"]
+        assert fit.verdict.accepted or set(codes(fit.verdict.findings)) <= {
+            "direction_sigma_too_large",
+            "hours_missing",
+        }
         noise.append(fit.evidence.sigma_px / sigma_px)
         covered.append(_covered(fit, truth))
     assert 0.7 < np.median(noise) < 1.3

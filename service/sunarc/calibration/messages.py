@@ -126,7 +126,8 @@ MESSAGES = Messages(
     direction_sigma_too_large=Message(
         "direction uncertainty {sigma_deg:~2}° (at most {limit_deg:g}°), of {n:sighting} on {days:day} that scatter by "
         "{scatter_px:~2} px",
-        "The fit is refused. 2° is four times the sun's diameter: with more, clouds cannot be placed. `sunarc "
+        "The fit is refused. 1.5° is three times the sun's diameter (2° with a known lens): with more, clouds cannot "
+        "be placed. `sunarc "
         "reanalyse` takes fits of up to 30° to seek the changes of a camera by, and serves none of them.",
         "collect sightings on further clear days; where they scatter by pixels, check times, site and mirroring",
     ),

@@ -128,7 +128,7 @@ def _off_center(calibration: Calibration) -> Iterator[Finding]:
     places = [names.index(name) for name in ("principal_point_x_px", "principal_point_y_px") if name in names]
     sigma = math.sqrt(float(np.sum(np.diag(calibration.covariance)[places])))
     off, side = float(np.linalg.norm(offset)), min(camera.width, camera.height)
-    if off - 2.0 * sigma > _OFF_CENTER * side:
+    if places and off - 2.0 * sigma > _OFF_CENTER * side:
         yield Finding("image_size_doubtful", {"off_px": off, "share": off / side})
 
 
