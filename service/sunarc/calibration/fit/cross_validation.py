@@ -17,6 +17,7 @@ from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.fit.robust_fit import RobustFit, stated_posterior
 from sunarc.calibration.fit.robust_rounds import robust_camera
 from sunarc.calibration.least_squares.problem import Problem
+from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.residual_field import WaveBasis
 from sunarc.calibration.model.sightings import FilteredSightings
 
@@ -147,11 +148,13 @@ def doubts(fit: RobustFit, usable: FilteredSightings) -> Doubts:
     covariance of each part, and one by one.
     """
     course = Course.of(usable)
+    # the sun's track is judged: whether stars agree with it is a question of its own (`night_check`)
+    judged = (usable.kind == Kind.SUN) & (fit.weight > 0.0)
     parts = [
-        _met(_refitted(fit, usable, ~out), fit, course, out)
+        _met(_refitted(fit, usable, ~out), fit, course, out & judged)
         for out in _left_out(usable)
         # a pose that no other day has cannot be predicted
-        if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size and np.any(fit.weight[out] > 0.0)
+        if not np.setdiff1d(usable.epoch[out], usable.epoch[~out]).size and np.any(out & judged)
     ]
     widening = _widening(fit, usable)
     if not parts:
