@@ -158,7 +158,7 @@ def test_the_field_of_the_other_days_is_part_of_the_prediction() -> None:
 
 def _apart(usable: FilteredSightings) -> FilteredSightings:
     """Return sightings ten minutes apart: each has a bin of its own."""
-    return replace(usable, unix_s=600.0 * np.arange(len(usable)))
+    return replace(usable, unix_s=600.0 * np.arange(len(usable), dtype=np.float64))
 
 
 def test_parts_are_predicted_within_chance_and_a_part_from_elsewhere_is_not() -> None:
