@@ -63,6 +63,12 @@ print([name for name in {others} if name in sys.modules])
     assert _answer(code) == "[]"
 
 
+def test_a_fit_of_a_file_loads_neither_the_service_nor_the_settings() -> None:
+    service = ("fastapi", "uvicorn", "prometheus_client", "sunarc.api", "sunarc.workers")
+    code = f"import sys, sunarc.cli.calibrate; print([name for name in {service} if name in sys.modules])"
+    assert _answer(code) == "[]"
+
+
 def test_the_list_of_commands_says_what_each_says_of_itself() -> None:
     for name, listed in main._COMMANDS.items():
         found = getattr(__import__(f"sunarc.cli.{listed.module}", fromlist=[listed.name]), listed.name)

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused
 from sunarc.calibration.fit.night_check import contradiction, without_night
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
@@ -91,20 +91,18 @@ def _calibrated(job: Job) -> Calibration:
     picked = most_plausible_start(observed, job)
     if picked is None:
         return refused(job, (*below_horizon(job.usable, job.options), Finding("no_camera_fits")))
-    found = _fitted(job, observed, picked.cameras)
-    if isinstance(found, Finding):
-        return _calibrated(job._replace(usable=without_night(job.usable, found)))
-    return calibration_from_fit(found, job, picked.handedness)
+    if job.options.method == "paper":
+        by_paper = fit_as_paper(observed, job.usable, picked.cameras, options=job.options)
+        return calibration_from_fit(by_paper, job, picked.handedness)
+    return calibration_of(robust_fit(observed, job, picked.cameras), job, picked)
 
 
-def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted | Finding:
-    """Return the fit by the method of the options, or by what the night contradicts the day."""
-    options = job.options
-    if options.method == "paper":
-        return fit_as_paper(observed, job.usable, cameras, options=options)
-    fit = robust_fit(observed, job, cameras)
+def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
+    """Return the calibration that a robust fit makes; that of the day alone where the night contradicts it."""
     found = contradiction(fit, job.usable)
-    return robust_outcome(fit, job.usable, options, parts=job.parts) if found is None else found
+    if found is not None:
+        return _calibrated(job._replace(usable=without_night(job.usable, found)))
+    return calibration_from_fit(robust_outcome(fit, job.usable, job.options, parts=job.parts), job, picked.handedness)
 
 
 def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:

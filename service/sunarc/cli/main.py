@@ -89,7 +89,8 @@ _COMMANDS = {
     "check": _Command(
         "service",
         "check",
-        "Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something fails.",
+        "Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something "
+        "fails.",
     ),
     "points": _Command("database", "points_cli", "Sun sightings in and out of the archive, as CSV."),
     "db": _Command("database", "db_cli", "The archive's database."),
