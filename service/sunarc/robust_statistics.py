@@ -25,7 +25,7 @@ def mad_sigma(residuals: FloatArray) -> float:
     return MAD_TO_SIGMA * median_of(np.abs(residuals).ravel())
 
 
-def cauchy_weights(distance: FloatArray, *, scale: float) -> FloatArray:
+def cauchy_weights(distance: FloatArray, *, scale: float | FloatArray) -> FloatArray:
     """Return the weights 1 / (1 + (d / scale)²) of least squares for Cauchy's loss."""
     return np.asarray(1.0 / (1.0 + (distance / scale) ** 2))
 

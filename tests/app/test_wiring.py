@@ -25,7 +25,7 @@ from sunarc.app.recording import imager_recording
 from sunarc.app.serving import Server, _monitored, _schedule, serve, with_credentials
 from sunarc.archive import ELSEWHERE, open_archive, upgrade
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
-from sunarc.cli import main
+from sunarc.cli import service as commands
 from sunarc.detection import Detection
 from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import ClockState, VirtualClock
@@ -258,9 +258,9 @@ def test_the_simulated_imager_gets_what_the_command_was_given(monkeypatch: pytes
     runs: list[ImagerOptions] = []
     handlers = {one: signal.getsignal(one) for one in (signal.SIGTERM, signal.SIGINT)}
     monkeypatch.setattr(simulating, "run_imager", lambda options, *_, **__: runs.append(options))
-    monkeypatch.setattr(main, "start_log", lambda _: None)
+    monkeypatch.setattr(commands, "start_log", lambda _: None)
     try:
-        main.simulate(
+        commands.simulate(
             address="127.0.0.3", start=NOON.isoformat(), speed=60.0, lens_seed=4, clouds="veil",
             nd_transmission=0.02, ghost=0.1, sun_cover=0.3, blooming=0.4, moon=(40.0, 120.0),
         )  # fmt: skip

@@ -16,10 +16,10 @@ from real_like_tracks import Draw, drawn_aside, real_like_track
 from sunarc.calibration import CalibrationOptions, SunPoints, calibrate, hemisphere, project_with_covariance
 from sunarc.calibration.fit.hyperparameter_grid import scale_grid
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
+from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.initial_guess.multistart import lowest
 from sunarc.calibration.least_squares.priors import lens_prior
 from sunarc.calibration.least_squares.problem import Observations, Problem, observations, problem_for
-from sunarc.calibration.least_squares.time_bins import Bins
 from sunarc.calibration.model.sightings import filter_sightings
 from sunarc.optics import project, rotation_matrix
 from sunarc.sky import Site, sun_directions
@@ -85,22 +85,22 @@ def test_where_every_second_sighting_states_far_more_that_is_stated() -> None:
     assert finding.data["factor"] == factor
 
 
-def _problem(track_seed: int) -> tuple[Problem, Observations, NDArray[np.float64]]:
-    """Return the problem of a clear track, its sightings and the unknowns of a camera near the truth."""
+def _problem(track_seed: int) -> tuple[Problem, Observations, Course, NDArray[np.float64]]:
+    """Return the problem of a clear track, its sightings, their course and the unknowns of a camera near the truth."""
     track = real_like_track(track_seed, EQUIDISTANT, cloud="none", tilt_deg=2.0, half_day=False, gaps=False)
     fit = calibrate(track.points, site=track.site, image_size=track.image_size, options=track.options)
     prior = lens_prior(fit.camera, tolerances=track.options.tolerances, circle=None, field_angle=np.pi / 2)
     problem = problem_for(fit.camera, prior, n_epochs=1)
-    return problem, observations(filter_sightings(track.points, site=track.site)), problem.unknowns([fit.camera])
+    usable = filter_sightings(track.points, site=track.site)
+    return problem, observations(usable), Course.of(usable), problem.unknowns([fit.camera])
 
 
 def test_a_camera_that_misses_the_sightings_is_brought_back_and_a_good_one_stays() -> None:
-    problem, seen, good = _problem(7)
-    alone = Bins(member=np.arange(len(seen)), count=len(seen))
-    assert np.array_equal(at_least_least_squares(problem, seen, alone, good, sigma=0.8), good)
+    problem, seen, course, good = _problem(7)
+    assert np.array_equal(at_least_least_squares(problem, seen, course, good, sigma=0.8), good)
     missed = good.copy()
     missed[5] += 60.0
-    back = at_least_least_squares(problem, seen, alone, missed, sigma=0.8)
+    back = at_least_least_squares(problem, seen, course, missed, sigma=0.8)
     residual = [float(np.median(np.linalg.norm(problem.residuals(at, seen), axis=-1))) for at in (good, missed, back)]
     assert residual[1] > 1.5 * residual[0]
     assert residual[2] < 1.1 * residual[0]

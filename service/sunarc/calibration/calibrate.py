@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from sunarc.calibration.fit.assemble import Fitted, Job, calibration_from_fit, refused
+from sunarc.calibration.fit.assemble import Job, calibration_from_fit, refused
 from sunarc.calibration.fit.night_check import contradiction, without_night
 from sunarc.calibration.fit.robust_fit import RobustFit, fit_robustly
 from sunarc.calibration.fit.robust_result import robust_outcome
@@ -94,34 +94,33 @@ def _calibrated(job: Job) -> Calibration:
     picked = most_plausible_start(observed, job)
     if picked is None:
         against = (*below_horizon(job.usable, job.options), Finding("no_camera_fits"))
-        return _explained(refused(job, against), observed, job, math.inf)
-    found = _fitted(job, observed, picked.cameras)
-    if isinstance(found, Finding):
-        return _calibrated(job._replace(usable=without_night(job.usable, found)))
-    return _explained(calibration_from_fit(found, job, picked.handedness), observed, job, picked.cost)
+        return _explained(refused(job, against), job, math.inf)
+    if job.options.method == "paper":
+        by_paper = fit_as_paper(observed, job.usable, picked.cameras, options=job.options)
+        return _explained(calibration_from_fit(by_paper, job, picked.handedness), job, picked.cost)
+    return calibration_of(robust_fit(observed, job, picked.cameras), job, picked)
 
 
-def _explained(calibration: Calibration, observed: Observations, job: Job, cost: float) -> Calibration:
+def _explained(calibration: Calibration, job: Job, cost: float) -> Calibration:
     """Return a calibration; where it is refused and the other handedness is far more plausible, its verdict says so."""
     verdict, known = calibration.verdict, job.options.mirrored
     if verdict.accepted or known == "auto" or job.start is not None:
         return calibration
     other: Mirrored = "no" if known == "yes" else "yes"
-    tried = most_plausible_start(observed, job._replace(options=replace(job.options, mirrored=other)))
+    tried = most_plausible_start(observations(job.usable), job._replace(options=replace(job.options, mirrored=other)))
     if tried is None or cost - tried.cost < _BETTER:
         return calibration
     found = Finding("other_handedness_fits", {"mirrored": other, "stated": known})
     return replace(calibration, verdict=replace(verdict, findings=(found, *verdict.findings)))
 
 
-def _fitted(job: Job, observed: Observations, cameras: list[Camera]) -> Fitted | Finding:
-    """Return the fit by the method of the options, or by what the night contradicts the day."""
-    options = job.options
-    if options.method == "paper":
-        return fit_as_paper(observed, job.usable, cameras, options=options)
-    fit = robust_fit(observed, job, cameras)
+def calibration_of(fit: RobustFit, job: Job, picked: Start) -> Calibration:
+    """Return the calibration that a robust fit makes; that of the day alone where the night contradicts it."""
     found = contradiction(fit, job.usable)
-    return robust_outcome(fit, job.usable, options, parts=job.parts) if found is None else found
+    if found is not None:
+        return _calibrated(job._replace(usable=without_night(job.usable, found)))
+    outcome = robust_outcome(fit, job.usable, job.options, parts=job.parts)
+    return _explained(calibration_from_fit(outcome, job, picked.handedness), job, picked.cost)
 
 
 def robust_fit(observed: Observations, job: Job, cameras: list[Camera]) -> RobustFit:

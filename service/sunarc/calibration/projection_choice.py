@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunarc.calibration.calibrate import most_plausible_start, robust_fit
+from sunarc.calibration.calibrate import Start, calibration_of, most_plausible_start, robust_fit
 from sunarc.calibration.fit.assemble import Job
 from sunarc.calibration.fit.hyperparameter_grid import log_evidence, log_weights
 from sunarc.calibration.fit.marginal_likelihood import STRONG_EVIDENCE
@@ -73,6 +73,11 @@ class ProjectionChoice(NamedTuple):
         )
 
 
+class _Fit(NamedTuple):
+    start: Start
+    fit: RobustFit
+
+
 def calibrate_unknown_lens(
     points: SunPoints,
     *,
@@ -89,9 +94,15 @@ def calibrate_unknown_lens(
     ----------
     points, site, image_size, options, circle : as `calibrate_moved` takes them; the options' projection has no effect.
     """
-    choice = choose_projection(points, site=site, image_size=image_size, options=options, circle=circle)
+    job = _job(points, site, image_size, options, circle)
+    fits = _fits(job)
+    choice = _choice(fits, job)
     finding, options = choice.finding, replace(options, projection=choice.projection)
-    moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle)
+    solved = None
+    if fits and options.method == "robust":
+        of_lens = fits[choice.projection]
+        solved = calibration_of(of_lens.fit, job._replace(options=options, parts=True), of_lens.start)
+    moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
     verdict = moved.calibration.verdict
     if finding.code == "projection_ambiguous" and verdict.accepted:
         hours = missing_hours(filter_sightings(points, site=site), site)
@@ -116,19 +127,38 @@ def choose_projection(
     points, site, image_size, options, circle : as `calibrate` takes them; the options' projection is what is returned
         where no fit is possible.
     """
+    job = _job(points, site, image_size, options, circle)
+    return _choice(_fits(job), job)
+
+
+def _job(
+    points: SunPoints, site: Site, image_size: tuple[int, int], options: CalibrationOptions, circle: ImageCircle | None
+) -> Job:
     usable = filter_sightings(points, site=site, image_size=image_size)
-    observed, fits = observations(usable), {}
-    job = Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)
-    if not before_fit(usable, options):
-        for projection in PROJECTIONS:
-            one = job._replace(options=replace(options, projection=projection))
-            start = most_plausible_start(observed, one)
-            if start is not None:
-                fits[projection] = robust_fit(observed, one, start.cameras)
-    evidence = _log_evidences(fits, observed, usable) if fits else {options.projection: 0.0}
+    return Job(points=points, usable=usable, site=site, image_size=image_size, options=options, circle=circle)
+
+
+def _fits(job: Job) -> dict[Projection, _Fit]:
+    """Return the fit with each projection; none where none is possible."""
+    fits: dict[Projection, _Fit] = {}
+    if before_fit(job.usable, job.options):
+        return fits
+    observed = observations(job.usable)
+    for projection in PROJECTIONS:
+        one = job._replace(options=replace(job.options, projection=projection))
+        start = most_plausible_start(observed, one)
+        if start is not None:
+            fits[projection] = _Fit(start, robust_fit(observed, one, start.cameras))
+    return fits
+
+
+def _choice(fits: dict[Projection, _Fit], job: Job) -> ProjectionChoice:
+    """Return the most probable of some projections that were fitted."""
+    found = {name: one.fit for name, one in fits.items()}
+    evidence = _log_evidences(found, observations(job.usable), job.usable) if fits else {job.options.projection: 0.0}
     best = max(evidence, key=lambda name: evidence[name])
     relative = {name: evidence.get(name, -math.inf) - evidence[best] for name in PROJECTIONS}
-    return ProjectionChoice(best, relative, len(usable))
+    return ProjectionChoice(best, relative, len(job.usable))
 
 
 def _log_evidences(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -26,13 +26,13 @@ from sunarc.cli.options import SITE, Altitude, AsJson, Config
 from sunarc.cli.output import print_json, table
 from sunarc.errors import InputError
 from sunarc.findings import findings_of, significant
-from sunarc.offline.calibrate_archive import calibrate_archive
 from sunarc.offline.calibrate_files import calibrate_file, image_circle_of
 from sunarc.offline.cameras import parse_image_size
-from sunarc.offline.reproduce import solve_again
 from sunarc.runtime.clock import SystemClock
-from sunarc.settings import Settings, load_settings
 from sunarc.sky import Site
+
+if TYPE_CHECKING:
+    from sunarc.settings import Settings
 
 PRIOR = "A start as a prior"
 Value = TypeVar("Value")
@@ -130,6 +130,8 @@ def calibrate(
             focal_within,
             lens_prior,
         )
+        from sunarc.settings import load_settings  # noqa: PLC0415 - with the settings come all rooms
+
         calibrate_stored(load_settings(config), as_json=as_json)
         return
     if pose_only and start is None:
@@ -213,6 +215,8 @@ def _require_settings_only(*options: object) -> None:
 
 def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
     """Fit the camera to the archive's sightings, store and print the result; exit 1 when it is refused."""
+    from sunarc.offline.calibrate_archive import calibrate_archive  # noqa: PLC0415 - as above
+
     refit, document = calibrate_archive(settings, clock=SystemClock())
     if as_json:
         print_json({"state": refit.state, "message": refit.message, "calibration": document})
@@ -226,6 +230,9 @@ def calibrate_stored(settings: Settings, *, as_json: bool) -> None:
 
 
 def _solve_again(calibration_id: str, config: Path | None, *, as_json: bool) -> None:
+    from sunarc.offline.reproduce import solve_again  # noqa: PLC0415 - as above
+    from sunarc.settings import load_settings  # noqa: PLC0415
+
     result = solve_again(load_settings(config), calibration_id)
     if as_json:
         print_json(result)

@@ -1,4 +1,4 @@
-"""The codes of findings with their meaning and action, as the page docs/codes.md."""
+"""The command `sunarc codes`: the codes of findings with their meaning and action, as the page docs/codes.md."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import NamedTuple
 from sunarc.app.messages import MESSAGES as OF_APP
 from sunarc.archive.messages import MESSAGES as OF_ARCHIVE
 from sunarc.calibration.messages import MESSAGES as OF_CALIBRATION
+from sunarc.cli.options import AsJson
+from sunarc.cli.output import print_json
 from sunarc.detection.messages import MESSAGES as OF_DETECTION
 from sunarc.findings import Messages
 from sunarc.offline.messages import MESSAGES as OF_OFFLINE
@@ -41,6 +43,17 @@ class Code(NamedTuple):
     text: str
     meaning: str
     action: str
+
+
+def codes(*, as_json: AsJson = False) -> None:
+    """Print every code of findings with its meaning and action, as the page docs/codes.md.
+
+    Example: sunarc codes --json
+    """
+    if as_json:
+        print_json([one._asdict() for one in all_codes()])
+    else:
+        print(codes_as_markdown(all_codes()), end="")
 
 
 def all_codes() -> list[Code]:

@@ -14,7 +14,6 @@ from sunarc.errors import InputError
 from sunarc.offline.calibrate_joint import calibrate_joint
 from sunarc.offline.lens_priors import combined_lens, write_lens_prior
 from sunarc.runtime.clock import SystemClock
-from sunarc.workers import read_lens_prior
 
 _PANEL = "Cameras of one type of lens"
 LensPriorFile = Annotated[
@@ -68,6 +67,8 @@ def known_lens(path: Path | None, *, start: Path | None, writes: bool) -> LensTy
             problem="beside --lens-prior: the fit would count what the file says once more",
             remedy="fit without --lens-prior, and name the other cameras with --lens-of",
         )
+    from sunarc.workers import read_lens_prior  # noqa: PLC0415 - with the workers come all rooms
+
     return read_lens_prior(path)
 
 

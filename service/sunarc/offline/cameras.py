@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from sunarc.archive import Archive, CameraRecord, require_same_site
 from sunarc.errors import InputError
-from sunarc.settings import Settings
+
+if TYPE_CHECKING:
+    from sunarc.settings import Settings  # with it come all rooms
 
 
 def known_camera(archive: Archive, settings: Settings) -> CameraRecord | None:

@@ -14,6 +14,7 @@ import numpy as np
 from sunarc.array_types import FloatArray
 from sunarc.calibration import Batch, CalibrationOptions, ImageCircle, Method, SunPoints, hemisphere
 from sunarc.optics import Camera, angle_limit, project
+from sunarc.runtime.threads import one_thread_each
 from sunarc.simulation import SGP, true_camera
 from sunarc.studies.arcs import SYNTHETIC_DAY, Arc, arcs
 
@@ -111,5 +112,6 @@ def _mapped(
     if jobs <= 1:
         yield from map(work, trials)
         return
+    one_thread_each()  # read by the processes that are started
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         yield from pool.map(work, trials, chunksize=_CHUNK)

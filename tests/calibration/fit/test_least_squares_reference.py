@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tests.fixtures.calibration import observed, small_camera, small_problem, sun_arc
 
 from sunarc.calibration.fit.least_squares_reference import at_least_least_squares
+from sunarc.calibration.fit.noise_by_sort import Course
 from sunarc.calibration.initial_guess.multistart import distance_sigmas, least_squares
 from sunarc.calibration.least_squares.problem import Observations, Problem
 from sunarc.calibration.least_squares.time_bins import Bins
@@ -21,8 +22,11 @@ FloatArray = NDArray[np.float64]
 SIGMA = 0.1
 
 
-def _each_alone(seen: Observations) -> Bins:
-    return Bins(member=np.arange(len(seen)), count=len(seen))
+def _each_alone(seen: Observations, *, alone: bool = True) -> Course:
+    """Return the course of sightings in bins of their own; `alone`, none has a neighbour that could err alike."""
+    n = len(seen)
+    bins, same = Bins(member=np.arange(n), count=n), np.zeros(n, dtype=np.int64)
+    return Course(bins, same, np.full(n - 1, not alone), np.full(n, alone), same)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +54,7 @@ def test_a_fit_that_is_as_good_stays(problem: Problem, seen: Observations, plain
     assert at_least_least_squares(problem, seen, _each_alone(seen), plain, sigma=SIGMA) is plain
 
 
-@pytest.mark.parametrize("off", [0.002, 0.02])
+@pytest.mark.parametrize("off", [0.005, 0.02])
 def test_a_fit_that_is_worse_is_brought_to_the_bound(
     problem: Problem, seen: Observations, plain: FloatArray, off: float
 ) -> None:
@@ -59,15 +63,30 @@ def test_a_fit_that_is_worse_is_brought_to_the_bound(
     found = at_least_least_squares(problem, seen, _each_alone(seen), start, sigma=SIGMA)
     costs, median = _levels(problem, seen, found)
     best_costs, best_median = _levels(problem, seen, plain)
-    start_costs, start_median = _levels(problem, seen, start)
-    # decision 0023: 1.012 in the robust cost at every scale, 1.02 in the median
-    assert np.all(costs <= 1.012 * best_costs * (1.0 + 1e-6))
-    assert median <= 1.02 * best_median * (1.0 + 1e-6)
-    assert np.any(start_costs > 1.012 * best_costs) or start_median > 1.02 * best_median
+    start_costs, _ = _levels(problem, seen, start)
+    # decision 0023: what least squares gains by chance, 11 in log likelihood, of a cost of 1 for each of 150 sightings
+    chance = 11.0 / 150.0
+    assert np.all(costs <= (1.0 + chance) * best_costs * (1.0 + 1e-6))
+    assert median <= (1.02 + chance - 0.012) * best_median * (1.0 + 1e-6)
+    assert np.any(start_costs > (1.0 + chance) * best_costs)
     # and no further than is needed: within 1 % of the way
-    nearer = found + 0.03 * (start - plain)
-    nearer_costs, nearer_median = _levels(problem, seen, nearer)
-    assert np.any(nearer_costs > 1.012 * best_costs) or nearer_median > 1.02 * best_median or off < 0.01
+    nearer_costs, _ = _levels(problem, seen, found + 0.03 * (start - plain))
+    assert np.any(nearer_costs > (1.0 + chance) * best_costs)
+
+
+def test_what_neighbours_that_err_alike_let_least_squares_gain_is_allowed(
+    problem: Problem, plain: FloatArray, seen: Observations
+) -> None:
+    # The truth costs 9 % more than least squares. Without neighbours 7 % are allowed, with a lag-1 correlation of 0.5
+    # nearly three times as much.
+    rng = np.random.default_rng(2)
+    noise = rng.normal(0.0, SIGMA, seen.pixels.shape)
+    for i in range(1, len(seen)):
+        noise[i] = 0.5 * noise[i - 1] + math.sqrt(0.75) * noise[i]
+    exact = problem.residuals(plain, replace(seen, pixels=np.zeros_like(seen.pixels)))
+    alike = replace(seen, pixels=noise - exact)
+    assert at_least_least_squares(problem, alike, _each_alone(alike, alone=False), plain, sigma=SIGMA) is plain
+    assert np.any(at_least_least_squares(problem, alike, _each_alone(alike), plain, sigma=SIGMA) != plain)
 
 
 def test_outliers_do_not_change_what_is_asked(problem: Problem, seen: Observations, plain: FloatArray) -> None:

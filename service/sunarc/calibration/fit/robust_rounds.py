@@ -126,7 +126,7 @@ def robust_camera(
         state = _in_assumed_air(problem, observed.weighted(information), course.bins, last_round, state, grid)
     weighed = observed.weighted(observed.information * (noise.sigma_px / noise.scale) ** 2)
     unknowns = _as_good_as_least_squares(
-        problem, weighed, course.bins, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
+        problem, weighed, course, state, sigma=noise.sigma_px, in_its_valley=in_its_valley
     )
     return RobustCamera(
         problem=problem,
@@ -190,7 +190,7 @@ def _round(
 
 
 def _as_good_as_least_squares(
-    problem: Problem, observed: Observations, bins: Bins, state: State, *, sigma: float, in_its_valley: bool
+    problem: Problem, observed: Observations, course: Course, state: State, *, sigma: float, in_its_valley: bool
 ) -> FloatArray:
     """Return the unknowns, those of the camera brought to what least squares reaches in the same air.
 
@@ -205,7 +205,7 @@ def _as_good_as_least_squares(
     camera = at_least_least_squares(
         assumed,
         corrected,
-        bins,
+        course,
         unknowns[: assumed.size],
         sigma=sigma,
         field_px=state.proven_field_px,

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sunarc.array_types import FloatArray, IntArray
 from sunarc.calibration.least_squares.problem import Observations
 from sunarc.calibration.model.options import CalibrationOptions, ImageCircle
 from sunarc.optics import Camera, ideal_radius, rising_limit, rotation_vector, unproject
@@ -75,19 +76,36 @@ def wahba(camera: Camera, observed: Observations, *, rounds: int = 4) -> tuple[C
     The turned camera, and the median angle left over in radians; infinite where too few pixels have a ray.
     """
     rays = unproject(as_far_as_it_rises(camera), observed.pixels)
+    matrices, misfits = _turns(rays[None], observed.directions, rounds=rounds)
+    misfit = float(misfits[0])
+    turned = replace(camera, rotation_cam_enu=rotation_vector(matrices[0])) if math.isfinite(misfit) else camera
+    return turned, misfit
+
+
+def _turns(rays: FloatArray, world: FloatArray, *, rounds: int = 4) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations (c, 3, 3) of cameras, and how well their rays (c, n, 3) then meet directions (n, 3).
+
+    That is the median angle left over in radians, (c,); infinite where too few rays are finite.
+    """
     good = np.all(np.isfinite(rays), axis=-1)
-    if good.sum() < max(3, 0.5 * len(observed)):
-        return camera, math.inf
-    rays, world = rays[good], observed.directions[good]
-    weight = np.ones(rays.shape[0])
-    matrix, chord = np.eye(3), weight
+    count = np.sum(good, axis=1)
+    rays = np.where(good[..., None], rays, 0.0)
+    weight, matrix, middle = good.astype(np.float64), np.empty((len(rays), 3, 3)), np.empty(len(rays))
     for _ in range(rounds):
-        left, _, right = np.linalg.svd((weight[:, None] * rays).T @ world)
+        left, _, right = np.linalg.svd(np.swapaxes(weight[..., None] * rays, 1, 2) @ world)
         # Kabsch: without the sign a plane of directions is explained as well by a reflection
-        matrix = left @ np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)]) @ right
-        chord = np.linalg.norm(rays - world @ matrix.T, axis=-1)
-        weight = cauchy_weights(chord, scale=max(float(np.median(chord)), 1e-9))
-    return replace(camera, rotation_cam_enu=rotation_vector(matrix)), float(np.median(chord))
+        left[..., 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
+        matrix = left @ right
+        chord = np.linalg.norm(rays - world @ np.swapaxes(matrix, 1, 2), axis=-1)
+        middle = _medians(np.where(good, chord, 3.0), count)  # no chord is longer than 2
+        weight = good * cauchy_weights(chord, scale=np.maximum(middle, 1e-9)[:, None])
+    return matrix, np.where(count < max(3.0, 0.5 * len(world)), math.inf, middle)
+
+
+def _medians(values: FloatArray, count: IntArray) -> FloatArray:
+    """Return the medians (c,) of the smallest so many of the values (c, n)."""
+    ordered, row, known = np.sort(values, axis=1), np.arange(len(values)), np.maximum(count, 1)
+    return np.asarray(0.5 * (ordered[row, (known - 1) // 2] + ordered[row, known // 2]))
 
 
 def as_far_as_it_rises(camera: Camera) -> Camera:
@@ -109,15 +127,19 @@ def candidates(observed: Observations, guess: Camera, *, known: bool, best: int)
     factors = np.array([1.0]) if known else _FOCAL_FACTORS
     steps = (0.0,) if known else _CENTER_STEPS
     size = min(guess.width, guess.height)
-    found = []
+    level = as_far_as_it_rises(guess)  # up to the same angle at any focal length
+    lenses = []
     for factor, dx, dy in itertools.product(factors, steps, steps):
         focal = guess.focal_length_px[0] * float(factor)
         center = (guess.principal_point_px[0] + dx * size, guess.principal_point_px[1] + dy * size)
-        camera, misfit = wahba(replace(guess, focal_length_px=(focal, focal), principal_point_px=center), thin)
-        if math.isfinite(misfit) and tilt(camera) <= LARGEST_TILT:
-            found.append((misfit, camera))
-    found.sort(key=lambda pair: pair[0])
-    return [camera for _, camera in found[:best]]
+        lenses.append(replace(level, focal_length_px=(focal, focal), principal_point_px=center))
+    matrices, misfits = _turns(np.stack([unproject(lens, thin.pixels) for lens in lenses]), thin.directions)
+    upright = np.isfinite(misfits) & (matrices[:, 2, 2] >= math.cos(LARGEST_TILT))
+    order = [int(k) for k in np.argsort(misfits, kind="stable") if upright[k]]
+    return [
+        replace(lenses[k], rotation_cam_enu=rotation_vector(matrices[k]), max_angle=guess.max_angle)
+        for k in order[:best]
+    ]
 
 
 def tilt(camera: Camera) -> float:

@@ -17,6 +17,7 @@ import cv2
 from sunarc.findings import Finding
 from sunarc.offline.ingest.detect_image import Answer, Task
 from sunarc.offline.ingest.detect_stack import detect_in_files
+from sunarc.runtime.threads import one_thread_each
 
 Answers = tuple[Answer, ...]
 """An answer for each file of a task."""
@@ -85,7 +86,7 @@ def _alone(task: Task) -> Answers:
 
 
 def _pool(processes: int) -> ProcessPoolExecutor:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the children alone: one process a core is enough
+    one_thread_each()  # read by the processes that are started
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
 

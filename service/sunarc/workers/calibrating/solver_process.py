@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from sunarc.findings import Finding
 from sunarc.jit import set_aside_after_exit
 from sunarc.runtime.child_process import answer_call
 from sunarc.runtime.clock import Clock
+from sunarc.runtime.threads import one_thread_each
 from sunarc.sky import Site
 from sunarc.workers.messages import text_of
 
@@ -131,7 +131,7 @@ def _in_child(
     heartbeat: Callable[[], None],
 ) -> object:
     """Return what a call returns in a fresh process; None when `stop` was set before."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the child alone: its matrices are small
+    one_thread_each()  # read by the processes that are started
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe()
     process = context.Process(target=answer_call, args=(sending,), name="solve", daemon=True)

@@ -1,0 +1,66 @@
+"""The commands that read images and pixels: `sunarc detect`, `sunarc project` and `sunarc unproject`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from sunarc.cli.options import AsJson, CalibrationFile, DetectionMethod, choice_of
+from sunarc.cli.output import print_json, table
+from sunarc.detection import BAYERS
+from sunarc.errors import InputError
+from sunarc.offline.detect_files import METHODS, detect_in_files, draw_overlay
+from sunarc.offline.project_files import project_csv, unproject_csv
+
+
+def detect(
+    images: Annotated[list[Path], typer.Argument(help="Image files.")],
+    *,
+    method: DetectionMethod = "auto",
+    full_scale: Annotated[int | None, typer.Option(help="Largest count; judged from the file unless given.")] = None,
+    bayer: Annotated[str | None, typer.Option(help="Colours of a raw mosaic: RGGB, BGGR, GRBG or GBRG.")] = None,
+    overlay: Annotated[Path | None, typer.Option(help="Write the (one) image with a cross on the sun.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the sun in images; exit 1 when none shows it, 2 when none is an image.
+
+    Example: sunarc detect noon.png --json
+    """
+    if overlay is not None and len(images) != 1:
+        raise InputError(field="--overlay", problem=f"{len(images)} images", remedy="give one image with it")
+    mosaic = None if bayer is None else choice_of("--bayer", bayer, BAYERS)
+    found = detect_in_files(images, method=choice_of("--method", method, METHODS), full_scale=full_scale, bayer=mosaic)
+    if as_json:
+        print_json(found)
+    else:
+        columns = ("file", "x_px", "y_px", "sigma_px", "method", "verdict", "reason")
+        Console(soft_wrap=True).print(table(columns, [[row[column] for column in columns] for row in found]))
+    unread = [row for row in found if row["verdict"] == "no_frame"]
+    for row in unread:
+        print(f"sunarc: {row['reason']}", file=sys.stderr)
+    if len(unread) == len(found):
+        raise typer.Exit(2)
+    if overlay is not None:
+        draw_overlay(images[0], found[0], overlay)
+    if not any(row["accepted"] for row in found):
+        raise typer.Exit(1)
+
+
+def project(calibration: CalibrationFile) -> None:
+    """Read zenith_deg,azimuth_deg from standard input and write where they land in the image.
+
+    Example: sunarc project --calibration calibration.json < directions.csv
+    """
+    project_csv(calibration, sys.stdin, sys.stdout)
+
+
+def unproject(calibration: CalibrationFile) -> None:
+    """Read x_px,y_px from standard input and write the directions that they look at.
+
+    Example: sunarc unproject --calibration calibration.json < pixels.csv
+    """
+    unproject_csv(calibration, sys.stdin, sys.stdout)

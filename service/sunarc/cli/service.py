@@ -1,0 +1,136 @@
+"""The commands of a service: `sunarc serve`, `simulate`, `check`, `compile` and `settings`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from sunarc import app
+from sunarc.cli.options import Altitude, AsJson, Config, Latitude, Longitude, choice_of
+from sunarc.cli.output import print_json, table
+from sunarc.diagnostics import checks
+from sunarc.jit import set_aside_after_death
+from sunarc.offline.compile_kernels import compile_kernels as compile_all
+from sunarc.runtime.clock import SystemClock
+from sunarc.runtime.log_to_journal import start_log
+from sunarc.settings import all_settings, as_markdown, load_hub_settings, load_settings
+from sunarc.sky import Site
+from sunarc.utc import parse_time
+
+
+def serve(
+    config: Config = None,
+    *,
+    role: Annotated[str, typer.Option(help="imager; or hub: imagers send it their archives.")] = "imager",
+) -> None:
+    """Run the service until SIGTERM or SIGINT.
+
+    Example: sunarc serve --config /etc/sunarc/sunarc.toml
+    """
+    is_hub = choice_of("--role", role, ("imager", "hub")) == "hub"
+    start_log(os.environ)
+    set_aside_after_death()
+    app.end_process(app.serve_hub(load_hub_settings(config)) if is_hub else app.serve(load_settings(config)))
+
+
+def simulate(
+    *,
+    address: Annotated[str, typer.Option(help="Loopback address to answer at.")] = "127.0.0.1",
+    start: Annotated[str, typer.Option(help="First simulated time, ISO 8601.")] = "2013-05-13T12:00:00Z",
+    speed: Annotated[float, typer.Option(help="Times faster than real.")] = 1.0,
+    latitude: Latitude = 36.604043,
+    longitude: Longitude = -97.484856,
+    altitude: Altitude = 318.0,
+    lens_seed: Annotated[int, typer.Option(help="Draws another true camera; 0 is the paper's.")] = 0,
+    clouds: Annotated[str, typer.Option(help="clear, veil, broken, overcast; by commas: one a day.")] = "clear",
+    nd_transmission: Annotated[
+        float, typer.Option(help="Of a neutral filter before the lens; 0.01 unsaturates.")
+    ] = 1.0,
+    ghost: Annotated[float, typer.Option(help="Reflection opposite the sun, over the sun's brightness.")] = 0.0,
+    sun_cover: Annotated[float, typer.Option(help="Share of the sun's diameter behind an edge.")] = 0.0,
+    blooming: Annotated[float, typer.Option(help="Share of a full well's excess that runs along its column.")] = 0.0,
+    moon: Annotated[
+        tuple[float, float] | None, typer.Option(help="A full moon that stays there: zenith angle, azimuth in degrees.")
+    ] = None,
+    nights: Annotated[
+        bool, typer.Option("--nights", help="Show the nights, with stars and moon; else skip them.")
+    ] = False,
+    truth: Annotated[Path | None, typer.Option(help="Write the true camera here, a calibration document.")] = None,
+) -> None:
+    """Run a simulated imager that speaks GigE Vision on loopback; SIGUSR1 halves the speed of its clock.
+
+    Example: sunarc simulate --address 127.0.0.1 --speed 60 --truth truth.json
+    """
+    start_log(os.environ)
+    scene = app.SceneOptions(
+        nd_transmission=nd_transmission,
+        ghost_strength=ghost,
+        sun_cover=sun_cover,
+        moon_at=moon,
+        night=app.NightOptions() if nights else None,
+    )
+    options = app.ImagerOptions(
+        address=address,
+        start=parse_time(start, where="--start"),
+        speed=speed,
+        skip_nights=not nights,
+        site=Site(latitude=latitude, longitude=longitude, altitude=altitude),
+        lens_seed=lens_seed,
+        clouds=clouds,
+        scene=scene,
+        sensor=app.SensorModel(blooming=blooming),
+        truth=truth,
+    )
+    app.simulate(options)
+
+
+def check(
+    config: Config = None,
+    *,
+    camera: Annotated[bool, typer.Option("--camera", help="Look at the camera alone, closely.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Try what the service needs: disk, database, port, clock, camera, files, receivers; exit 1 when something fails.
+
+    Example: sunarc check --camera --config /etc/sunarc/sunarc.toml
+    """
+    run = checks.run_camera_checks if camera else checks.run_checks
+    results = list(run(load_settings(config), clock=SystemClock()))
+    if as_json:
+        print_json([result._asdict() for result in results])
+    else:
+        Console(soft_wrap=True).print(
+            table(("", "", ""), [[result.outcome, result.what, escape(result.text)] for result in results])
+        )
+    if any(result.outcome == "fail" for result in results):
+        raise typer.Exit(1)
+
+
+def compile_kernels(
+    *,
+    first_sighting: Annotated[
+        bool, typer.Option("--first-sighting", help="Without those of the fit, which take most of the time.")
+    ] = False,
+) -> None:
+    """Compile the numerical kernels into numba's cache, so that the service's first sighting and first fit find them.
+
+    Example: sunarc compile
+    """
+    compile_all(first_sighting_alone=first_sighting)
+
+
+def settings(*, as_json: AsJson = False) -> None:
+    """Print every setting with its default, its bounds and its meaning, as the page docs/settings.md.
+
+    Example: sunarc settings --json
+    """
+    if as_json:
+        print_json([asdict(setting) for setting in all_settings()])
+    else:
+        print(as_markdown(), end="")
