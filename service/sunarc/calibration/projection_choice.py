@@ -105,7 +105,7 @@ def calibrate_unknown_lens(
     moved = calibrate_moved(points, site=site, image_size=image_size, options=options, circle=circle, solved=solved)
     verdict = moved.calibration.verdict
     if finding.code == "projection_ambiguous" and verdict.accepted:
-        hours = missing_hours(filter_sightings(points, site=site), site)
+        hours = missing_hours(job.usable, site)
         verdict = Verdict(accepted=False, findings=(finding, *hours))
     elif choice.compared:
         verdict = replace(verdict, findings=(*verdict.findings, finding))
