@@ -9,6 +9,7 @@
     ├── ConfigurationError     settings or installation are wrong: refuse to start (exit 2)
     │   └── SchemaError        the database is of another revision: run the command that it names
     ├── OutsideError           something outside failed: disk, port, peer (exit 3)
+    │   └── StoreFullError     the disk of the database is full: what waits is stored when there is room
     └── CameraError            one exposure failed: try again within the cycle
         ├── CameraTimeoutError no frame came in time
         │   └── CameraSilentError not a packet of it came
@@ -57,6 +58,10 @@ class SchemaError(ConfigurationError):
 
 class OutsideError(SunarcError):
     """A disk, a port or a peer failed."""
+
+
+class StoreFullError(OutsideError):
+    """The disk of the database is full."""
 
 
 class CameraError(SunarcError):

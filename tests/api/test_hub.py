@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
@@ -12,15 +16,20 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import URL
 from tests.api.conftest import Client
 from tests.fixtures.archive import make_empty
 from tests.fixtures.fleet import NOW, new_imager, next_batch, sighting
+from tests.fixtures.postgresql import TEMPLATE, running_server
+from tests.workers.test_full_disk import mounted
 
 from sunarc.api import ApiOptions, create_hub_app, token_digest
 from sunarc.api.routes.feed import _MOST_BYTES
 from sunarc.api.routes.fleet import SILENT
 from sunarc.archive import Archive, CrossCheck, Day, NightlyRun, feed_lines, head_revision, open_archive
+from sunarc.runtime.clock import VirtualClock
 from sunarc.runtime.status import Reason, StatusRegistry, StatusSnapshot
+from sunarc.workers import StoreRoomWorker
 
 TOKEN = "the token of the camera roof"  # noqa: S105 - of the test alone
 METRICS = {
@@ -353,3 +362,72 @@ def test_a_failed_night_is_a_reason_in_readyz(tmp_path: Path) -> None:
         answer = Client(app).get("/readyz")
     assert (answer.status_code, answer.json()["status"]) == (200, "degraded")
     assert answer.json()["reasons"][0]["code"] == "nightly_failed"
+
+
+@contextmanager
+def small_store(engine: str, disk: Path) -> Iterator[Path | URL]:
+    """Yield a store whose tables are on a small disk; of PostgreSQL not its log, without which it would end."""
+    if engine == "sqlite":
+        make_empty(disk / "hub.sqlite")
+        yield disk / "hub.sqlite"
+        return
+    with running_server() as server:
+        shutil.chown(disk, "postgres", "postgres")
+        server.sql("postgres", f"CREATE TABLESPACE small LOCATION '{disk}'")
+        server.sql("postgres", f"CREATE DATABASE small TEMPLATE {TEMPLATE} TABLESPACE small STRATEGY file_copy")
+        yield server.url("small")
+
+
+def fill(disk: Path) -> Path:
+    """Write a file until the disk is full, and return it."""
+    filler = disk / "filler"
+    with filler.open("wb", buffering=0) as file, suppress(OSError):
+        while True:
+            file.write(bytes(512))
+    return filler
+
+
+@pytest.mark.parametrize("engine", ["sqlite", "postgresql"])
+def test_a_hub_whose_disk_is_full_is_not_ready_and_goes_on_when_there_is_room(imager: Archive, engine: str) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("mounting a small disk needs root")
+    now = [NOW]
+    clock = VirtualClock(NOW)
+    board = StatusRegistry(version="1", started_at=NOW, monotonic=clock.monotonic)
+    with (
+        tempfile.TemporaryDirectory(prefix="disk") as folder,
+        mounted(Path(folder), "size=24m", "mode=755"),
+        small_store(engine, Path(folder)) as store,
+        open_archive(store) as archive,
+    ):
+        Path(folder).chmod(0o755)
+        archive.add_feed_token("roof", token_digest(TOKEN), now=NOW, former_until=NOW)
+        options = ApiOptions(allowed_hosts=("imager",))
+        app = create_hub_app(archive=archive, status=board.snapshot, now=lambda: now[0], options=options)
+        hub, room = Hub(archive, Client(app), now), StoreRoomWorker(archive=archive, clock=clock, board=board)
+        assert hub.put(body_of(imager)).status_code == 200
+        assert hub.client.get("/readyz").json()["status"] == "ready"
+        imager.acknowledge(5)
+        imager.add_sun_points(sighting(n) for n in range(10, 1000))
+        filler = fill(Path(folder))
+        answer = hub.put(body_of(imager), after=5)
+        assert (answer.status_code, answer.headers["retry-after"]) == (503, "5")
+        for _ in range(2):
+            assert hub.client.get("/readyz").status_code == 503
+        room.check()
+        assert [(one.code, one.severity) for one in board.snapshot().reasons] == [("store_full", "not_ready")]
+        now[0] += timedelta(seconds=6)
+        clock.advance(6.0)
+        room.check()
+        assert hub.client.get("/readyz").json()["errors"][0]["field"] == "store_full"  # tried again
+        filler.unlink()
+        now[0] += timedelta(seconds=6)
+        clock.advance(6.0)
+        room.check()
+        assert hub.client.get("/readyz").json()["status"] == "ready"
+        assert hub.put(body_of(imager), after=5).status_code == 200
+        assert len(archive.sun_points("roof")) == 993
+        fill(Path(folder))
+        now[0] += timedelta(seconds=61)
+        assert hub.client.get("/readyz").status_code == 503  # although nobody sent anything
+        assert hub.reasons() == []

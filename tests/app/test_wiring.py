@@ -34,7 +34,7 @@ from sunarc.runtime.preflight import listen
 from sunarc.runtime.status import DiskStatus, Reason
 from sunarc.settings import Settings
 from sunarc.simulation import ImagerOptions
-from sunarc.workers import ConditionTimesWorker, HousekeepingWorker
+from sunarc.workers import ConditionTimesWorker, HousekeepingWorker, webhook_name
 
 NOON = datetime(2013, 5, 13, 18, 30, tzinfo=UTC)
 FRAME = Frame(
@@ -101,6 +101,17 @@ def test_without_capture_the_service_ends_and_without_detection_it_is_not_ready(
     workers = {worker.name: worker for worker in service.workers()}
     assert [name for name, worker in workers.items() if worker.essential] == ["capture"]
     assert {name for name, worker in workers.items() if worker.severity == "not_ready"} == {"capture", "detect"}
+
+
+def test_only_what_sends_to_others_is_optional(tmp_path: Path, camera: OpenCamera, clock: VirtualClock) -> None:
+    (tmp_path / "secret").write_text("0123456789abcdef")
+    push = {"webhooks": ["http://127.0.0.1:9/"], "webhook_secret_file": tmp_path / "secret", "mqtt": "mqtt://127.0.0.1"}
+    hub = {"url": "http://127.0.0.1:9", "token_file": tmp_path / "secret"}
+    running = made(new_settings(tmp_path, camera=CAMERA, hub=hub, push=push), camera, clock)
+    workers = (*running.workers(), *imager_recording(running), *serving._push_workers(running))
+    running.archive.close()
+    sending = {"feed", "notices", "push_mqtt", f"push_{webhook_name('http://127.0.0.1:9/')}"}
+    assert {worker.name for worker in workers if worker.optional} == sending
 
 
 def test_a_replay_takes_the_cameras_place_and_no_other_workers(service: Service, replay: Service) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import random
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,24 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import URL, Engine, event, text
-from tests.fixtures.fleet import feed, new_imager, sighting
+from tests.archive.test_calibrations import document
+from tests.fixtures.fleet import NOW, batch_of, feed, new_imager, sighting
 from tests.fixtures.postgresql import TEMPLATE, Server, running_server
 
-from sunarc.archive import Archive, SunPoint, check, head_revision, open_archive, server_url, upgrade_server
+from sunarc.archive import (
+    Archive,
+    FeedBatch,
+    SunPoint,
+    check,
+    head_revision,
+    open_archive,
+    server_url,
+    upgrade_server,
+)
 from sunarc.archive.engine import writing
 from sunarc.archive.server import create_server_engine
 from sunarc.archive.tables import metadata
-from sunarc.errors import InputError, OutsideError, SchemaError
+from sunarc.errors import InputError, OutsideError, SchemaError, StoreFullError
 
 from .conftest import NOON, ROOF
 
@@ -282,6 +293,113 @@ def test_a_feed_is_stored_by_the_feeds_role(fleet: Server, tmp_path: Path) -> No
         feed(imager, hub, "mast")
         assert hub.sun_points("mast") == imager.sun_points("mast")
         assert "mast" in [camera.camera for camera in hub.fleet()]
+
+
+def batch_after(imager: Archive, *rows: tuple[str, dict[str, Any]], camera: str) -> FeedBatch:
+    """Return rows made by hand as an imager's next batch."""
+    position = imager.outbox_position()
+    made = batch_of(*rows, camera=camera, after=position.committed)
+    return replace(made, installation=position.installation)
+
+
+def row_of(number: int, camera: str, **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - of many types
+    row = asdict(sighting(number, camera=camera))
+    return row | {"time": int(row["time"].timestamp() * 1e6)} | changes
+
+
+def test_what_the_feeds_role_may_not_do_is_set_apart_and_the_rest_is_stored(fleet: Server, tmp_path: Path) -> None:
+    with new_imager(tmp_path, "yard") as imager, open_archive(fleet.url("sunarc", user="sunarc_feed")) as hub:
+        imager.add_calibration(document("yard-a", camera="yard", pose_epoch="yard-1"))
+        feed(imager, hub, "yard")
+        long_name = random.Random(1).randbytes(9000).hex()  # longer than an entry of an index may be
+        batch = batch_after(
+            imager,
+            ("sun_point", row_of(1, "yard")),
+            ("calibration.removed", {"id": "yard-a"}),
+            ("pose_epoch.removed", {"id": "yard-1"}),
+            ("sun_point", row_of(2, "yard", file=long_name)),
+            ("sun_point", row_of(3, "yard")),
+            camera="yard",
+        )
+        assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
+        found = sorted(hub.quarantine("yard"), key=lambda one: one.seq)
+        assert [(one.kind, one.reason) for one in found] == [
+            ("calibration.removed", "refused_by_database"),
+            ("pose_epoch.removed", "refused_by_database"),
+            ("sun_point", "refused_by_database"),
+        ]
+        assert ["permission denied" in one.text for one in found] == [True, True, False]
+        assert len(hub.sun_points("yard")) == 2
+        assert [one.id for one in hub.calibrations("yard")] == ["yard-a"]
+
+
+def test_one_camera_removes_no_calibration_of_another_by_the_owners_role(fleet: Server, tmp_path: Path) -> None:
+    with (
+        new_imager(tmp_path, "gate") as imager,
+        new_imager(tmp_path, "hill") as other,
+        open_archive(fleet.url("sunarc", user="sunarc_owner")) as hub,
+    ):
+        for one, name in ((imager, "gate"), (other, "hill")):
+            one.add_calibration(document(f"{name}-a", camera=name, pose_epoch=f"{name}-1"))
+            one.activate(f"{name}-a")
+            feed(one, hub, name)
+        for target in ("gate-a", "hill-a"):
+            batch = batch_after(other, ("calibration.removed", {"id": target}), camera="hill")
+            assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
+            other.acknowledge(batch.rows[-1].seq)
+        current = hub.current_calibration("gate")
+        assert current is not None
+        assert current.id == "gate-a"
+        assert hub.calibrations("hill") == ()  # its own is removed
+        assert [one.reason for one in hub.quarantine("hill")] == ["contradiction"]
+
+
+@pytest.mark.parametrize(
+    ("code", "is_of_row"),
+    [
+        ("P0001", True),  # raise_exception
+        ("42501", True),  # insufficient_privilege
+        ("22003", True),  # numeric_value_out_of_range
+        ("23514", True),  # check_violation
+        ("54000", True),  # program_limit_exceeded
+        ("53100", False),  # disk_full
+        ("53200", False),  # out_of_memory
+        ("40001", False),  # serialization_failure
+        ("40P01", False),  # deadlock_detected
+        ("55P03", False),  # lock_not_available
+        ("57014", False),  # query_canceled
+        ("25006", False),  # read_only_sql_transaction
+        ("58030", False),  # io_error
+        ("XX001", False),  # data_corrupted
+    ],
+)
+def test_an_error_of_a_row_is_set_apart_and_one_of_the_server_is_none(
+    url: URL, postgresql: Server, tmp_path: Path, code: str, *, is_of_row: bool
+) -> None:
+    """A trigger refuses one sighting with a code of PostgreSQL."""
+    body = f"BEGIN IF NEW.x_px = 77 THEN RAISE EXCEPTION 'it is so' USING ERRCODE = '{code}'; END IF; RETURN NEW; END"
+    make = f"CREATE OR REPLACE FUNCTION refuse() RETURNS trigger LANGUAGE plpgsql AS $${body}$$"
+    attach = "CREATE TRIGGER refuse BEFORE INSERT ON sun_point FOR EACH ROW EXECUTE FUNCTION refuse()"
+    with new_imager(tmp_path, "roof") as imager, open_archive(url) as hub:
+        feed(imager, hub)
+        postgresql.sql(TEMPLATE, make, attach)
+        rows = [("sun_point", row_of(n, "roof", x_px=77.0 if n == 1 else 1.0)) for n in range(3)]
+        batch = batch_after(imager, *rows, camera="roof")
+        try:
+            if is_of_row:
+                assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq
+                assert len(hub.sun_points("roof")) == 2
+                assert [(one.seq, one.data != "") for one in hub.quarantine()] == [(batch.rows[1].seq, True)]
+                return
+            with pytest.raises(OutsideError) as error:
+                hub.take_feed(batch, now=NOW)
+            assert isinstance(error.value, StoreFullError) == (code == "53100")
+            assert hub.sun_points("roof") == ()
+        finally:
+            postgresql.sql(TEMPLATE, "DROP TRIGGER refuse ON sun_point", "DROP FUNCTION refuse()")
+        assert hub.take_feed(batch, now=NOW) == batch.rows[-1].seq  # all of it waited
+        assert len(hub.sun_points("roof")) == 3
+        assert hub.quarantine() == ()
 
 
 def test_a_copy_is_restored_into_a_new_database_and_imagers_go_on(fleet: Server, tmp_path: Path) -> None:

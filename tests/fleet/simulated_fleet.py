@@ -89,7 +89,7 @@ def feed_worker(archive: Archive, name: str, options: HubOptions) -> FeedWorker:
     clock = SystemClock()
     return FeedWorker(
         camera=CameraArchive(archive, name=name, site=Site(latitude=36.6, longitude=-97.5)),
-        send=HubConnection(options, camera=name).send,
+        send=HubConnection(options, camera=name, clock=clock).send,
         clock=clock,
         board=StatusRegistry(version="1", started_at=clock.now(), monotonic=clock.monotonic),
         every_s=0.05,

@@ -327,6 +327,32 @@ def test_a_stuck_worker_is_a_reason_until_its_next_heartbeat(clock: VirtualClock
     assert supervisor.stop() == ()
 
 
+def test_an_optional_worker_that_is_stuck_leaves_the_watchdog_fed_and_is_a_reason_of_its_own(
+    clock: VirtualClock, board: StatusRegistry, release: threading.Event
+) -> None:
+    runs = threading.Event()
+
+    def hang(_stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        runs.set()
+        assert release.wait(PATIENCE_S)
+        heartbeat()
+
+    worker = Supervised(
+        name="feed", make_worker=Factory([hang]), options=SupervisorOptions(stale_after_s=60.0), optional=True
+    )
+    supervisor = Supervisor([worker], clock=clock, board=board)
+    supervisor.start()
+    assert runs.wait(PATIENCE_S)
+    clock.advance(61.0)
+    assert supervisor.check()
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.severity) == ("optional_worker_stuck_feed", "degraded")
+    assert (reason.data["name"], reason.data["limit_s"]) == ("feed", 60.0)
+    assert board.snapshot().health == "degraded"
+    release.set()
+    supervisor.stop()
+
+
 def lives_of(n: int, *, then: Deed) -> Factory:
     """Return a factory of workers of which `n` die at once."""
     return Factory([*[die] * n, then])

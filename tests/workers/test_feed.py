@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import random
+import socket
+import ssl
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from tests.fixtures.archive import make_empty
-from tests.fixtures.fleet import NOW, new_imager, sighting
+from tests.fixtures.fleet import NOON, NOW, new_imager, sighting
+from tests.workers.test_webhook import certificate
 
 from sunarc.archive import (
     Archive,
     CameraArchive,
+    Event,
     FeedBatch,
     FeedRow,
     OutboxPosition,
@@ -25,12 +33,16 @@ from sunarc.archive import (
     read_feed_lines,
 )
 from sunarc.errors import ConfigurationError, InputError, OutsideError
-from sunarc.runtime.clock import VirtualClock
+from sunarc.runtime.clock import SystemClock, VirtualClock
 from sunarc.runtime.status import StatusRegistry
+from sunarc.runtime.supervisor import Supervised, Supervisor, SupervisorOptions
 from sunarc.sky import Site
 from sunarc.workers import FeedWorker, HubConnection, HubOptions
+from sunarc.workers.feeding import feed, hub_connection
 from sunarc.workers.feeding.feed import _LONGEST_WAIT_S, _SILENT_S
 from sunarc.workers.feeding.hub_connection import HubRefusal
+
+_TICK_S = 0.05
 
 
 @dataclass
@@ -42,7 +54,8 @@ class Wire:
     most_rows: int = 10**6
     late: list[FeedBatch] = field(default_factory=list)
 
-    def __call__(self, position: OutboxPosition, rows: Sequence[FeedRow]) -> int:
+    def __call__(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
+        heartbeat()
         fault = self.faults.pop(0) if self.faults else ""
         if fault == "cut":
             raise OutsideError("the network is gone")
@@ -91,9 +104,13 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield Bench(imager, hub, Wire(hub), clock, board)
 
 
+def step(worker: FeedWorker) -> float:
+    return worker.step(lambda: None)
+
+
 def send_all(worker: FeedWorker) -> None:
     for _ in range(200):
-        if worker.step() > 0.0:
+        if step(worker) > 0.0:
             return
     pytest.fail("it does not end")
 
@@ -112,10 +129,10 @@ def test_with_nothing_new_nothing_is_sent_but_a_status_each_minute(bench: Bench)
     worker = bench.worker()
     send_all(worker)
     bench.wire.faults = ["cut"]
-    assert worker.step() == 5.0
+    assert step(worker) == 5.0
     assert bench.wire.faults == ["cut"]  # nothing was sent
     bench.clock.advance(61.0)
-    worker.step()
+    step(worker)
     assert bench.wire.faults == []
 
 
@@ -127,7 +144,7 @@ def test_cuts_lost_answers_and_late_repetitions_lose_and_double_nothing(bench: B
         bench.wire.faults = chance.choices(["", "cut", "answer_lost", "late", "refused"], k=2)
         if chance.random() < 0.1:
             worker = bench.worker()  # the process was killed and began again
-        worker.step()
+        step(worker)
     bench.wire.faults.clear()
     send_all(worker)
     send_all(worker)
@@ -146,7 +163,7 @@ def test_batches_become_smaller_until_the_hub_takes_them_and_one_row_that_is_too
     if most_rows == 0:  # not even one: they go as numbers
         worker = bench.worker()
         for _ in range(60):
-            worker.step()
+            step(worker)
         assert {found.reason for found in bench.hub.quarantine()} == {"body_too_large"}
         return
     send_all(bench.worker())
@@ -179,10 +196,10 @@ def test_an_imager_that_was_put_back_goes_on_as_another_installation(bench: Benc
         bench.imager = again
         again.add_sun_points([sighting(100)])
         worker = bench.worker()
-        worker.step()
+        step(worker)
         own = again.outbox_position().installation
         assert own != former
-        worker.step()
+        step(worker)
         assert [found.reason for found in bench.hub.quarantine()] == ["second_installation"]
         assert "hub_refuses" in bench.codes()
         bench.hub.accept_installation("roof", own, now=NOW)
@@ -194,15 +211,15 @@ def test_an_imager_that_was_put_back_goes_on_as_another_installation(bench: Benc
 
 def test_a_hub_that_is_silent_for_long_is_a_condition_and_is_asked_at_most_once_a_minute(bench: Bench) -> None:
     worker, bench.wire.faults = bench.worker(), ["cut"] * 100
-    waits = [worker.step() for _ in range(12)]
+    waits = [step(worker) for _ in range(12)]
     assert waits[:3] == [5.0, 10.0, 20.0]
     assert max(waits) == _LONGEST_WAIT_S
     assert bench.codes() == set()
     bench.clock.advance(_SILENT_S)
-    worker.step()
+    step(worker)
     assert bench.codes() == {"hub_unreachable"}
     bench.wire.faults.clear()
-    worker.step()
+    step(worker)
     assert bench.codes() == set()
 
 
@@ -219,6 +236,187 @@ def test_it_runs_until_it_is_stopped(bench: Bench) -> None:
     assert bench.imager.outbox_waiting() == 0
 
 
+@contextmanager
+def slow_hub(hub: Archive, *, reads_bytes_per_s: float = 1e9, answers_bytes_per_s: float = 1e9) -> Iterator[str]:
+    """Yield the address of a hub that reads requests, and writes answers, only so fast."""
+    ended = threading.Event()
+
+    def read(channel: socket.socket, count: int) -> bytes:
+        content = b""
+        while len(content) < count:
+            part = channel.recv(min(max(int(reads_bytes_per_s * _TICK_S), 1), count - len(content)))
+            if not part or ended.wait(_TICK_S if reads_bytes_per_s < 1e6 else 0.0):
+                raise ConnectionResetError
+            content += part
+        return content
+
+    def answer(channel: socket.socket) -> None:
+        with suppress(OSError), channel:
+            first, *lines = head_of(channel)
+            headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+            after = int(first.split("after=")[1].split(" ")[0])
+            rows = read_feed_lines(gzip.decompress(read(channel, int(headers["content-length"]))), after=after)
+            batch = FeedBatch(camera="roof", installation=headers["sunarc-installation"], after=after, rows=rows)
+            body = json.dumps({"committed": hub.take_feed(batch, now=NOW)}).encode()
+            for byte in b"HTTP/1.1 200 OK\r\ncontent-length: %d\r\n\r\n%s" % (len(body), body):
+                channel.sendall(bytes([byte]))
+                if answers_bytes_per_s < 1e6 and ended.wait(1.0 / answers_bytes_per_s):
+                    return
+
+    def accept() -> None:
+        with suppress(OSError):
+            while True:
+                channel, _ = listening.accept()
+                threading.Thread(target=answer, args=(channel,), daemon=True).start()
+
+    with socket.socket() as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # else the kernel reads in its place
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        threading.Thread(target=accept, daemon=True).start()
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+        ended.set()
+        listening.shutdown(socket.SHUT_RDWR)
+
+
+def head_of(channel: socket.socket) -> list[str]:
+    head = b""
+    while not head.endswith(b"\r\n\r\n"):
+        head += channel.recv(1)
+    return head.decode().strip().split("\r\n")
+
+
+def connected(bench: Bench, url: str, folder: Path) -> FeedWorker:
+    (folder / "token").write_text("a token\n")
+    clock = SystemClock()
+    send = HubConnection(HubOptions(url=url, token_file=folder / "token"), camera="roof", clock=clock).send
+    camera = CameraArchive(bench.imager, name="roof", site=Site(latitude=36.6, longitude=-97.5))
+    return FeedWorker(camera=camera, send=send, clock=clock, board=bench.board)
+
+
+def test_a_hub_that_answers_a_byte_a_second_holds_up_neither_the_worker_nor_the_watchdog(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hub_connection, "_WITHIN_S", 3.0)
+    clock, stop, beats = SystemClock(), threading.Event(), [SystemClock().monotonic()]
+    with slow_hub(bench.hub, answers_bytes_per_s=1.0) as url:
+        worker = connected(bench, url, tmp_path)
+        supervised = Supervised(
+            name="feed", make_worker=lambda: worker, options=SupervisorOptions(stale_after_s=5.0), optional=True
+        )
+        supervisor = Supervisor([supervised], clock=clock, board=bench.board)
+        begun_s = clock.monotonic()
+        assert worker.step(lambda: beats.append(clock.monotonic())) == 5.0
+        assert 2.9 < clock.monotonic() - begun_s < 4.5
+        assert max(later - former for former, later in pairwise(beats)) < 2.0
+        supervisor.start()
+        for _ in range(12):
+            clock.wait(stop, 0.5)
+            assert supervisor.check()
+            assert bench.codes() == set()  # it is stuck nowhere
+        supervisor.stop()
+    assert bench.imager.outbox_waiting() > 0
+
+
+@pytest.mark.slow
+def test_a_thousand_rows_drain_through_two_kilobytes_a_second(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of them take longer than one exchange may: some must go at once, however few."""
+    monkeypatch.setattr(hub_connection, "_WITHIN_S", 4.0)
+    monkeypatch.setattr(feed, "_QUICK_S", 1.0)
+    chance = random.Random(1)
+    bench.imager.add_sun_points(sighting(n, x_px=chance.random(), y_px=chance.random()) for n in range(1000))
+    with slow_hub(bench.hub, reads_bytes_per_s=2000.0) as url:
+        worker, unfinished = connected(bench, url, tmp_path), 0
+        while bench.imager.outbox_waiting():
+            unfinished += step(worker) > 0.0
+            assert unfinished < 8
+    assert unfinished >= 1
+    assert len(bench.hub.sun_points("roof")) == 1000
+    assert bench.hub.quarantine() == ()
+
+
+@pytest.mark.parametrize("status", [408, 504])
+def test_an_answer_that_it_took_too_long_makes_batches_smaller(bench: Bench, tmp_path: Path, status: int) -> None:
+    bench.imager.add_sun_points(sighting(n) for n in range(7))
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def refuse() -> None:
+            channel, _ = listening.accept()
+            with channel:
+                channel.recv(65_536)
+                channel.sendall(f"HTTP/1.1 {status} No\r\ncontent-length: 0\r\n\r\n".encode())
+
+        thread = threading.Thread(target=refuse)
+        thread.start()
+        worker = connected(bench, f"http://127.0.0.1:{listening.getsockname()[1]}", tmp_path)
+        assert step(worker) == 5.0
+        thread.join()
+    waiting = bench.imager.outbox_waiting()
+    worker._send = bench.wire
+    step(worker)
+    assert bench.imager.outbox_waiting() == waiting - waiting // 2
+
+
+def test_one_row_has_as_long_as_its_size_needs(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It cannot be sent in parts: with the limit of all others it would never arrive."""
+    monkeypatch.setattr(hub_connection, "_WITHIN_S", 1.0)
+    text = random.Random(1).randbytes(3000).hex()
+    send_all(bench.worker())
+    bench.imager.add_event(Event(time=NOON, kind="test", severity="info", text=text, camera="roof"))
+    with slow_hub(bench.hub, reads_bytes_per_s=2000.0) as url:
+        worker = connected(bench, url, tmp_path)
+        for _ in range(3):
+            step(worker)
+            if not bench.imager.outbox_waiting():
+                break
+    assert [event.text for event in bench.hub.events("roof")] == [text]
+
+
+def test_a_proxy_that_the_environment_names_is_used(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("no_proxy", raising=False)
+    with slow_hub(bench.hub) as proxy:
+        monkeypatch.setenv("http_proxy", proxy)
+        worker = connected(bench, "http://hub.invalid", tmp_path)
+        while step(worker) == 0.0:
+            pass
+    assert bench.imager.outbox_waiting() == 0
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"HTTP/1.1 403 Forbidden\r\n\r\n"])
+def test_tls_goes_through_a_proxy_in_a_tunnel(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: bytes
+) -> None:
+    monkeypatch.delenv("no_proxy", raising=False)
+    certificate(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "cert.pem"))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
+    asked: list[str] = []
+
+    def tunnel() -> None:
+        channel, _ = listening.accept()
+        with suppress(OSError), channel:
+            asked.append(head_of(channel)[0])
+            channel.sendall(answer)
+            with context.wrap_socket(channel, server_side=True) as inner:
+                asked.append(head_of(inner)[0].split("?")[0])
+                inner.sendall(b"HTTP/1.1 401 Unauthorized\r\ncontent-length: 0\r\n\r\n")
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        monkeypatch.setenv("https_proxy", f"127.0.0.1:{listening.getsockname()[1]}")
+        thread = threading.Thread(target=tunnel)
+        thread.start()
+        assert step(connected(bench, "https://127.0.0.1:4444", tmp_path)) == 5.0
+        thread.join()
+    opened = b" 200 " in answer
+    assert asked == ["CONNECT 127.0.0.1:4444 HTTP/1.1", *(["PUT /v1/cameras/roof/feed"] if opened else [])]
+    assert bench.codes() == ({"hub_refuses"} if opened else set())
+
+
 @pytest.mark.parametrize("url", ["", "fleet.example", "ftp://x", "http://", "https://a?b=c", "https://me@x"])
 def test_an_address_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(InputError) as error:
@@ -230,4 +428,6 @@ def test_a_hub_needs_a_token_that_can_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         HubOptions(url="https://fleet.example")
     with pytest.raises(ConfigurationError):
-        HubConnection(HubOptions(url="https://fleet.example", token_file=tmp_path / "none"), camera="roof")
+        HubConnection(
+            HubOptions(url="https://fleet.example", token_file=tmp_path / "none"), camera="roof", clock=SystemClock()
+        )

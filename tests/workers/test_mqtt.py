@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from tests.fixtures.pushing import DUSTY, Pushing, pushing, step
 from tests.workers.test_webhook import certificate
 
 from sunarc.archive import CameraState
-from sunarc.errors import ConfigurationError
+from sunarc.errors import ConfigurationError, OutsideError
 from sunarc.runtime.clock import VirtualClock
 from sunarc.workers import MqttBroker, PushOptions
 from sunarc.workers.pushing import mqtt, push
@@ -205,6 +206,49 @@ def test_a_broker_that_answers_nothing_holds_up_nobody(bench: Pushing, monkeypat
         assert bench.clock.monotonic() - begun_s < 2.0
 
 
+def confirming_slowly(listening: socket.socket, every_s: float) -> None:
+    """Accept a client, and confirm one of its messages (MQTT 3.1.1, at least once) at a time, one every `every_s`."""
+    channel, _ = listening.accept()
+    received = bytearray()
+    waiting = threading.Event()
+
+    def read() -> None:
+        with suppress(OSError):
+            while part := channel.recv(65_536):
+                received.extend(part)
+
+    with channel:
+        threading.Thread(target=read, daemon=True).start()
+        channel.sendall(b"\x20\x02\x00\x00")  # the client is accepted
+        with suppress(OSError):
+            for number in range(1, 100):
+                channel.sendall(b"\x40\x02" + number.to_bytes(2, "big"))  # message `number` was received
+                if number > 1:  # the first says that the client is there
+                    waiting.wait(every_s)
+
+
+def test_a_broker_that_confirms_slowly_holds_up_nobody(bench: Pushing, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each receipt comes just in time, and there are twenty of them."""
+    monkeypatch.setattr(mqtt, "_WITHIN_S", 0.5)
+    monkeypatch.setattr(mqtt, "_REFRESH_S", 0.2)
+    states = {f"c{n}": CameraState(health="ready") for n in range(40)}
+    beats: list[float] = []
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=confirming_slowly, args=(listening, 0.4), daemon=True).start()
+        broker = MqttBroker(
+            PushOptions(mqtt=f"mqtt://127.0.0.1:{listening.getsockname()[1]}"),
+            states=lambda: states,
+            clock=bench.clock,
+            client="hub",
+        )
+        begun_s = bench.clock.monotonic()
+        with pytest.raises(OutsideError):
+            broker.refresh(lambda: beats.append(bench.clock.monotonic()))
+        assert bench.clock.monotonic() - begun_s < 2.0
+        broker.close(orderly=False)
+    assert max(later - former for former, later in pairwise([begun_s, *beats])) < 0.5
+
+
 @pytest.mark.parametrize("text", ["", "sunarc", ":word"])
 def test_a_login_that_is_none_is_a_condition_until_it_is_one(bench: Pushing, broker: Mosquitto, text: str) -> None:
     (bench.folder / "login").write_text(text)
@@ -309,7 +353,7 @@ def test_the_states_of_a_fleet_do_not_wait_for_one_another(bench: Pushing, broke
         PushOptions(mqtt=f"mqtt://127.0.0.1:{distance.port}"), states=lambda: states, clock=bench.clock, client="hub"
     )
     begun_s = bench.clock.monotonic()
-    far.refresh()
+    far.refresh(lambda: None)
     assert bench.clock.monotonic() - begun_s < 4.0  # 240 messages one by one take 9.6 s on the way alone
     far.close(orderly=False)
     distance.close()
@@ -333,15 +377,15 @@ def test_states_that_take_long_go_on_at_the_next_call_and_equal_ones_are_not_loo
     near = MqttBroker(
         PushOptions(mqtt=f"mqtt://127.0.0.1:{broker.port}"), states=lambda: states, clock=clock, client="hub"
     )
-    near.refresh()
+    near.refresh(lambda: None)
     assert made == ["c0", "c1", "c2"]  # 5 s were over
-    near.refresh()
-    near.refresh()
+    near.refresh(lambda: None)
+    near.refresh(lambda: None)
     assert made == ["c0", "c1", "c2", "c3", "c4"]
     states["c1"] = CameraState(health="degraded")
-    near.refresh()
+    near.refresh(lambda: None)
     assert made[5:] == ["c1"]
     near.close(orderly=True)
-    near.refresh()  # another connection begins with all
+    near.refresh(lambda: None)  # another connection begins with all
     assert made[6:] == ["c0", "c1", "c2"]
     near.close(orderly=True)

@@ -22,6 +22,8 @@ from sunarc.errors import ConflictError, InputError, NotFoundError, OutsideError
 
 MEDIA_TYPE = "application/problem+json"
 _MOST_FAULTS = 20
+_RETRY_AFTER_S = 5
+"""What is outside (a database, a disk) is mostly away for seconds, as in a restart."""
 _log = logging.getLogger(__name__)
 
 _PROBLEMS = {
@@ -263,7 +265,8 @@ def _ours(request: Request, error: Exception) -> JSONResponse:
         fault = Fault(field=error.field, problem=error.problem, remedy=error.remedy)
         return problem_response(status, path=path, detail=str(error), errors=[fault])
     _log.error("%s %s: %s", request.method, path, error)
-    return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error))
+    again = {"retry-after": str(_RETRY_AFTER_S)}
+    return problem_response(HTTPStatus.SERVICE_UNAVAILABLE, path=path, detail=str(error), headers=again)
 
 
 def _fault(error: Mapping[str, Any]) -> Fault:

@@ -45,9 +45,9 @@ def push_workers(
     sinks = receivers(options, states=lambda: notices.latest, clock=clock, client=client)
     workers = [PushWorker(archive=archive, sink=sink, clock=clock, board=board) for sink in sinks]
     return (
-        Supervised(name="notices", make_worker=lambda: notices),
+        Supervised(name="notices", make_worker=lambda: notices, optional=True),
         *(
-            Supervised(name=f"push_{sink.name}", make_worker=partial(_same, worker))
+            Supervised(name=f"push_{sink.name}", make_worker=partial(_same, worker), optional=True)
             for sink, worker in zip(sinks, workers, strict=True)
         ),
     )

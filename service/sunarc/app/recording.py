@@ -10,7 +10,7 @@ from sunarc.archive import Archive
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.runtime.supervisor import Supervised
-from sunarc.workers import ConditionTimesWorker, HousekeepingWorker
+from sunarc.workers import ConditionTimesWorker, HousekeepingWorker, StoreRoomWorker
 
 _OF_THE_HUB = ""
 
@@ -43,6 +43,10 @@ def imager_recording(service: Service) -> tuple[Supervised, ...]:
 
 
 def hub_recording(archive: Archive, board: StatusRegistry, clock: Clock) -> tuple[Supervised, ...]:
-    """Return the worker of a hub's own conditions."""
+    """Return the workers of a hub's own conditions; whatever its database does, a restart of the hub helps nothing."""
     conditions = ConditionTimesWorker(archive=archive, camera=_OF_THE_HUB, board=board, clock=clock)
-    return (Supervised(name="conditions", make_worker=lambda: conditions),)
+    room = StoreRoomWorker(archive=archive, clock=clock, board=board)
+    return (
+        Supervised(name="conditions", make_worker=lambda: conditions),
+        Supervised(name="room", make_worker=lambda: room, optional=True),
+    )

@@ -137,7 +137,11 @@ class Service:
             self._supervised("disk", self.disk_worker),
             self._supervised("database", self.database_worker),
             self._supervised("refit", self.refit_worker),
-            *(() if self.settings.hub.url is None else (self._supervised("feed", self.feed_worker),)),
+            *(
+                ()
+                if self.settings.hub.url is None
+                else (replace(self._supervised("feed", self.feed_worker), optional=True),)
+            ),
             self._supervised("watch", lambda: self.watch),
             *(() if self.night is None else (self._supervised("night", partial(night_worker, self, self.night)),)),
             replace(self._supervised("detect", self.detect_worker), severity="not_ready"),
@@ -329,7 +333,7 @@ class Service:
         hub = self.settings.hub
         return FeedWorker(
             camera=self.camera,
-            send=HubConnection(hub, camera=self.settings.name).send,
+            send=HubConnection(hub, camera=self.settings.name, clock=self.clock).send,
             clock=self.clock,
             board=self.board,
         )

@@ -30,6 +30,7 @@ from sunarc.archive.schema import UPGRADE_SERVER, require_file, require_head
 from sunarc.archive.server import create_server_engine, name_of, require_writable
 from sunarc.archive.sighting_revisions import SightingRevisions
 from sunarc.archive.sightings import Sightings
+from sunarc.archive.space_reserve import Room
 from sunarc.errors import OutsideError
 
 
@@ -50,6 +51,7 @@ class Archive(
     Counts,
     HousekeepingRecord,
     ConditionTimes,
+    Room,
 ):
     """The database: values in, values out; safe to use from any thread."""
 

@@ -12,14 +12,25 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
+from sqlalchemy.exc import DatabaseError, DBAPIError, IntegrityError, OperationalError
 
+from sunarc.archive import server
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.json_text import json_text, parsed_json
 from sunarc.archive.server import ONE_CAMERA, WRITES, contradiction, server_errors
-from sunarc.errors import ConfigurationError, OutsideError
+from sunarc.errors import ConfigurationError, OutsideError, StoreFullError
 
 _BUSY_TIMEOUT_MS = 30_000
+_OF_THE_ROW = frozenset(
+    {
+        sqlite3.SQLITE_ERROR,
+        sqlite3.SQLITE_TOOBIG,
+        sqlite3.SQLITE_CONSTRAINT,
+        sqlite3.SQLITE_MISMATCH,
+        sqlite3.SQLITE_RANGE,
+    }
+)
+"""Result codes of SQLite that say something of a row; the others are of the file, its disk and its locks."""
 
 
 def create_archive_engine(
@@ -82,6 +93,18 @@ def outside_errors(engine: Engine) -> Iterator[None]:
         yield
 
 
+def is_of_row(connection: Connection, error: DBAPIError) -> bool:
+    """Return whether the database refused a row itself; else no row could be stored: server, disk, locks."""
+    if connection.dialect.name == "postgresql":
+        return server.is_of_row(error)
+    return _result_code(error) in _OF_THE_ROW
+
+
+def _result_code(error: DBAPIError) -> int:
+    """Return SQLite's result code, without what is added to it; of an error of the driver, that of a row."""
+    return getattr(error.orig, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+
+
 @contextmanager
 def _file_errors(engine: Engine) -> Iterator[None]:
     path = engine.url.database
@@ -90,6 +113,8 @@ def _file_errors(engine: Engine) -> Iterator[None]:
     except IntegrityError as error:
         raise contradiction(str(error.orig)) from error
     except OperationalError as error:
+        if _result_code(error) == sqlite3.SQLITE_FULL:
+            raise StoreFullError(f"the disk of the database {path} is full: {error.orig}") from error
         may = os.access(str(path), os.R_OK | os.W_OK) or not Path(str(path)).exists()
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error

@@ -106,7 +106,7 @@ def _checks(kind: str, only_key: bool) -> tuple[tuple[str, bool, Callable[[Any],
         (
             name,
             # an event without a camera concerns all that an imager has: at the hub it is the camera's
-            not columns[name].nullable and columns[name].server_default is None,
+            not columns[name].nullable and (only_key or columns[name].server_default is None),
             next(fits for base, fits in _FITS if isinstance(plain_type(columns[name]), base)),
         )
         for name in names

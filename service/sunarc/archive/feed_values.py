@@ -23,6 +23,7 @@ Reason = Literal[
     "newer_document",
     "damaged_document",
     "contradiction",
+    "refused_by_database",
 ]
 
 
@@ -67,7 +68,7 @@ def read_feed_lines(body: bytes, *, after: int) -> tuple[FeedRow, ...]:
 
 def _row(line: bytes) -> FeedRow | None:
     try:
-        found = json.loads(line)
+        found = json.loads(line, parse_constant=lambda _: None)  # NaN and infinities: no JSON, and no value
         seq, kind, data = found["seq"], found["kind"], found["data"]
     except (ValueError, TypeError, KeyError, RecursionError):
         return None

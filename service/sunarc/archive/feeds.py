@@ -9,15 +9,16 @@ from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import Connection, and_, delete, insert, select, update
-from sqlalchemy.exc import DataError, IntegrityError
+from sqlalchemy import Connection, Table, and_, delete, insert, select, update
+from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
+from sunarc.archive.engine import is_of_row
 from sunarc.archive.feed_rows import FED, REMOVED, STATUS, problem_of, typed
 from sunarc.archive.feed_values import FeedBatch, FeedRow, Refusal
 from sunarc.archive.json_text import json_text
 from sunarc.archive.rows import upsert, upsert_all, upsert_records
 from sunarc.archive.store import Store
-from sunarc.archive.tables import calibration, event, feed, fleet, quarantine
+from sunarc.archive.tables import calibration, event, feed, fleet, pose_epoch, quarantine
 from sunarc.calibration import READ_SCHEMAS
 from sunarc.utc import from_microseconds, to_microseconds
 
@@ -34,7 +35,13 @@ _DATED = {
     "housekeeping": "time",
 }
 _OF_ONE_CAMERA = frozenset({"pose_epoch", "calibration", "refit"})
-"""Tables whose key is an id: a row of another camera must not be written over."""
+"""Tables whose key is an id: a row of another camera must not be written over, nor removed."""
+_REFERENCES: Mapping[str, Mapping[str, Table]] = {
+    "sun_point": {"pose_epoch": pose_epoch},
+    "calibration": {"pose_epoch": pose_epoch, "parent": calibration},
+    "refit": {"calibration": calibration},
+}
+"""Columns that name a row by its id: it must be one of the same camera."""
 _MOST_UNKNOWN = 100
 _OTHERS = "(others)"
 """Stands for cameras that nobody registered, beyond the first so many: names cost a stranger nothing."""
@@ -140,7 +147,7 @@ def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     kind = row.kind.removesuffix(REMOVED)
     if row.data is None:
         return Refusal(reason="body_too_large", text=f"a row of kind {row.kind} was too large to be sent")
-    if kind == STATUS:
+    if row.kind == STATUS:
         return None
     if kind not in FED:
         return Refusal(reason="malformed", text=f"kind {row.kind} is unknown")
@@ -150,14 +157,16 @@ def _refusal(camera: str, row: FeedRow, now: datetime) -> Refusal | None:
     named = row.data.get("name" if kind == "camera" else "camera", camera)
     if named != camera and not (kind == "event" and named is None):
         return Refusal(reason="other_camera", text=f"the row is of camera {named}")
-    return _refusal_of_value(kind, row.data, now) if row.kind == kind else None
+    return _refusal_of_value(kind, row, row.data, now)
 
 
-def _refusal_of_value(kind: str, data: Mapping[str, Any], now: datetime) -> Refusal | None:
+def _refusal_of_value(kind: str, row: FeedRow, data: Mapping[str, Any], now: datetime) -> Refusal | None:
     try:
         values = typed(kind, data)
     except (ValueError, OverflowError) as error:
         return Refusal(reason="malformed", text=str(error))
+    if row.kind != kind:
+        return None  # removed: its time says when it was made
     dated: datetime | None = values.get(_DATED.get(kind, ""))
     if dated is not None and dated > now + FUTURE:
         return Refusal(reason="future_clock", text=f"dated {dated.isoformat()}, later than now")
@@ -181,23 +190,46 @@ def _refusal_of_document(data: Mapping[str, Any]) -> Refusal | None:
 def _stored(
     connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]
 ) -> Iterable[tuple[FeedRow, Refusal]]:
-    """Store rows of one kind together, or one by one where one of them contradicts the others; yield those left out."""
+    """Store rows of one kind together, or one by one where the database refuses one of them; yield those left out."""
+    if _refused_by_database(connection, camera, kind, rows) is None:
+        return
+    for row in rows:
+        refusal = _refused_by_database(connection, camera, kind, [row])
+        if refusal is not None:
+            yield row, refusal
+
+
+def _refused_by_database(connection: Connection, camera: str, kind: str, rows: Sequence[FeedRow]) -> Refusal | None:
+    """Store rows or none of them, and return why not; an error that is of no row (server, disk, locks) is raised."""
     try:
         with connection.begin_nested():
+            _require_own_references(connection, camera, kind, rows)
             _write(connection, camera, kind, rows)
-    except (IntegrityError, DataError):
-        for row in rows:
-            try:
-                with connection.begin_nested():
-                    _write(connection, camera, kind, [row])
-            except (IntegrityError, DataError) as error:
-                text = str(error.orig).strip().partition("\n")[0]
-                yield row, Refusal(reason="contradiction", text=text)
+    except StatementError as error:
+        if isinstance(error, DBAPIError) and not is_of_row(connection, error):
+            raise
+        text = str(error.orig).strip().partition("\n")[0]
+        contradicts = isinstance(error, IntegrityError | DataError)
+        return Refusal(reason="contradiction" if contradicts else "refused_by_database", text=text)
+    return None
+
+
+def _require_own_references(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    for column, table in _REFERENCES.get(kind, {}).items():
+        named = {(row.data or {}).get(column) for row in rows} - {None}
+        others = select(table.c.id).where(table.c.id.in_(named), table.c.camera != camera_name)
+        found = connection.scalar(others.limit(1)) if named else None
+        if found is not None:
+            raise _another_cameras(f"{column} {found}")
+
+
+def _another_cameras(what: str) -> IntegrityError:
+    return IntegrityError(None, None, ValueError(f"{what} is another camera's"))
 
 
 def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
     if kind.endswith(REMOVED):
-        _remove(connection, kind.removesuffix(REMOVED), rows)
+        _remove(connection, camera_name, kind.removesuffix(REMOVED), rows)
         return
     table, key = FED[kind]
     if kind == "sun_point" and connection.dialect.name == "postgresql":
@@ -212,17 +244,24 @@ def _write(connection: Connection, camera_name: str, kind: str, rows: Sequence[F
             if kind == "calibration" and values["state"] == "current":
                 _make_room(connection, values)
             if not upsert(connection, table, values, key=key, of="camera"):
-                raise IntegrityError(None, None, ValueError(f"{kind} {values['id']} is another camera's"))
+                raise _another_cameras(f"{kind} {values['id']}")
     else:
         for _, alike in groupby(values_of_rows, key=lambda values: values.keys()):
             upsert_all(connection, table, list(alike), key=key)
 
 
-def _remove(connection: Connection, kind: str, rows: Sequence[FeedRow]) -> None:
+def _remove(connection: Connection, camera_name: str, kind: str, rows: Sequence[FeedRow]) -> None:
+    """Remove rows of a camera; one that is not there is nothing to do."""
     table, key = FED[kind]
+    owner = table.c["name" if kind == "camera" else "camera"]
     for row in rows:
-        values = typed(kind, row.data or {})
-        connection.execute(delete(table).where(*(table.c[name] == values[name] for name in key)))
+        values = typed(kind, row.data or {}) | {owner.name: camera_name}
+        this = [table.c[name] == values[name] for name in key]
+        found = connection.scalar(select(owner).where(*this).limit(1))
+        if found not in {None, camera_name}:
+            raise _another_cameras(f"{kind} {values['id']}")
+        if found is not None:
+            connection.execute(delete(table).where(*this, owner == camera_name))
 
 
 def _make_room(connection: Connection, values: Mapping[str, Any]) -> None:
@@ -251,15 +290,20 @@ def _set_apart(
         "installation": batch.installation,
         "reason": refusal.reason,
         "seq": WHOLE if row is None else row.seq,
-        "kind": "" if row is None else row.kind,
-        "text": refusal.text,
+        "kind": "" if row is None else _plain(row.kind),
+        "text": _plain(refusal.text),
         "data": "" if row is None else json_text(row.data),
     }
     q = quarantine.c
     this = [q[name] == values[name] for name in ("camera", "installation", "reason", "seq")]
-    again = update(quarantine).where(*this).values(n=q.n + 1, last_at=now, text=refusal.text)
+    again = update(quarantine).where(*this).values(n=q.n + 1, last_at=now, text=values["text"])
     if not connection.execute(again).rowcount:
         connection.execute(insert(quarantine).values(**values, n=1, first_at=now, last_at=now))
+
+
+def _plain(text: str) -> str:
+    """Return a text as both engines store it: without NUL and halves of characters."""
+    return text.replace("\0", "?").encode("utf-8", "replace").decode()
 
 
 def _note_in_fleet(connection: Connection, batch: FeedBatch, now: datetime) -> None:

@@ -8,10 +8,18 @@ from contextlib import contextmanager
 from datetime import datetime
 
 from sqlalchemy import URL, BigInteger, Connection, Engine, bindparam, create_engine, event, make_url, text
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, OperationalError, ProgrammingError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    IntegrityError,
+    InterfaceError,
+    InternalError,
+    OperationalError,
+    ProgrammingError,
+)
 
 from sunarc.archive.json_text import json_text, parsed_json
-from sunarc.errors import InputError, OutsideError
+from sunarc.errors import InputError, OutsideError, StoreFullError
 from sunarc.extras import extra_module
 from sunarc.utc import to_microseconds
 
@@ -22,6 +30,11 @@ ONE_CAMERA = "sunarc_camera"
 """Execution option of a transaction that writes rows of one camera alone, with the camera's name."""
 _ARCHIVE_LOCK = 0x73756E  # of this database; any number that no other application of it takes
 _LOCK_TIMEOUT_MS = 30_000  # as long as SQLite waits
+_DISK_FULL = "53100"
+"""SQLSTATE (PostgreSQL, appendix A)."""
+_OF_THE_SERVER = ("08", "25", "28", "3D", "40", "53", "55", "57", "58", "F0", "XX")
+"""Classes of SQLSTATE that say nothing of the row: connection, state of the transaction, authorisation, serialization,
+resources, locks, operators, system, configuration, and faults of PostgreSQL's own."""
 _CONNECTION = {
     "connect_timeout": 10,
     # a server that vanished without closing its connections is noticed within a minute, not in two hours
@@ -107,7 +120,9 @@ def server_errors(engine: Engine) -> Iterator[None]:
         yield
     except IntegrityError as error:
         raise contradiction(_first_line(error)) from error
-    except (OperationalError, ProgrammingError) as error:
+    except (OperationalError, ProgrammingError, InternalError) as error:
+        if _sqlstate(error) == _DISK_FULL:
+            raise StoreFullError(f"the disk of the database {where} is full: {_first_line(error)}") from error
         remedy = "; ask as a role that may" if "permission denied" in str(error.orig) else ""
         raise OutsideError(f"cannot use the database {where}: {_first_line(error)}{remedy}") from error
     except DBAPIError as error:
@@ -116,6 +131,22 @@ def server_errors(engine: Engine) -> Iterator[None]:
         raise InputError(
             field="archive", problem=f"a value cannot be stored ({_first_line(error)})", remedy="correct it"
         ) from error
+
+
+def is_of_row(error: DBAPIError) -> bool:
+    """Return whether PostgreSQL refused a row itself: privileges, constraints, data; else no row could be stored."""
+    code = _sqlstate(error)
+    if error.connection_invalidated or code is None:
+        return not (
+            error.connection_invalidated or isinstance(error, OperationalError | InterfaceError | InternalError)
+        )
+    return not code.startswith(_OF_THE_SERVER)
+
+
+def _sqlstate(error: DBAPIError) -> str | None:
+    """Return PostgreSQL's code of an error; None where psycopg itself found it."""
+    code = getattr(error.orig, "sqlstate", None)
+    return code if isinstance(code, str) else None
 
 
 def contradiction(detail: str) -> InputError:

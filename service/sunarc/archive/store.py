@@ -15,7 +15,7 @@ from sunarc.archive.data_version import Changes
 from sunarc.archive.engine import reading, writing
 from sunarc.archive.file import DatabaseFile
 from sunarc.archive.server import Months, SnapshotVersion
-from sunarc.errors import InputError
+from sunarc.errors import InputError, StoreFullError
 
 _log = logging.getLogger(__name__)
 
@@ -45,6 +45,9 @@ class Store:
         self._usable = threading.Event()
         self._usable.set()
         self._lock = threading.Lock()  # our own threads queue here, fairly; other processes wait in SQLite
+        self._full: str | None = None
+        """What the last write said that found the disk full; None when there was room since (see `Room`)."""
+        self._room_tried_at: datetime | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -71,7 +74,7 @@ class Store:
     @contextmanager
     def _writing(self, *, camera: str | None = None) -> Iterator[Connection]:
         # On PostgreSQL rows of different cameras are written at the same time.
-        with nullcontext() if camera is not None and self._file is None else self._lock:
+        with self._noticing_room(), nullcontext() if camera is not None and self._file is None else self._lock:
             # A deleted file stays writable in the connections that are open, and is lost with the process.
             if self._file is not None:
                 self._file.require_in_place()
@@ -81,7 +84,19 @@ class Store:
     def _prepare_months(self, times: Sequence[datetime]) -> None:
         """Make the partitions that sightings of these times go to; SQLite has none."""
         if self._months is not None:
-            self._months.require(times)
+            with self._noticing_room():
+                self._months.require(times)
+
+    @contextmanager
+    def _noticing_room(self) -> Iterator[None]:
+        """Remember that a write found the disk full."""
+        try:
+            yield
+        except StoreFullError as error:
+            if self._full is None:
+                self._room_tried_at = None
+            self._full = str(error)
+            raise
 
     def _values(self, statement: Select[Any], kind: type[Value]) -> tuple[Value, ...]:
         with self._reading() as connection:

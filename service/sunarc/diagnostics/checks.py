@@ -25,7 +25,7 @@ from sunarc.app import camera_opener, night_capture, receivers, require_stored_s
 from sunarc.archive import OutboxPosition, check, head_revision, newest_sound_copy, open_archive
 from sunarc.diagnostics.camera_checks import CheckResult, Outcome, survey
 from sunarc.errors import ConfigurationError, OutsideError, SunarcError
-from sunarc.runtime.clock import Clock, host_clock_state
+from sunarc.runtime.clock import Clock, SystemClock, host_clock_state
 from sunarc.runtime.preflight import listen, prepare_state
 from sunarc.settings import Settings
 from sunarc.utc import utc_time
@@ -98,13 +98,13 @@ def _receiver(sink: Sink) -> tuple[Outcome, str]:
 
 def _hub(settings: Settings) -> tuple[Outcome, str]:
     """Send no rows to the hub, with the token, as the service does; before its first start only connect."""
-    connection, position = HubConnection(settings.hub, camera=settings.name), _outbox(settings)
+    connection, position = HubConnection(settings.hub, camera=settings.name, clock=SystemClock()), _outbox(settings)
     try:
         if position is None:
             _within(partial(_connect, str(settings.hub.url)))
             return "ok", "it takes the connection; the token is tried at the first start"
         # After -1: the hub answers where it stands, and stores nothing.
-        _within(lambda: connection.send(replace(position, committed=-1), []))
+        _within(lambda: connection.send(replace(position, committed=-1), [], lambda: None))
     except HubRefusal as refusal:
         raise ConfigurationError(f"the hub refuses with {refusal.status}: {refusal}") from None
     except OutsideError as error:

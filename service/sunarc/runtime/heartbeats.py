@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sunarc.runtime.messages import of_worker, worker_code
-from sunarc.runtime.status import StatusRegistry, WorkerStatus
+from sunarc.runtime.status import Severity, StatusRegistry, WorkerStatus
 
-_STUCK = "worker_stuck"
+_STUCK, _OPTIONAL_STUCK = "worker_stuck", "optional_worker_stuck"
 
 
 class Heartbeat:
@@ -77,16 +77,21 @@ class Staleness:
     name : of the worker or loop.
     stale_after_s : seconds without a heartbeat that are too many.
     board : where the condition is shown.
+    optional : whether the measurement goes on without it: the condition is then `degraded`, else `not_ready`.
     """
 
-    def __init__(self, name: str, *, stale_after_s: float, board: StatusRegistry) -> None:
+    def __init__(self, name: str, *, stale_after_s: float, board: StatusRegistry, optional: bool = False) -> None:
         self._name = name
         self._stale_after_s = stale_after_s
         self._board = board
+        self._code = _OPTIONAL_STUCK if optional else _STUCK
+        self._severity: Severity = "degraded" if optional else "not_ready"
 
     def update(self, age_s: float) -> bool:
         """Take the heartbeat's age, and return whether it is too old."""
         stuck = age_s > self._stale_after_s
-        reason = of_worker(_STUCK, self._name, severity="not_ready", limit_s=self._stale_after_s) if stuck else None
-        self._board.set_condition(worker_code(_STUCK, self._name), reason)
+        reason = None
+        if stuck:
+            reason = of_worker(self._code, self._name, severity=self._severity, limit_s=self._stale_after_s)
+        self._board.set_condition(worker_code(self._code, self._name), reason)
         return stuck

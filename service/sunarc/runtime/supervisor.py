@@ -39,7 +39,8 @@ class SupervisorOptions:
     Attributes
     ----------
     max_restarts, within_s : a worker that dies once more than `max_restarts` times within `within_s` has failed.
-    stale_after_s : a worker without a heartbeat for longer is stuck; systemd's watchdog is then no longer fed.
+    stale_after_s : a worker without a heartbeat for longer is stuck; systemd's watchdog is then no longer fed, unless
+        the worker only sends to a hub, a broker or a webhook.
     """
 
     max_restarts: Annotated[int, Ge(0)] = 5
@@ -62,6 +63,7 @@ class Supervised:
     options : when it has failed, or is taken for stuck.
     essential : whether its failure ends the process; any other failed worker is retried every 300 s.
     severity : of the condition on the board while it keeps dying; `not_ready` where no sighting is stored without it.
+    optional : whether the measurement goes on without it: while it is stuck the watchdog is fed all the same.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Supervised:
     options: SupervisorOptions = SupervisorOptions()
     essential: bool = False
     severity: Severity = "degraded"
+    optional: bool = False
 
 
 class Supervisor:
@@ -85,8 +88,8 @@ class Supervisor:
     workers : what to run, names distinct.
     clock : real time; heartbeats, back-offs and windows are measured by it.
     board : where states and reasons are written.
-    feed : called from a thread of its own every `check_every_s` while no worker or monitored loop is stuck and no
-        essential worker has failed (the watchdog's keep-alive); None starts no such thread.
+    feed : called from a thread of its own every `check_every_s` while no worker or monitored loop is stuck (optional
+        workers apart) and no essential worker has failed (the watchdog's keep-alive); None starts no such thread.
     on_failed : called once, when the first essential worker fails, from that worker's thread.
     monitored : loops that run elsewhere, watched by their heartbeats.
     on_check : called at every turn of the watchdog's thread; what they raise is logged.
@@ -152,7 +155,7 @@ class Supervisor:
         return late
 
     def check(self) -> bool:
-        """Check all heartbeats, write them on the board, and return whether every worker and loop is alive."""
+        """Check all heartbeats, write them on the board, and return whether all but optional workers are alive."""
         fresh = [life.check() for life in self._lives] + [monitor.check() for monitor in self._monitors]
         return all(fresh)
 
@@ -194,7 +197,9 @@ class _Life:
         self._deaths: deque[float] = deque()
         self._restarts = 0
         self._last_error: str | None = None
-        self._staleness = Staleness(worker.name, stale_after_s=worker.options.stale_after_s, board=board)
+        self._staleness = Staleness(
+            worker.name, stale_after_s=worker.options.stale_after_s, board=board, optional=worker.optional
+        )
         self._blocked = False
         self._died_too_often = False
         self._born_at = clock.monotonic()
@@ -212,7 +217,7 @@ class _Life:
         self._enter("stopped")
 
     def check(self) -> bool:
-        """Write the heartbeat's age on the board, and return whether the worker is alive."""
+        """Write the heartbeat's age on the board, and return whether the watchdog may be fed."""
         with self._lock:
             age_s = self._beat.age_s()
             running = self._state == "running"
@@ -220,7 +225,7 @@ class _Life:
             if running and self._clock.monotonic() - self._born_at > _LONGEST_BACK_OFF_S:
                 self._recover()
         stuck = self._staleness.update(age_s if running else 0.0)
-        return not stuck and not self.failed
+        return (self._worker.optional or not stuck) and not self.failed
 
     def _back_off(self) -> bool:
         """Wait until the next life; return False when there is none, the worker being essential and having failed."""

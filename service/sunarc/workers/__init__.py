@@ -11,7 +11,7 @@ from sunarc.workers.capture.overdue_sightings import OverdueSightings
 from sunarc.workers.capture.replay import ReplayWorker
 from sunarc.workers.capture.sun_exposure_control import SunExposures
 from sunarc.workers.condition_times import ConditionTimesWorker
-from sunarc.workers.database_file import DatabaseWorker
+from sunarc.workers.database_file import DatabaseWorker, StoreRoomWorker
 from sunarc.workers.disk_space import DiskWorker
 from sunarc.workers.feeding.feed import FeedWorker
 from sunarc.workers.feeding.hub_connection import HubConnection, HubOptions, HubRefusal
@@ -84,6 +84,7 @@ __all__ = [
     "SensorOptions",
     "SightingWriteBuffer",
     "Sink",
+    "StoreRoomWorker",
     "SunExposures",
     "SunPredictor",
     "WarmPixelMap",

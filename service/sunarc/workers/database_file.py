@@ -1,4 +1,4 @@
-"""Recovery of the database's file while the service runs."""
+"""The database while the service runs: recovery of its file, and whether it has room."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from datetime import datetime
 
 from sunarc.archive import Archive, Event, Recovery
-from sunarc.errors import OutsideError
+from sunarc.errors import OutsideError, StoreFullError
 from sunarc.findings import Finding
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import Reason, StatusRegistry
@@ -17,6 +17,7 @@ from sunarc.workers.messages import MESSAGES, condition
 _log = logging.getLogger(__name__)
 _EVERY_S = 2.0
 _MISSING = "database_missing"
+_FULL = "store_full"
 
 
 class DatabaseWorker:
@@ -88,3 +89,37 @@ def _finding(done: Recovery) -> Finding:
 def _publish(board: StatusRegistry, done: Recovery) -> None:
     reason = Reason.of(_finding(done), MESSAGES)
     board.set_condition(reason.code, reason, log=False)
+
+
+class StoreRoomWorker:
+    """Checks whether a hub's database can store a row, and shows where its disk is full.
+
+    Parameters
+    ----------
+    archive : the hub's.
+    clock : real time.
+    board : where a full disk is shown.
+    """
+
+    def __init__(self, *, archive: Archive, clock: Clock, board: StatusRegistry) -> None:
+        self._archive = archive
+        self._clock = clock
+        self._board = board
+
+    def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
+        """Check until stopped."""
+        while not stop.is_set():
+            heartbeat()
+            self.check()
+            self._clock.wait(stop, _EVERY_S)
+
+    def check(self) -> None:
+        """Check once; where the database does not answer, nothing is known of its disk."""
+        try:
+            self._archive.require_room(now=self._clock.now())
+        except StoreFullError as error:
+            self._board.set_condition(_FULL, condition(_FULL, severity="not_ready", error=str(error)))
+        except OutsideError as error:
+            _log.debug("not known whether there is room: %s", error)
+        else:
+            self._board.set_condition(_FULL, None)

@@ -190,6 +190,11 @@ MESSAGES = Messages(
         "Summaries, cross-checks or retention of a hub are late; nothing is lost.",
         "it is tried again every hour; the log has the stack, /v1/nightly the errors",
     ),
+    store_full=Message(
+        "no row can be stored: {error}",
+        "A hub stores nothing; imagers keep their rows and send them again. Not ready.",
+        "free space on the database's disk; it goes on by itself",
+    ),
     # messages to receivers
     push_failing=Message(
         "no message reached {name} for {hours:g} h: {error}",

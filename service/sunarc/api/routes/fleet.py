@@ -78,9 +78,12 @@ def fleet_routes(
 
     @routes.get("/readyz", response_model=Readiness, responses=answers(503))
     def readyz(request: Request) -> Readiness | JSONResponse:
-        """Tell that the database answers (503 where it does not), and what of the hub's own work fails."""
+        """Tell that the database answers and has room (503 where not), and what of the hub's own work fails."""
         archive.cameras()
-        return readiness(status(), request.url.path)
+        snapshot = status()
+        if snapshot.health != "not_ready":
+            archive.require_room(now=now())
+        return readiness(snapshot, request.url.path)
 
     @routes.get(
         "/metrics",

@@ -15,12 +15,14 @@ from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.runtime.status import StatusRegistry
 from sunarc.utc import rfc3339
-from sunarc.workers.feeding.hub_connection import HubRefusal, Send
+from sunarc.workers.feeding.hub_connection import HubRefusal, HubUnfinishedError, Send
 from sunarc.workers.messages import condition
 
 _log = logging.getLogger(__name__)
 _POLL_S = 1.0  # the heartbeat's
 _MOST_ROWS = 1000
+_QUICK_S = 7.5
+"""An exchange that took no longer, a quarter of what it may take, shows that the next may have twice the rows."""
 _MOST_BYTES = 1_000_000  # of JSON, a tenth of that on the way
 _STATUS_EVERY_S = 60.0
 _LONGEST_WAIT_S = 60.0
@@ -59,16 +61,16 @@ class FeedWorker:
     def run(self, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Send until stopped."""
         while not stop.is_set():
-            until_s = self._clock.monotonic() + self.step()
+            until_s = self._clock.monotonic() + self.step(heartbeat)
             heartbeat()
             while not stop.is_set() and self._clock.monotonic() < until_s:
                 self._clock.wait(stop, min(_POLL_S, max(until_s - self._clock.monotonic(), 0.0)))
                 heartbeat()
 
-    def step(self) -> float:
+    def step(self, heartbeat: Callable[[], None]) -> float:
         """Send once, and return the seconds until the next time."""
         try:
-            more = self._send_next()
+            more = self._send_next(heartbeat)
         except OutsideError as error:
             _log.debug("not sent to the hub: %s", error)
             return self._failed(str(error))
@@ -79,7 +81,7 @@ class FeedWorker:
         self._board.set_condition(_REFUSED, None)
         return 0.0 if more else self._every_s
 
-    def _send_next(self) -> bool:
+    def _send_next(self, heartbeat: Callable[[], None]) -> bool:
         """Send the next rows, if there are any, and return whether there may be more."""
         if not self._enabled:
             if self._archive.enable_outbox():
@@ -94,21 +96,29 @@ class FeedWorker:
             return False
         # Before they are sent: a database that is put back to before this knows less than the hub, and finds it out.
         self._archive.mark_sent(rows[-1].seq)
-        self._follow(position, rows, self._sent(position, rows))
+        self._follow(position, rows, self._sent(position, rows, heartbeat))
         return True
 
-    def _sent(self, position: OutboxPosition, rows: Sequence[FeedRow]) -> int:
-        """Send rows; one that is too large for the hub goes as its number alone, and the hub sets that apart."""
+    def _sent(self, position: OutboxPosition, rows: Sequence[FeedRow], heartbeat: Callable[[], None]) -> int:
+        """Send rows, the next time fewer where they took too long or were too large, and more where it was quick.
+
+        One that is too large for the hub goes as its number alone, and the hub sets that apart.
+        """
+        begun_s = self._clock.monotonic()
         try:
-            committed = self._send(position, rows)
+            committed = self._send(position, rows, heartbeat)
+        except HubUnfinishedError:
+            self._most_rows = max(len(rows) // 2, 1)
+            raise
         except HubRefusal as refusal:
             if refusal.status != HTTPStatus.REQUEST_ENTITY_TOO_LARGE or (len(rows) == 1 and rows[0].data is None):
                 raise
             if len(rows) > 1:
                 self._most_rows = max(len(rows) // 2, 1)
-                return self._sent(position, rows[: self._most_rows])
-            committed = self._send(position, [replace(rows[0], data=None)])
-        self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
+                return self._sent(position, rows[: self._most_rows], heartbeat)
+            committed = self._send(position, [replace(rows[0], data=None)], heartbeat)
+        if self._clock.monotonic() - begun_s <= _QUICK_S:
+            self._most_rows = min(2 * self._most_rows, _MOST_ROWS)
         return committed
 
     def _follow(self, position: OutboxPosition, rows: Sequence[FeedRow], committed: int) -> None:

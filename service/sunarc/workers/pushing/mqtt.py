@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import ssl
 import urllib.parse
@@ -25,7 +26,7 @@ _ROOT = "sunarc"
 _DISCOVERY = "homeassistant"
 """Prefix under which Home Assistant looks for new devices, where nothing else is set there."""
 _WITHIN_S = 10.0
-"""For a connection, and for the receipt of one message."""
+"""For a connection, for the receipt of one message, and for the receipts of all states that are under way."""
 _TURN_S = 0.1
 _REFRESH_S = 5.0
 """For the states of a fleet at once: notices and signs of life come between."""
@@ -67,9 +68,11 @@ class MqttBroker:
         self._accepted: list[str | None] = []
         self._kept: dict[str, str] = {}
         self._shown: dict[str, CameraState] = {}
+        self._heartbeat: Callable[[], None] = lambda: None
 
-    def refresh(self) -> None:
+    def refresh(self, heartbeat: Callable[[], None]) -> None:
         """Keep the connection, and publish what changed of the cameras' states; what takes long goes on next time."""
+        self._heartbeat = heartbeat
         client = self._connected()
         self._turn(client, 0.0)
         until_s = self._clock.monotonic() + _REFRESH_S
@@ -85,9 +88,9 @@ class MqttBroker:
                     self._kept[topic] = payload
             self._shown[camera] = state  # where a receipt does not come, the connection and all this is dropped
             while len(under_way) > _UNDER_WAY:
-                self._wait_for(client, under_way.popleft())
+                self._wait_for(client, under_way.popleft(), until_s=until_s + _WITHIN_S)
         for info in under_way:
-            self._wait_for(client, info)
+            self._wait_for(client, info, until_s=until_s + _WITHIN_S)
 
     def probe(self) -> None:
         """Connect and log in, and end the connection; nothing is published."""
@@ -98,8 +101,9 @@ class MqttBroker:
         finally:
             self.close(orderly=False)
 
-    def deliver(self, notice: Notice) -> None:
+    def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Publish a notice, and wait for the broker's receipt."""
+        self._heartbeat = heartbeat
         self._publish(self._connected(), f"{camera_topic(notice.camera)}/events", json.dumps(message_of(notice)))
 
     def close(self, *, orderly: bool) -> None:
@@ -165,14 +169,16 @@ class MqttBroker:
             raise OutsideError(f"broker {self._host}: {self._mqtt.error_string(info.rc)}")
         return info
 
-    def _wait_for(self, client: Client, info: MQTTMessageInfo) -> None:
-        self._until(client, info.is_published, "confirmed no receipt")
+    def _wait_for(self, client: Client, info: MQTTMessageInfo, *, until_s: float = math.inf) -> None:
+        self._until(client, info.is_published, "confirmed no receipt", until_s=until_s)
 
-    def _until(self, client: Client, done: Callable[[], bool], problem: str) -> None:
-        until_s = self._clock.monotonic() + _WITHIN_S
+    def _until(self, client: Client, done: Callable[[], bool], problem: str, *, until_s: float = math.inf) -> None:
+        begun_s = self._clock.monotonic()
         while not done():
-            if self._clock.monotonic() > until_s:
-                raise OutsideError(f"broker {self._host} {problem} within {_WITHIN_S:g} s")
+            self._heartbeat()
+            if self._clock.monotonic() > min(begun_s + _WITHIN_S, until_s):
+                waited_s = self._clock.monotonic() - begun_s
+                raise OutsideError(f"broker {self._host} {problem} within {waited_s:.1f} s")
             self._turn(client, _TURN_S)
 
     def _turn(self, client: Client, wait_s: float) -> None:

@@ -35,10 +35,13 @@ class Sink(Protocol):
     def probe(self) -> None:
         """Connect as for a message, and send none; OutsideError where it cannot be reached."""
 
-    def refresh(self) -> None:
-        """Show how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached."""
+    def refresh(self, heartbeat: Callable[[], None]) -> None:
+        """Show how the cameras are, where the receiver keeps that; OutsideError where it cannot be reached.
 
-    def deliver(self, notice: Notice) -> None:
+        This and `deliver` end after seconds, whatever the receiver does, and call `heartbeat` while they wait.
+        """
+
+    def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Send a notice and wait until the receiver has it.
 
         Raises
@@ -81,13 +84,13 @@ class PushWorker:
     def step(self, stop: threading.Event, heartbeat: Callable[[], None]) -> float:
         """Send what there is, and return the seconds until the next time."""
         try:
-            self._sink.refresh()
+            self._sink.refresh(heartbeat)
             notices = self._archive.notices_after(self._sink.name, limit=_MOST_AT_ONCE)
             for notice in notices:
                 heartbeat()
                 if stop.is_set():
                     break
-                self._deliver(notice)
+                self._deliver(notice, heartbeat)
         except OutsideError as error:
             self._sink.close(orderly=False)
             return self._failed(str(error))
@@ -100,9 +103,9 @@ class PushWorker:
         self._show(_UNUSABLE, None)
         return 0.0 if len(notices) == _MOST_AT_ONCE else _POLL_S
 
-    def _deliver(self, notice: Notice) -> None:
+    def _deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         try:
-            self._sink.deliver(notice)
+            self._sink.deliver(notice, heartbeat)
         except NoticeRefusedError as refusal:
             self._archive.notice_done(self._sink.name, notice.seq, refused=True)
             n = self._archive.sink_states()[self._sink.name].refused

@@ -6,10 +6,9 @@ import base64
 import hashlib
 import hmac
 import json
-import socket
 import ssl
 import urllib.parse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from http import HTTPStatus
 from pathlib import Path
 
@@ -19,16 +18,13 @@ from sunarc.archive import Notice
 from sunarc.errors import OutsideError
 from sunarc.runtime.clock import Clock
 from sunarc.utc import rfc3339
+from sunarc.workers.http_exchange import HttpRequest, Limit, UnfinishedError, connected, exchange
 from sunarc.workers.pushing.options import read_secret
 from sunarc.workers.pushing.push import NoticeRefusedError
 
 _WITHIN_S = 15.0
-"""From the beginning of the connection to the status line of the answer; a worker may be silent for 120 s."""
-_LEAST_S = 0.01
-_MOST_ADDRESSES = 4
-"""Of a host that has many."""
+"""From the beginning of the connection to the status line of the answer."""
 _RETRIED = {HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_EARLY, HTTPStatus.TOO_MANY_REQUESTS}
-_LONGEST_LINE = 65_536
 
 
 class Webhook:
@@ -51,25 +47,26 @@ class Webhook:
         self._context = ssl.create_default_context() if self._url.scheme == "https" else None
         self._clock = clock
 
-    def refresh(self) -> None:
+    def refresh(self, heartbeat: Callable[[], None]) -> None:
         """Read the key, if it is not there yet: a webhook keeps no state of the cameras."""
-        self._key = self._key or read_secret(self._secret_file)
+        del heartbeat
+        self._read_key()
 
     def probe(self) -> None:
         """Read the key, connect, and end the connection."""
-        self.refresh()
-        until_s = self._clock.monotonic() + _WITHIN_S
+        self._read_key()
+        request = HttpRequest(method="POST", url=self._url, headers={}, body=b"")
         try:
-            _connected(self._url, self._context, lambda: max(until_s - self._clock.monotonic(), _LEAST_S)).close()
+            connected(request, self._context, self._limit(lambda: None)).close()
         except (OSError, ValueError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
 
     def close(self, *, orderly: bool) -> None:
         """Do nothing: every notice has a connection of its own."""
 
-    def deliver(self, notice: Notice) -> None:
+    def deliver(self, notice: Notice, heartbeat: Callable[[], None]) -> None:
         """Post a notice, and wait for the status of the answer."""
-        self.refresh()
+        self._read_key()
         body = json.dumps(message_of(notice), separators=(",", ":")).encode()
         timestamp = str(int(self._clock.now().timestamp()))
         headers = {
@@ -79,15 +76,22 @@ class Webhook:
             "webhook-timestamp": timestamp,
             "webhook-signature": signature(self._key, notice.id, timestamp, body),
         }
+        request = HttpRequest(method="POST", url=self._url, headers=headers, body=body)
         try:
-            status = post(self._url, headers=headers, body=body, context=self._context, monotonic=self._clock.monotonic)
-        except (OSError, ValueError, h11.RemoteProtocolError) as error:
+            status, _ = exchange(request, context=self._context, limit=self._limit(heartbeat))
+        except (OSError, ValueError, UnfinishedError, h11.RemoteProtocolError) as error:
             raise OutsideError(f"{self._url.hostname}: {error}") from error
         if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
             return
         if status >= HTTPStatus.INTERNAL_SERVER_ERROR or status in _RETRIED:
             raise OutsideError(f"{self._url.hostname} answers {status}")
         raise NoticeRefusedError(f"{self._url.hostname} answers {status}")
+
+    def _read_key(self) -> None:
+        self._key = self._key or read_secret(self._secret_file)
+
+    def _limit(self, heartbeat: Callable[[], None]) -> Limit:
+        return Limit(_WITHIN_S, monotonic=self._clock.monotonic, heartbeat=heartbeat)
 
 
 def webhook_name(url: str) -> str:
@@ -111,73 +115,3 @@ def signature(key: bytes, identity: str, timestamp: str, body: bytes) -> str:
     """Return the value of `webhook-signature`: HMAC-SHA256 of id, time and body."""
     mac = hmac.new(key, f"{identity}.{timestamp}.".encode() + body, hashlib.sha256)
     return f"v1,{base64.b64encode(mac.digest()).decode()}"
-
-
-def post(
-    url: urllib.parse.SplitResult,
-    *,
-    headers: Mapping[str, str],
-    body: bytes,
-    context: ssl.SSLContext | None,
-    monotonic: Callable[[], float],
-    within_s: float = _WITHIN_S,
-) -> int:
-    """Post a body, and return the status of the answer.
-
-    All of it takes at most `within_s` (a name that is not resolved, as long as the host's resolver), however slowly
-    bytes come; `urllib` and `http.client` limit the time between two bytes alone.
-
-    Raises
-    ------
-    OSError : no connection, no TLS, or no answer in time.
-    h11.RemoteProtocolError : the answer is no HTTP.
-    """
-    until_s = monotonic() + within_s
-
-    def left_s() -> float:
-        left = until_s - monotonic()
-        if left <= 0.0:
-            raise TimeoutError(f"no answer within {within_s:g} s")
-        return left
-
-    connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=_LONGEST_LINE)
-    path = (url.path or "/") + (f"?{url.query}" if url.query else "")
-    lines = {"host": url.netloc, "content-length": str(len(body)), "connection": "close", **headers}
-    events = (h11.Request(method="POST", target=path, headers=list(lines.items())), h11.Data(data=body))
-    sent = b"".join(connection.send(event) or b"" for event in (*events, h11.EndOfMessage()))
-    with _connected(url, context, left_s) as channel:
-        channel.settimeout(left_s())
-        channel.sendall(sent)
-        while True:
-            event = connection.next_event()
-            if isinstance(event, h11.Response):
-                return event.status_code
-            if event is h11.NEED_DATA:
-                channel.settimeout(left_s())
-                connection.receive_data(channel.recv(_LONGEST_LINE))
-
-
-def _connected(
-    url: urllib.parse.SplitResult, context: ssl.SSLContext | None, left_s: Callable[[], float]
-) -> socket.socket:
-    """Return a connection to the first address of a host that answers, with TLS where there is a context."""
-    host, port = url.hostname or "", url.port or (443 if url.scheme == "https" else 80)
-    error: OSError = OSError("the name has no address")
-    for _, _, _, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[:_MOST_ADDRESSES]:
-        try:
-            channel = socket.create_connection((str(address[0]), port), timeout=left_s())
-            break
-        except TimeoutError:
-            raise
-        except OSError as refused:
-            error = refused
-    else:
-        raise error
-    if context is None:
-        return channel
-    try:
-        channel.settimeout(left_s())
-        return context.wrap_socket(channel, server_hostname=host)
-    except BaseException:
-        channel.close()
-        raise

@@ -1,0 +1,178 @@
+"""One HTTP request with a limit on the whole of it: connection, TLS, sending and reading."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import urllib.parse
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import h11
+
+_MOST_ADDRESSES = 4
+"""Of a host that has many."""
+_PART_BYTES = 65_536
+"""Of what is read or written at once, and of the head of an answer."""
+_TURN_S = 1.0
+"""Between two heartbeats of an exchange that is under way."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HttpRequest:
+    """A request.
+
+    Attributes
+    ----------
+    method, url, headers, body : the request; `url` was checked.
+    proxy : through which it goes; None: none.
+    """
+
+    method: str
+    url: urllib.parse.SplitResult
+    headers: Mapping[str, str]
+    body: bytes
+    proxy: urllib.parse.SplitResult | None = None
+
+
+class UnfinishedError(Exception):
+    """An exchange began, and did not end: it was cut off, or took longer than it may."""
+
+
+class Limit:
+    """The time that an exchange may take, and the heartbeat meanwhile.
+
+    Parameters
+    ----------
+    within_s : seconds from now on.
+    monotonic : seconds that never jump.
+    heartbeat : called about every second while something is waited for.
+    """
+
+    def __init__(self, within_s: float, *, monotonic: Callable[[], float], heartbeat: Callable[[], None]) -> None:
+        self._within_s = within_s
+        self._monotonic = monotonic
+        self._heartbeat = heartbeat
+        self._until_s = monotonic() + within_s
+
+    def left_s(self) -> float:
+        """Beat, and return the seconds that are left; TimeoutError where there are none."""
+        self._heartbeat()
+        left_s = self._until_s - self._monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError(f"not finished within {self._within_s:g} s")
+        return left_s
+
+    def read(self, channel: socket.socket) -> bytes:
+        """Return the next bytes from a channel; none where it was closed."""
+        while True:
+            channel.settimeout(min(self.left_s(), _TURN_S))
+            with suppress(TimeoutError):
+                return channel.recv(_PART_BYTES)
+
+    def write(self, channel: socket.socket, content: bytes) -> None:
+        """Write all of some bytes to a channel."""
+        rest = memoryview(content)
+        while rest:
+            channel.settimeout(min(self.left_s(), _TURN_S))
+            with suppress(TimeoutError):
+                rest = rest[channel.send(rest[:_PART_BYTES]) :]
+
+
+def exchange(
+    request: HttpRequest, *, context: ssl.SSLContext | None, limit: Limit, most_bytes: int = 0
+) -> tuple[int, bytes]:
+    """Send a request, and return the status and the beginning of the body of its answer.
+
+    The limit holds for the whole of it, however slowly bytes come; a name that is not resolved takes as long as the
+    host's resolver. `urllib` and `http.client` limit the time between two bytes alone.
+
+    Parameters
+    ----------
+    request : what is sent.
+    context : of TLS, for https.
+    limit : on the time.
+    most_bytes : no more of the body is read; with 0 the exchange ends at the status.
+
+    Raises
+    ------
+    UnfinishedError : the connection was made, and was cut off or took too long.
+    OSError : no connection or no TLS in time.
+    h11.RemoteProtocolError : the answer is no HTTP, or ends too early.
+    """
+    with connected(request, context, limit) as channel:
+        whole = request.proxy is not None and context is None
+        target = (request.url.path or "/") + (f"?{request.url.query}" if request.url.query else "")
+        lines = {
+            "host": request.url.netloc.encode("idna").decode(),
+            "content-length": str(len(request.body)),
+            "connection": "close",
+            **request.headers,
+        }
+        head = h11.Request(
+            method=request.method,
+            target=f"{request.url.scheme}://{request.url.netloc}{target}" if whole else target,
+            headers=list(lines.items()),
+        )
+        try:
+            return _answer(channel, [head, h11.Data(data=request.body), h11.EndOfMessage()], limit, most_bytes)
+        except OSError as error:
+            raise UnfinishedError(str(error)) from error
+
+
+def _answer(channel: socket.socket, events: list[h11.Event], limit: Limit, most_bytes: int) -> tuple[int, bytes]:
+    connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=_PART_BYTES)
+    with suppress(BrokenPipeError, ConnectionResetError):  # who refuses early may close before all is read
+        limit.write(channel, b"".join(connection.send(event) or b"" for event in events))
+    status, body = 0, b""
+    while True:
+        event = connection.next_event()
+        if event is h11.NEED_DATA:
+            connection.receive_data(limit.read(channel))
+        elif isinstance(event, h11.Response):
+            status = event.status_code
+        elif isinstance(event, h11.Data):
+            body += event.data
+        if status and (isinstance(event, h11.EndOfMessage) or len(body) >= most_bytes):
+            return status, body[:most_bytes]
+
+
+def connected(request: HttpRequest, context: ssl.SSLContext | None, limit: Limit) -> socket.socket:
+    """Return a connection to the first address of a host (or of its proxy) that answers, with TLS where asked for.
+
+    The parameters and errors are those of `exchange`.
+    """
+    host, port = request.url.hostname or "", request.url.port or (443 if context else 80)
+    proxy = request.proxy
+    channel = _reached(host, port, limit) if proxy is None else _reached(proxy.hostname or "", proxy.port or 80, limit)
+    try:
+        if context is None:
+            return channel
+        if proxy is not None:
+            _open_tunnel(channel, f"{host}:{port}", limit)
+        channel.settimeout(limit.left_s())  # of the whole handshake
+        return context.wrap_socket(channel, server_hostname=host)
+    except BaseException:
+        channel.close()
+        raise
+
+
+def _reached(host: str, port: int, limit: Limit) -> socket.socket:
+    error: OSError = OSError("the name has no address")
+    for _, _, _, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[:_MOST_ADDRESSES]:
+        try:
+            return socket.create_connection((str(address[0]), port), timeout=limit.left_s())
+        except TimeoutError:
+            raise
+        except OSError as refused:
+            error = refused
+    raise error
+
+
+def _open_tunnel(channel: socket.socket, target: str, limit: Limit) -> None:
+    """Ask a proxy to pass on what is sent to a host and port."""
+    events: list[h11.Event] = [h11.Request(method="CONNECT", target=target, headers=[("host", target)])]
+    status, _ = _answer(channel, [*events, h11.EndOfMessage()], limit, 0)
+    if status != 200:
+        raise OSError(f"the proxy answers {status}")
