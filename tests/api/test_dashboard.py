@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 import socket
@@ -386,7 +387,60 @@ def test_an_idle_page_loads_little(pictured: Made) -> None:
     hourly.pop("/v1/image/latest")  # it is the same all the time, and the browser has it
     assert {"/v1/status", "/v1/events/stream", "/v1/sun", "/v1/sun-points"} <= set(hourly)
     assert 50_000 < sum(hourly.values()) < 1_000_000, hourly
-    assert 9 <= counting.asked["/v1/image/latest"] <= 11  # once a minute: 6 MB/h allow for 100 kB each
+    assert counting.asked["/v1/image/latest"] <= 2  # once in ten minutes: 0.6 MB/h at 100 kB each
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_when_the_service_ends_the_page_says_so_within_five_seconds(pictured: Made) -> None:
+    with browser() as chromium, socket.create_server(("127.0.0.1", 0)) as listening:
+        config = uvicorn.Config(pictured.app, log_level="error", timeout_graceful_shutdown=1)
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+        thread.start()
+        try:
+            page = opened(chromium, f"http://127.0.0.1:{listening.getsockname()[1]}/").page
+            shown(page)
+            assert page.get_attribute("#health", "data-health") != "gone"
+        finally:
+            server.should_exit = True
+            thread.join()
+        listening.close()
+        page.wait_for_selector("#health[data-health=gone]", timeout=5_000)
+
+
+class Late:
+    """An application whose first answer about all events comes three seconds late."""
+
+    def __init__(self, app: Any) -> None:  # noqa: ANN401 - an application
+        self._app = app
+        self.late = 0
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401 - ASGI's
+        if scope.get("path") == "/v1/events" and b"kind=" not in scope["query_string"] and not self.late:
+            self.late += 1
+            await asyncio.sleep(3.0)
+        await self._app(scope, receive, send)
+
+
+@pytest.mark.browser
+@in_a_browser
+def test_a_late_answer_replaces_no_newer_one(pictured: Made) -> None:
+    pictured.archive.add_event(Event(time=NOON, kind="bump", severity="alarm", text="it was moved", camera="roof"))
+    pictured.archive.add_event(Event(time=NOON, kind="clock", severity="info", text="a step", camera="roof"))
+    late = Late(pictured.app)
+    with serving(pictured, app=late) as address, browser() as chromium:
+        page = opened(chromium, address).page
+        for _ in range(200):
+            if late.late:
+                break
+            page.wait_for_timeout(50)
+        page.fill("#event-kind", "bump")
+        page.click("#events-form button")
+        page.wait_for_selector("#events >> text=it was moved", timeout=20_000)
+        page.wait_for_timeout(4_000)
+        assert late.late == 1
+        assert len(page.query_selector_all("#events tbody tr")) == 1
 
 
 def _rejected(number: int) -> SunPoint:

@@ -94,7 +94,10 @@ def covariance(document, direction):
     result = rows @ u["covariance"] @ rows.T
     if field["amplitude_px"] > 0:
         phi, a = waves(field, project(document, direction)), field["amplitude_px"]
-        mixed, coupled = rows @ (np.array(field["cross"]) @ phi).T, np.array(field["coupling"]) @ phi
+        mixed = rows @ (np.array(field["cross"]) @ phi).T
+        coupled = (
+            np.array(field["coupling"]).reshape(2, -1, phi.size) @ phi
+        )  # no rows where nothing is known of the field
         k = 0.5 * np.pi * np.array(field["orders"]) / field["half_px"] * field["length_px"]
         own = 2 * np.pi * field["length_px"] ** 2 * np.exp(-0.5 * np.sum(k**2, axis=1)) @ phi**2
         reduction = sum((np.array(row) @ phi) ** 2 for row in field["known"]) / own if own > 0 else 0

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +16,20 @@ import jsonschema_rs
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.fixtures.calibration import current_document, distinctive_calibration
+from tests.fixtures.calibration import SGP, current_document, distinctive_calibration, small_camera
 
 from sunarc.calibration import (
     Calibration,
+    SunPoints,
     back_project,
+    calibrate,
     from_document,
     hemisphere,
     project_with_covariance,
 )
 from sunarc.errors import InputError
 from sunarc.optics import project
+from sunarc.sky import sun_directions
 
 FloatArray = NDArray[np.float64]
 DOCS = Path(__file__).parents[3] / "docs"
@@ -63,6 +68,33 @@ def test_the_python_evaluator(projection: str, *, mirrored: bool) -> None:
     expected = project_with_covariance(made, directions[:3])[1].reshape(3, 4)
     found = np.array([evaluator["covariance"](read, one) for one in directions[:3]])
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def own_documents() -> list[tuple[Calibration, dict[str, Any]]]:
+    """Return fits of a day without a field, of one beside a field, and of no sightings."""
+    truth = replace(small_camera(), max_angle=math.radians(95.0))
+    times = 1_368_446_400.0 + np.arange(0.0, 40_000.0, 240.0)
+    sun = sun_directions(times, SGP)
+    noise = np.random.default_rng(3).normal(0.0, 0.05, (times.size, 2))
+    pixels = project(truth, sun) + noise
+    bent = pixels + 3.0 * np.sin(pixels[:, ::-1] / 60.0)
+    day, beside = (SunPoints(unix_s=times, pixels=one) for one in (pixels, bent))
+    size = (truth.width, truth.height)
+    fits = [calibrate(one, site=SGP, image_size=size) for one in (day, beside, day.select(slice(0, 0)))]
+    return [(one, current_document(one)) for one in fits]
+
+
+def test_the_python_evaluator_reads_what_fits_write(own_documents: list[tuple[Calibration, dict[str, Any]]]) -> None:
+    evaluator: dict[str, Any] = {"__name__": "evaluate_calibration"}
+    exec((EVALUATORS / "evaluate_calibration.py").read_text(encoding="utf-8"), evaluator)  # noqa: S102 - ours
+    known = [len(read["uncertainty"]["field"]["known"]) for _, read in own_documents]
+    assert min(known) == 0 < max(known)
+    for fit, read in own_documents:
+        directions = SKY[SKY[:, 2] > 0.3][:3]
+        found = np.array([evaluator["covariance"](read, one) for one in directions])
+        expected = project_with_covariance(fit, directions)[1].reshape(3, 4)
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
 def test_the_python_evaluator_as_a_command(tmp_path: Path) -> None:

@@ -32,8 +32,8 @@ export async function askImage(path) {
 }
 
 // What the service tells as it happens, for as long as the page is shown; it is asked again when the connection ends, from
-// the last message on. EventSource would do the same, but cannot send a token.
-export async function listen(path, heard) {
+// the last message on, and `ended` is called each time it ends. EventSource would do the same, but cannot send a token.
+export async function listen(path, heard, ended) {
   let last = null;
   for (let wait = RETRY_MS; ; wait = Math.min(2 * wait, LONGEST_RETRY_MS)) {
     await shown();
@@ -44,6 +44,7 @@ export async function listen(path, heard) {
         heard(message);
       }
     } catch { /* the service does not answer: what asks for its status says so */ }
+    ended();
     await new Promise((done) => { setTimeout(done, wait); });
   }
 }

@@ -12,7 +12,7 @@ import { drawSigma } from "./sigma.js";
 import { drawSky, showImage, showPart } from "./sky.js";
 import { Zoom } from "./zoom.js";
 
-const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
+const SIGNS = { ready: ["✓", "Ready"], degraded: ["!", "Degraded"], not_ready: ["✕", "Not ready"], unsure: ["!", "Ready, clock not synchronised"], gone: ["✕", "No answer"], locked: ["!", "Locked"] };
 const SHOWN_ELSEWHERE = ["health", "reasons", "findings", "version", "camera_name", "frame_time", "workers", "calibration", "last_day", "image_size"];
 const CONDITION_SIGNS = { degraded: "!", not_ready: "✕" };
 const NO_ACTION = "none"; // as docs/codes.md has it
@@ -23,6 +23,7 @@ const STATUS_MS = 60000;
 const SKY_MS = 30000;
 const RESIDUALS_MS = 60000;
 const RECORD_MS = 3600000;
+const FRESH_MS = 5000;
 const MORE_EVENTS = 50;
 const MOST_EVENTS = 1000;
 const CALENDAR_DAYS = 182;
@@ -49,8 +50,10 @@ async function refreshStatus() {
   $("camera-name").textContent = `· ${status.camera_name}`;
   $("version").textContent = `sunarc ${status.version}`;
   const c = status.calibration;
-  const quality = c ? `calibration RMSE ${telling(c.rmse_px, " px")}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
-  showHealth(status.health, `${quality} · ${status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet"}`);
+  const quality = c ? `calibrated ${ago(c.created_at, status.frame_time)}, direction uncertainty ${telling(c.sky_rms_deg, "°")}` : "not calibrated yet";
+  const seen = status.last_sighting_at ? `last sighting ${ago(status.last_sighting_at, status.frame_time)}` : "no sighting yet";
+  const health = status.health === "ready" && status.clock?.synchronised === false ? "unsure" : status.health;
+  showHealth(health, [...lastClearDay(), quality, seen].join(" · "));
   $("reasons").replaceChildren(...status.reasons.map(condition));
   fillRows("workers", status.workers.map((w) => [
     w.name, judged(w.state), fixed(w.heartbeat_age_s, 0, " s ago"), w.last_error ? `${w.restarts} (${w.last_error})` : String(w.restarts),
@@ -59,6 +62,15 @@ async function refreshStatus() {
   fillFacts("more-facts", moreFactsOf(status));
   redrawFirst();
   await showImage(status);
+}
+
+// The newest clear day and by how much the camera's pose was off on it, where the record is known.
+function lastClearDay() {
+  const clear = known.days.find((day) => day.verdict === "clear");
+  if (!clear) return known.days.length ? ["no clear day yet"] : [];
+  const off = clear.pose_offset_deg, sigma = clear.pose_offset_sigma_deg;
+  const moved = off === null ? "" : off > 3 * (sigma ?? 0) ? `, camera moved by ${telling(off, "°")}` : ", camera not moved";
+  return [`last clear day ${clear.date}${moved}`];
 }
 
 // A condition: what is the case, what to do where there is something to do, and the code under which it is documented.
@@ -121,8 +133,15 @@ async function refreshSky() {
     redrawResiduals();
   }
   $("sky-time").textContent = moment(sun.time);
-  const last = known.points.find((point) => point.accepted);
+  showSun();
+}
+
+// Where the sun is expected and was seen last, over the picture and in words.
+function showSun() {
   redrawSky();
+  const { sun } = known;
+  if (!sun) return;
+  const last = known.points.find((point) => point.accepted);
   fillFacts("sun", {
     Sun: `apparent zenith ${fixed(sun.apparent_zenith, 3, "°")}, azimuth ${fixed(sun.azimuth, 3, "°")}`,
     "Expected at": sun.pixel ? `${sun.pixel.map((v) => v.toFixed(2)).join(", ")} px ± ${telling(sun.sigma_px, " px")}` : sun.calibration ? "outside the camera's field" : "no calibration yet",
@@ -143,7 +162,7 @@ function redrawFirst() {
 
 const zoom = new Zoom($("picture"), (part, factor) => { showPart(part, factor, known.status); redrawSky(); }, ([x, y]) => {
   [$("ask-x").value, $("ask-y").value] = [x.toFixed(1), y.toFixed(1)];
-  askSky();
+  refresh(askSky);
 });
 
 function redrawSky() {
@@ -166,7 +185,10 @@ async function refreshResiduals() {
   const come = (await ask(`/v1/sun-points?residuals=true&accepted=true&limit=${MOST_POINTS}${since}`)).sun_points;
   known.points = since ? [...come.filter((point) => point.time > newest), ...known.points].slice(0, MOST_POINTS) : come;
   known.residualsBy = known.calibration;
-  if (come.length > (since ? 1 : 0) || !since) redrawResiduals();
+  if (come.length > (since ? 1 : 0) || !since) {
+    redrawResiduals();
+    showSun();
+  }
   redrawFirst();
 }
 
@@ -179,7 +201,7 @@ async function refreshRecord() {
   const [record, calibrations, counts, housekeeping] = await Promise.all([
     ask(`/v1/days?limit=${Math.max(CALENDAR_DAYS, days)}`), ask("/v1/calibrations?limit=1000"),
     ask(`/v1/sun-points/days?${since ? `since=${since}` : ""}`),
-    ask(`/v1/housekeeping?step=${step}${until ? `&since=${before(days)}T00:00:00Z` : ""}`), refreshEvents(),
+    ask(`/v1/housekeeping?step=${step}${until ? `&since=${before(days)}T00:00:00Z` : ""}`), refresh(refreshEvents), // one at a time: a late answer replaces no newer one
   ]);
   [known.days, known.calibrations, known.counts] = [record.days, calibrations.calibrations, counts.days];
   known.housekeeping = housekeeping;
@@ -221,6 +243,7 @@ function complain(error) {
 }
 
 const refreshes = new Map();
+const refreshedAt = new Map();
 
 function happened(event) {
   const cell = document.createElement("span");
@@ -233,7 +256,7 @@ async function refresh(what) {
   if (document.hidden) return;
   if (refreshes.has(what)) { refreshes.set(what, true); return; }
   refreshes.set(what, false);
-  try { await what(); } catch (error) { if (what === refreshStatus || error instanceof NeedsToken) complain(error); }
+  try { await what(); refreshedAt.set(what, performance.now()); } catch (error) { if (what === refreshStatus || error instanceof NeedsToken) complain(error); }
   const again = refreshes.get(what);
   refreshes.delete(what);
   if (again) await refresh(what);
@@ -247,6 +270,14 @@ const STALE = {
   day: [refreshStatus, refreshRecord],
   event: [refreshRecord],
 };
+
+// The stream begins with the state: what the page has just asked for is not asked again.
+const isFresh = (what) => performance.now() - (refreshedAt.get(what) ?? -Infinity) < FRESH_MS;
+
+function outdated(kind) {
+  const parts = STALE[kind] ?? [refreshStatus];
+  (kind === "state" ? parts.filter((what) => !refreshes.has(what) && !isFresh(what)) : parts).forEach(refresh);
+}
 
 async function every(milliseconds, what) {
   for (;;) {
@@ -267,16 +298,17 @@ $("zoom-in").addEventListener("click", () => zoom.by(2, known.asked ?? undefined
 $("zoom-out").addEventListener("click", () => zoom.by(0.5));
 $("zoom-whole").addEventListener("click", () => zoom.whole());
 $("events-older").addEventListener("click", () => { known.events = Math.min(known.events + MORE_EVENTS, MOST_EVENTS); refresh(refreshEvents); });
-for (const [id, act] of [["ask-form", askSky], ["compare-form", () => compare(known.overlay)], ["events-form", () => { known.events = MORE_EVENTS; refresh(refreshEvents); }]]) {
+const compareChosen = () => compare(known.overlay);
+for (const [id, act] of [["ask-form", () => refresh(askSky)], ["compare-form", () => refresh(compareChosen)], ["events-form", () => { known.events = MORE_EVENTS; refresh(refreshEvents); }]]) {
   $(id).addEventListener("submit", (event) => { event.preventDefault(); act(); });
 }
 document.querySelectorAll("input[name=unit]").forEach((input) => input.addEventListener("change", redrawResiduals));
-await refreshStatus().catch(complain);
-await refreshSky().catch(() => {});
-await refreshResiduals().catch(() => {});
-refresh(refreshRecord);
+await refresh(refreshStatus);
+await refresh(refreshSky);
+await refresh(refreshResiduals);
+refresh(refreshRecord).then(() => refresh(refreshStatus)); // the headline names the last clear day
 refresh(readSite);
-listen("/v1/events/stream", ({ kind }) => (STALE[kind] ?? [refreshStatus]).forEach(refresh));
+listen("/v1/events/stream", ({ kind }) => outdated(kind), () => refresh(refreshStatus));
 every(STATUS_MS, refreshStatus);
 every(SKY_MS, refreshSky);
 every(RESIDUALS_MS, refreshResiduals);

@@ -7,11 +7,11 @@ const SEEN = "M0-1.5L1.5 0L0 1.5L-1.5 0Z";
 
 const ASKED = "M-3 0H-1M1 0H3M0-3V-1M0 1V3";
 const THUMBNAIL_PX = 640;
-const IMAGE_EVERY_MS = 60000;
+const IMAGE_EVERY_MS = 600000;
 let shownAt = -Infinity;
 let enlarged = false;
 
-// The preview as a thumbnail, at most once a minute: it is nearly all that the page loads.
+// The preview as a thumbnail, at most once in ten minutes: it is most of that the page loads.
 export async function showImage(status) {
   const stamp = status.last_frame_at ?? "none since the start";
   const image = $("image");

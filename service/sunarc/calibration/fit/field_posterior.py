@@ -69,8 +69,8 @@ def joint_covariance(covariance: FloatArray, field: Field, rows: FloatArray, val
     )
     mixed = flat @ crossed.T
     variances = field.amplitude_px**2 * field.basis.variances(length_px=field.length_px)
-    told = values @ field.known.T
-    own = (values * variances) @ values.T - told @ told.T
+    known = values @ field.known.T
+    own = (values * variances) @ values.T - known @ known.T
     return np.asarray(flat @ covariance @ flat.T + mixed + mixed.T + coupled @ coupled.T + np.kron(own, np.eye(2)))
 
 
