@@ -78,3 +78,7 @@ class CameraSilentError(CameraTimeoutError):
 
 class CameraLostError(CameraError):
     """The connection to the camera is gone."""
+
+
+class ExposureMismatchError(CameraLostError):
+    """Frames contradict their exposure times again and again; the connection is to be made anew."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sunarc.cameras import Frame
+from sunarc.errors import CameraLostError, ExposureMismatchError
 from sunarc.runtime.status import StatusRegistry
 from sunarc.workers.capture.exposure_sequence import ExposureSequence
 from sunarc.workers.capture.status import CaptureReport
@@ -107,3 +108,24 @@ def test_an_exposure_that_is_always_refused_does_not_take_the_others_with_it(
     always = frozenset({TELLING_US})
     factors = [f for e in order for f in ([1.0] if e == SHORT_US else [4.0, 4.0])]
     assert taken(lit, board, *factors, order=order, before=always) == [SHORT_US]
+
+
+def test_frames_that_never_agree_are_no_lost_cable(lit: LitCamera, board: StatusRegistry) -> None:
+    lit.factors = [1.0, 0.25] * 6
+    report = CaptureReport(board, name="capture")
+    sequence = ExposureSequence(
+        camera=lit,  # type: ignore[arg-type]
+        has_time=lambda: True,
+        report=report,
+        received=lambda _: None,
+    )
+    with pytest.raises(ExposureMismatchError) as raised:
+        sequence.take_agreeing((NORMAL_US, TELLING_US))
+    report.lost(raised.value)
+    codes = {reason.code for reason in board.snapshot().reasons}
+    assert "exposures_contradicted" in codes
+    assert "camera_lost" not in codes
+    report.lost(CameraLostError("the cable is cut"))
+    codes = {reason.code for reason in board.snapshot().reasons}
+    assert "camera_lost" in codes
+    assert "exposures_contradicted" not in codes

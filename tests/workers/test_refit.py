@@ -275,3 +275,22 @@ def test_a_solve_ends_when_the_service_stops() -> None:
     stop = threading.Event()
     stop.set()
     assert solve(stop=stop) is None
+
+
+def test_a_refit_that_cannot_begin_says_so_and_fails_after_a_day(
+    archive: Archive, board: StatusRegistry, worker: RefitWorker, clock: VirtualClock
+) -> None:
+    refit = archive.add_refit(Refit(id="waits", camera="roof", requested_at=NOW, reason="test"))
+    worker.let_wait([refit])
+    (reason,) = [one for one in board.snapshot().reasons if one.code == "refit_waiting"]
+    assert reason.remedy
+    clock.wait(threading.Event(), 80_000.0)
+    worker.let_wait([refit])
+    assert archive.refit(refit.id).state == "requested"
+    clock.wait(threading.Event(), 10_000.0)
+    worker.let_wait([refit])
+    ended = archive.refit(refit.id)
+    assert (ended.state, [one.code for one in ended.findings]) == ("failed", ["refit_not_begun"])
+    assert "refit_waiting" not in {one.code for one in board.snapshot().reasons}
+    worker.let_wait([])
+    assert "refit_waiting" not in {one.code for one in board.snapshot().reasons}

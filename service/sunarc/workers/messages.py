@@ -151,6 +151,16 @@ MESSAGES = Messages(
         "A refit had nothing to solve.",
         "wait for a clear day; see the conditions of the clock",
     ),
+    refit_waiting=Message(
+        "{n:refit} cannot begin: the time of the frames is not known, or the host's clock is not trusted",
+        "Refits wait for a time that dates their calibration; those that wait for {limit_h:.0f} hours fail.",
+        "check the camera and the time service; see the conditions of camera and clock",
+    ),
+    refit_not_begun=Message(
+        "it could not begin within {limit_h:.0f} hours: the time of the frames was not known, or the clock not trusted",
+        "The refit failed.",
+        "check the camera and the time service, and ask for the refit again",
+    ),
     solve_failed=Message("the solve failed: {error}", "A refit made no calibration.", "see the log"),
     solve_too_long=Message(
         "the solve took longer than {limit_s:g} s",
@@ -226,6 +236,12 @@ MESSAGES = Messages(
         "{error}",
         "The camera does not answer; it is opened again automatically, at most 30 s apart.",
         "check the camera's power, cable and address; it is retried automatically",
+    ),
+    exposures_contradicted=Message(
+        "{error}",
+        "The camera answers, and its frames are not as bright as their exposure times say; it is opened again "
+        "automatically.",
+        "check that nothing else sets the camera's exposure, gain or automatic functions; cloud passes by itself",
     ),
     camera_refused=Message(
         "{error}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -43,12 +43,14 @@ from sunarc.workers.calibrating.solver_process import (
     search_in_child,
     solve_in_child,
 )
-from sunarc.workers.messages import MESSAGES, text_of
+from sunarc.workers.messages import MESSAGES, condition, text_of
 
 _log = logging.getLogger(__name__)
 
 CirclePx = Annotated[float, Ge(-1e5), Le(1e5)]
 _POLL_S = 0.5
+_LONGEST_WAIT_S = 86400.0
+"""How long a refit waits for a time that can be trusted; the day's own refit comes again after the next clear day."""
 _DAYS_OF_SPREAD = 60
 _Answer = TypeVar("_Answer")
 _MOST_PAST = 8
@@ -114,7 +116,9 @@ class RefitWorker:
         self._clock = clock
         self._now = now
         self._integrity = CalibrationIntegrityCheck(camera, now=now, board=board)
+        self._board = board
         self._may_solve = may_solve
+        self._waits_since_s: float | None = None
         self._solve = solve
         self._search = search
         self._epochs = EpochSearch(
@@ -132,9 +136,27 @@ class RefitWorker:
             self._integrity.follow()
             waiting = self._camera.refits(unfinished=True)
             if waiting and self._may_solve():
+                self._set_waiting(0)
                 self.carry_out(waiting[-1], stop, heartbeat)
             else:
+                self.let_wait(waiting)
                 self._clock.wait(stop, _POLL_S)
+
+    def let_wait(self, waiting: Sequence[Refit]) -> None:
+        """Publish why refits wait, where there are some; those that waited for a day have failed."""
+        self._set_waiting(len(waiting))
+        if self._waits_since_s is not None and self._clock.monotonic() - self._waits_since_s > _LONGEST_WAIT_S:
+            for refit in waiting:
+                self._finish(refit, "failed", (Finding("refit_not_begun", {"limit_h": _LONGEST_WAIT_S / 3600.0}),))
+            self._set_waiting(0)
+
+    def _set_waiting(self, n: int) -> None:
+        if n == 0:
+            self._waits_since_s = None
+        elif self._waits_since_s is None:
+            self._waits_since_s = self._clock.monotonic()
+        reason = condition("refit_waiting", n=n, limit_h=_LONGEST_WAIT_S / 3600.0)
+        self._board.set_condition("refit_waiting", reason if n else None)
 
     def carry_out(self, refit: Refit, stop: threading.Event, heartbeat: Callable[[], None]) -> None:
         """Solve, judge, keep, and serve what is better; leaves the refit unfinished when stopped half-way."""

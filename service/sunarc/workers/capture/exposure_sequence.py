@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from sunarc.cameras import Frame, SkyCamera
-from sunarc.errors import CameraError, CameraLostError
+from sunarc.errors import CameraError, CameraLostError, ExposureMismatchError
 from sunarc.imaging import Exposed, light_ratio_contradiction
 from sunarc.workers.capture.status import CaptureReport
 
@@ -73,7 +73,7 @@ class ExposureSequence:
 
         Raises
         ------
-        CameraLostError
+        ExposureMismatchError
             They never agreed: the camera is to be opened anew.
         """
         for attempt in range(_ATTEMPTS):
@@ -90,7 +90,7 @@ class ExposureSequence:
             if inconsistency is None:
                 return frames
             self._mark_suspect(inconsistency)
-        raise CameraLostError(f"frame brightness inconsistent with exposure times: {inconsistency}")
+        raise ExposureMismatchError(f"frame brightness inconsistent with exposure times: {inconsistency}")
 
     def take_bracket(
         self,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sunarc.cameras import CameraCondition, CameraInfo, Frame
-from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, InputError
+from sunarc.errors import CameraError, CameraTimeoutError, ConfigurationError, ExposureMismatchError, InputError
 from sunarc.runtime.status import CameraStatus, CaptureStatus, StatusRegistry
 from sunarc.workers.capture.dark_frames import DarkFrames
 from sunarc.workers.capture.missed_slots import MissedSlots
@@ -139,7 +139,7 @@ class CaptureReport:
     def opened(self, info: CameraInfo) -> None:
         """Record that the camera answers."""
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
-        self._board.set_condition("camera_lost", None)
+        self._set_lost(None)
         self._board.set_condition("camera_refused", None)
         self._camera = CameraStatus(
             name=self._name,
@@ -168,7 +168,13 @@ class CaptureReport:
         self.publish()
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
-        self._board.set_condition("camera_lost", condition("camera_lost", error=str(error)))
+        doubted = isinstance(error, ExposureMismatchError)
+        self._set_lost("exposures_contradicted" if doubted else "camera_lost", str(error))
+
+    def _set_lost(self, code: str | None, error: str = "") -> None:
+        """Publish why there is no connection, one cause at a time; None: there is one."""
+        for one in ("camera_lost", "exposures_contradicted"):
+            self._board.set_condition(one, condition(one, error=error) if one == code else None)
 
     def refused(self, error: ConfigurationError | InputError) -> None:
         """Record that the camera and the settings do not match; nothing is stored until they do."""
@@ -177,6 +183,6 @@ class CaptureReport:
             text, remedy = f"{error.field}: {error.problem}", error.remedy
         self._camera = CameraStatus(name=self._name, connected=False)
         self._board.note(camera=self._camera)
-        self._board.set_condition("camera_lost", None)
+        self._set_lost(None)
         reason = condition("camera_refused", severity="not_ready", error=text, remedy=remedy)
         self._board.set_condition("camera_refused", reason)
