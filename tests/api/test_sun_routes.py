@@ -53,6 +53,9 @@ def test_the_track_is_one_solar_day_above_the_horizon(made: Made) -> None:
     np.testing.assert_allclose(told["pixels"], project(made.lens, sun_directions(seconds, made.site)), atol=1e-9)
     other = made.client.get("/v1/sun/track", params={"date": "2013-12-21", "step_s": 600}).json()
     assert len(other["time"]) < len(told["time"])
+    assert made.client.get("/v1/sun/track", params={"at": "2013-12-21T18:00:00Z", "step_s": 600}).json()["date"] == (
+        "2013-12-21"
+    )
 
 
 def test_sightings_are_the_newest_first_with_the_rejected_ones(made: Made) -> None:

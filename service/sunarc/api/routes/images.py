@@ -97,7 +97,8 @@ def image_routes(context: ApiContext) -> APIRouter:
         if matches(if_none_match, tag):
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
         if width is None:
-            byte_range(request.headers.get("range"), path.stat().st_size)
+            if byte_range(request.headers.get("range"), path.stat().st_size) is None:
+                request.scope["headers"] = [one for one in request.scope["headers"] if one[0] != b"range"]
             return FileResponse(path, media_type=_MEDIA_TYPES[kind], headers=headers)
         return Response(thumbnail(path, width, kind), media_type=_MEDIA_TYPES[kind], headers=headers)
 

@@ -34,7 +34,7 @@ readers leave room for others. So many files at most are there besides those tha
 _LARGE_BYTES = 1_000_000
 """A smaller answer is not counted: it lies in the connection's buffers and occupies nothing else."""
 _SENT_AT_ONCE = 524_288
-_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
+_RANGE = re.compile(r"bytes=[ \t]*(\d{0,1000})-(\d{0,1000})", re.IGNORECASE)
 RANGED: dict[int | str, dict[str, Any]] = {206: {"description": "The part that Range asks for."}}
 """Description of what a route answers besides, whose answers are sent by range."""
 
@@ -189,21 +189,23 @@ def _requested_part(request: Request, tag: str, size: int) -> range | None:
 
 
 def byte_range(text: str | None, size: int) -> range | None:
-    """Return the one range that a header Range asks for, of so many bytes; None without one.
+    """Return the one range that a header Range asks for, of so many bytes; None where the whole is answered.
+
+    A range beyond the end is cut there; what is no range of bytes, or several ones, is ignored (RFC 9110, 14.2).
 
     Raises
     ------
     RefusedError
-        (416) It is none of these bytes, or several.
+        (416) It is none of these bytes.
     """
-    if text is None:
-        return None
-    found = _RANGE.fullmatch(text.strip())
+    found = None if text is None else _RANGE.fullmatch(text.strip())
     first, last = found.groups() if found else ("", "")
+    if not (first or last) or (first and last and int(first) > int(last)):
+        return None
     if first:
         part = range(int(first), min(int(last), size - 1) + 1 if last else size)
     else:
-        part = range(max(size - int(last or 0), 0), size)
+        part = range(max(size - int(last), 0), size)
     if part:
         return part
     fault = Fault(field="range", problem=f"{text!r} is no part of {size} bytes", remedy="ask for bytes=FIRST-LAST")

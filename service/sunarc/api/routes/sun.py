@@ -70,11 +70,15 @@ def sun_routes(context: ApiContext) -> APIRouter:
             SolarDate | None, Query(description="Local mean solar date; today's by the frames' time where not given.")
         ] = None,
         step_s: Annotated[int, Query(ge=10, le=3600, description="Seconds.")] = 120,
+        at: At = None,
     ) -> SunTrack:
-        """Tell the sun's way through a solar day (today's by the frames' time), with the current calibration."""
+        """Return the sun's way through a solar day: that of `date`, of the moment `at`, or today by the frames' time.
+
+        The pixels are by the current calibration, or by the one that was valid at `at`.
+        """
         selected = context.of(request)
-        day = date or solar_date(context.frame_clock().timestamp(), longitude=selected.site.longitude)
-        return track_of(selected, day, step_s=step_s)
+        day = date or solar_date((at or context.frame_clock()).timestamp(), longitude=selected.site.longitude)
+        return track_of(selected, day, step_s=step_s, past=at)
 
     _add_sighting_routes(routes, context)
     return routes
