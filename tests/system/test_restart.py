@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from tests.fixtures.ports import free_port
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(170)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 
 CONFIG = """\
 name = "roof"
@@ -64,9 +64,14 @@ def sunarc(*arguments: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def wait_for(reached: Callable[[], bool], *, within_s: float, log: Path) -> None:
-    end = time.monotonic() + within_s  # noqa: TID251 - real processes are waited for
+def wait_for(
+    reached: Callable[[], bool], *, within_s: float, log: Path, progress: Callable[[], int] = lambda: 0
+) -> None:
+    """Wait as long as there is progress, and without any for so many seconds: a loaded host is slow, not wrong."""
+    end, seen = time.monotonic() + within_s, progress()  # noqa: TID251 - real processes are waited for
     while not reached():
+        if (newest := progress()) != seen:
+            end, seen = time.monotonic() + within_s, newest  # noqa: TID251
         assert time.monotonic() < end, log.read_text()[-3000:]  # noqa: TID251
         time.sleep(0.2)  # noqa: TID251
 
@@ -98,15 +103,19 @@ def test_kill_9_in_mid_day_loses_and_doubles_nothing_and_sigterm_ends_within_5_s
     config = tmp_path / "sunarc.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state", address=address, port=port))
     truth = tmp_path / "truth.json"
+
+    def stored() -> int:
+        return len(sightings(database))
+
     imager = ("--address", address, "--start", "2013-05-13T16:00:00Z", "--speed", "100", "--truth", str(truth))
     with sunarc("simulate", *imager, log=log):
         wait_for(truth.exists, within_s=60.0, log=log)
         with sunarc("serve", "--config", str(config), log=log) as service:
-            wait_for(lambda: len(sightings(database)) >= 10, within_s=90.0, log=log)
+            wait_for(lambda: stored() >= 10, within_s=90.0, log=log, progress=stored)
             service.kill()
         before = sightings(database)
         with sunarc("serve", "--config", str(config), log=log) as service:
-            wait_for(lambda: len(sightings(database)) >= len(before) + 10, within_s=60.0, log=log)
+            wait_for(lambda: stored() >= len(before) + 10, within_s=90.0, log=log, progress=stored)
             service.terminate()
             assert service.wait(timeout=5.0) == 0
     after = sightings(database)

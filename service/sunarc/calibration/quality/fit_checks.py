@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunarc.calibration.model.kinds import Kind
 from sunarc.calibration.model.options import CalibrationOptions
 from sunarc.calibration.model.result import Calibration, Verdict
 from sunarc.calibration.model.sightings import FilteredSightings
@@ -42,6 +43,8 @@ _LEAST_ANGLE_DEG = 20.0
 
 _MOST_EXCESS = 0.83
 """Errors of predicted parts over what chance allows, see `Doubts`. Of 169 right real-like fits 2 % exceed it."""
+_MOST_EXCESS_BESIDE_STARS = 1.0
+"""The same where stars hold the camera, and the rest of the errors shows: at most 0.87 in five simulated nights."""
 
 
 class Handedness(NamedTuple):
@@ -143,8 +146,9 @@ def _against_scatter(
     if rejected > options.max_rejected:
         yield Finding("too_many_rejected", {"share": rejected, "limit": options.max_rejected})
     held_out = calibration.evidence.held_out
-    if held_out and not held_out["excess"] <= _MOST_EXCESS:
-        yield Finding("held_out_contradicts", {**held_out, "limit": _MOST_EXCESS})
+    most = _MOST_EXCESS if np.all(usable.kind == Kind.SUN) else _MOST_EXCESS_BESIDE_STARS
+    if held_out and not held_out["excess"] <= most:
+        yield Finding("held_out_contradicts", {**held_out, "limit": most})
     if options.max_unexplained < 1.0:
         unexplained = unexplained_days(calibration, usable, options.max_unexplained)
         if unexplained is not None:
