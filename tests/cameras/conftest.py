@@ -78,14 +78,22 @@ class Buffer:
 class Stream:
     """Gives what `answers` holds after a trigger, and `late` what lies in the queue before one.
 
-    The first trigger after it was made is answered by `first`.
+    The first triggers after each start are answered by `first`.
     """
 
-    first: deque[Buffer | None] = field(default_factory=lambda: deque([Buffer()]))
+    first: deque[Buffer | None] = field(default_factory=lambda: deque(Buffer() for _ in range(3)))
     answers: deque[Buffer | None] = field(default_factory=deque)
     late: deque[Buffer] = field(default_factory=deque)
     pushed: int = 0
     waits_us: list[int] = field(default_factory=list)
+    starts: int = 0
+    loses: int = 0
+
+    def start(self) -> None:
+        if self.starts or self.loses:
+            lost = BufferStatus.MISSING_PACKETS
+            self.first = deque(Buffer(status=lost if n < self.loses else BufferStatus.SUCCESS) for n in range(3))
+        self.starts += 1
 
     def push_buffer(self, _buffer: object) -> None:
         self.pushed += 1
@@ -144,6 +152,7 @@ class Camera:
         self.locked: dict[str, Callable[[dict[str, Any]], bool]] = {}
         self.unreadable: set[str] = set()
         self.pixel_format = "Mono12"
+        self.packet_size = 1400
 
     def library(self) -> tuple[Any, Any]:
         return library(self)
@@ -174,6 +183,7 @@ class Camera:
         answers: dict[str, Callable[..., Any]] = {
             "get_device": lambda: self.device,
             "is_gv_device": lambda: True,
+            "start_acquisition": self.stream.start,
             "create_stream": lambda *_: self.stream,
             "dup_available_pixel_formats_as_strings": lambda: ["Mono8", "Mono12", "Mono12Packed", "BayerRG8"],
             "get_pixel_format_as_string": lambda: self.pixel_format,
@@ -185,7 +195,8 @@ class Camera:
             "get_vendor_name": lambda: "Vendor",
             "get_model_name": lambda: None,
             "get_payload": lambda: 2 * WIDTH * HEIGHT,
-            "gv_get_packet_size": lambda: 1400,
+            "gv_get_packet_size": lambda: self.packet_size,
+            "gv_set_packet_size": partial(setattr, self, "packet_size"),
             "is_feature_available": self.features.__contains__,
             "is_enumeration_entry_available": lambda *_: True,
             "are_chunks_available": lambda: self.chunks,

@@ -64,11 +64,11 @@ def test_a_frame_says_what_the_camera_said(stub: SimpleNamespace) -> None:
     assert camera.info.serial == "77"
 
 
-def test_a_first_frame_that_nobody_wants_is_taken_at_the_shortest_exposure(stub: SimpleNamespace) -> None:
+def test_first_frames_that_nobody_wants_are_taken_at_the_shortest_exposure(stub: SimpleNamespace) -> None:
     camera = stub.Camera()
     ours = answering(camera, stub.Buffer(frame_id=2))
     names = [call[0] for call in camera.calls]
-    assert names[names.index("start_acquisition") :].count("software_trigger") == 1
+    assert names[names.index("start_acquisition") :].count("software_trigger") == 3
     assert camera.features["ExposureTime"] == 10.0
     assert ours.expose(500.0).frame_id == 2
 
@@ -372,3 +372,45 @@ def test_a_camera_with_a_raw_gain_alone_raises_none(stub: SimpleNamespace) -> No
     camera.features["GainRaw"] = camera.features.pop("Gain")
     camera.bounds["GainRaw"] = (0.0, 24.0)
     assert opened(camera).info.gain_raise_db == 0.0
+
+
+def test_where_no_frame_is_whole_with_large_packets_smaller_ones_are_used_and_said(stub: SimpleNamespace) -> None:
+    camera = stub.Camera()
+    camera.packet_size = 8000
+    camera.stream.first = type(camera.stream.answers)(
+        stub.Buffer(status=stub.BufferStatus.MISSING_PACKETS) for _ in range(3)
+    )
+    ours = answering(camera, stub.Buffer(frame_id=9))
+    assert (ours.info.packet_bytes_lost, ours.info.packet_bytes, camera.packet_size) == (8000, 1500, 1500)
+    assert ours.expose(3000.0).frame_id == 9
+
+
+@pytest.mark.parametrize("whole", [0, 1])
+def test_packets_stay_as_they_are_where_smaller_ones_would_not_help(stub: SimpleNamespace, whole: int) -> None:
+    camera = stub.Camera()
+    camera.packet_size = 8000
+    camera.stream.loses = 3 - whole
+    ours = opened(camera)
+    assert (ours.info.packet_bytes_lost, camera.packet_size) == (None, 8000)
+
+
+@pytest.mark.parametrize("refusal", ["raised", "kept"])
+def test_a_frame_is_never_taken_with_an_exposure_that_the_camera_did_not_take(
+    stub: SimpleNamespace, refusal: str
+) -> None:
+    camera = stub.Camera()
+    ours = answering(camera, stub.Buffer(frame_id=4))
+    assert ours.expose(3000.0).exposure_us == 3000.0
+    write = camera.set_feature
+    if refusal == "raised":
+        camera.fails["set_float"] = stub.GLibError("busy", 17)
+    else:
+        camera.set_feature = lambda name, value: None if name == "ExposureTime" else write(name, value)
+    for _ in range(2):
+        with pytest.raises(CameraError):
+            ours.expose(12_000.0)
+    camera.fails.clear()
+    camera.set_feature = write
+    camera.stream.first.clear()
+    camera.stream.answers.extend([None, stub.Buffer(frame_id=9)])
+    assert ours.expose(12_000.0).exposure_us == 12_000.0

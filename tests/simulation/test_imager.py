@@ -56,6 +56,10 @@ class CountingScene:
     def __init__(self) -> None:
         self.camera = small_camera()
         self.asked: list[dict[str, Any]] = []
+        self.sun = (float("nan"), float("nan"))
+
+    def sun_pixel(self, _unix_s: float) -> np.ndarray[Any, Any]:
+        return np.array(self.sun)
 
     def render(self, start_us: int, **how: Any) -> np.ndarray[Any, Any]:  # noqa: ANN401 - whatever is asked for
         self.asked.append({"start_us": start_us, **how})
@@ -201,6 +205,26 @@ def test_the_images_of_the_oldest_requests_are_forgotten(bench: Bench) -> None:
     assert len(bench.scene.asked) == before
     bench.frame(10)
     assert len(bench.scene.asked) == before + 1
+
+
+def test_the_first_frames_after_a_start_are_bad_in_turn_and_the_next_are_not(bench: Bench) -> None:
+    bench.registers.write(genicam.BAD_AFTER_START, 2)
+    bench.registers.write(genicam.ACQUISITION, 1)
+    assert np.all(bench.frame(20)[0].view(np.uint16).reshape(3, 4)[1:] == 0)
+    assert bench.exposures(40, 60) == [20.0, 60.0]
+    bench.registers.write(genicam.ACQUISITION, 1)
+    assert bench.exposures(80, 20, 40) == [_DARK_US, 20.0, 40.0]
+    assert np.all(bench.frame(40)[0] > 0)
+
+
+def test_foreign_packets_are_those_of_the_frame_before(bench: Bench) -> None:
+    bench.registers.write(genicam.PACKET_SIZE, 36 + 4)
+    before = bench.frame(20)[0]
+    bench.scene.sun = (4.0, 2.0)
+    bench.registers.write(genicam.FOREIGN_PACKETS, 2)
+    sent = bench.frame(40)[0]
+    from_before = np.flatnonzero(sent.view(np.uint16) == before.view(np.uint16))
+    assert from_before.tolist() == [6, 7, 8, 9]  # the sun's pixel is the third of the second row
 
 
 def test_binned_pixels_are_the_mean_of_those_that_they_join(bench: Bench) -> None:

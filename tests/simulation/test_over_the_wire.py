@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import random
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -12,11 +15,25 @@ from typing import Any, Protocol
 
 import numpy as np
 import pytest
+from tests.fixtures.archive import new_archive
+from tests.fixtures.board import status_registry
 
+from sunarc.archive import Archive, CameraArchive
 from sunarc.cameras import AravisCamera, AravisOptions, Frame, open_aravis
+from sunarc.detection import DiscOptions
 from sunarc.errors import CameraError, CameraLostError, OutsideError
-from sunarc.runtime.clock import SystemClock
-from sunarc.simulation import ImagerOptions, Scene, run_imager
+from sunarc.runtime.clock import SystemClock, VirtualClock
+from sunarc.simulation import SGP, ImagerOptions, Scene, run_imager
+from sunarc.workers import (
+    DetectWorker,
+    DropOldestQueue,
+    FrozenFrames,
+    SensorOptions,
+    SightingWriteBuffer,
+    SunPredictor,
+)
+
+from .conftest import require_aravis, wait_until
 
 pytestmark = [pytest.mark.gige, pytest.mark.timeout(240)]
 
@@ -190,6 +207,119 @@ def test_lost_packets_are_an_error_and_pass(imager: Imager, opened: Callable[...
     camera._camera.set_integer("SimLossPermille", 0)
     frame = exposed(camera, 10.0)
     assert np.array_equal(frame.image, rendered(imager.scene, frame))
+
+
+def detect_worker(archive: Archive) -> DetectWorker:
+    board, camera = status_registry(VirtualClock(START)), CameraArchive(archive, name="roof", site=SGP)
+    return DetectWorker(
+        DropOldestQueue(capacity=4),
+        keeper=SightingWriteBuffer(archive, board=board),
+        camera="roof",
+        predictor=SunPredictor(camera),
+        options=SensorOptions(black_level_fraction=32 / 4095),
+        disc=DiscOptions(),
+        clock_error_s=lambda _: 0.01,
+        report=lambda *_: None,
+        board=board,
+        frozen=FrozenFrames(camera, board=board),
+        cadence_s=30.0,
+    )
+
+
+def set_fault(camera: AravisCamera, name: str, value: int) -> None:
+    camera._camera.set_integer(name, value)
+
+
+def test_the_bad_first_frames_after_each_start_are_taken_for_nothing(
+    imager: Imager, opened: Callable[..., AravisCamera]
+) -> None:
+    camera = opened()
+    set_fault(camera, "SimBadAfterStart", 2)
+    try:
+        for _ in range(2):
+            camera.distrust()
+            for exposure_us in (3000.0, 12_000.0):
+                frame = exposed(camera, exposure_us)
+                assert np.array_equal(frame.image, rendered(imager.scene, frame))
+        camera.close()
+        camera = opened()
+        frame = exposed(camera, 48_000.0)
+        assert np.array_equal(frame.image, rendered(imager.scene, frame))
+    finally:
+        set_fault(camera, "SimBadAfterStart", 0)
+
+
+@pytest.fixture
+def narrow_network(tmp_path: Path) -> Iterator[list[str]]:
+    """Run an imager that may send 9,000 bytes into a link of 1,500; yield what prefixes a command on that link."""
+    require_aravis()
+    there, here = (f"sunarc{os.getpid()}{end}" for end in "ab")
+    made = subprocess.run(["ip", "netns", "add", there], capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip("no network of its own can be made here (ip netns add needs CAP_NET_ADMIN)")
+    commands = [
+        f"netns add {here}", f"link add va netns {there} mtu 9000 type veth peer name vb netns {here}",
+        f"-n {there} address add 192.0.2.1/24 dev va", f"-n {here} address add 192.0.2.2/24 dev vb",
+        f"-n {there} link set va up", f"-n {here} link set vb up mtu 1500",
+    ]  # fmt: skip
+    inside = ["ip", "netns", "exec"]
+    truth = tmp_path / "truth.json"
+    script = str(Path(__file__).with_name("imager_process.py"))
+    process = None
+    try:
+        for command in commands:
+            subprocess.run(["ip", *command.split()], check=True)
+        process = subprocess.Popen(
+            [*inside, there, sys.executable, script, '{"address": "192.0.2.1"}', START.isoformat(), str(truth)]
+        )
+        wait_until(truth.exists, what="the simulated imager", at_most_s=90.0)
+        yield [*inside, here]
+    finally:
+        if process is not None:
+            process.terminate()
+            process.wait(timeout=20)
+        for name in (there, here):
+            subprocess.run(["ip", "netns", "delete", name], check=False)
+
+
+LARGE_AND_SMALL = """
+from sunarc.cameras import AravisOptions, open_aravis
+from sunarc.runtime.clock import SystemClock
+for size in (8000, 1400):
+    options = AravisOptions(address="192.0.2.1", packet_size=size, region=(700, 500, 420, 300))
+    camera = open_aravis(options, SystemClock())
+    print(camera.info.packet_bytes_lost, camera.info.packet_bytes, camera.expose(3000.0).image.shape)
+    camera.close()
+"""
+
+
+def test_packets_that_the_network_does_not_pass_are_replaced_by_smaller_ones(narrow_network: list[str]) -> None:
+    command = [*narrow_network, sys.executable, "-c", LARGE_AND_SMALL]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.splitlines() == ["8000 1500 (300, 420)", "None None (300, 420)"]
+
+
+def test_a_resend_with_another_frame_s_packets_gives_no_wrong_sighting(
+    imager: Imager, opened: Callable[..., AravisCamera], tmp_path: Path
+) -> None:
+    first = opened()
+    x, y = imager.scene.sun_pixel(exposed(first, 10.0).time.timestamp())
+    first.close()
+    region = (round(x) // 2 * 2 - 150, round(y) // 2 * 2 - 150, 300, 300)
+    camera = opened(region=region, packet_size=1400)
+    archive = new_archive(tmp_path, width=300, height=300)
+    worker = detect_worker(archive)
+    accepted = []
+    for foreign in (0, 2, 0):
+        set_fault(camera, "SimForeignPackets", foreign)
+        found = [(frame := exposed(camera, (3.0, 12.0)[number % 2]), worker.process(frame)) for number in range(8)]
+        accepted.append([(frame.time, one) for frame, one in found if one.accepted])
+    assert [len(accepted[number]) for number in (0, 2)] == [8, 8]
+    assert len(accepted[1]) < 8
+    for point in archive.sun_points("roof", accepted=True):
+        sun = imager.scene.sun_pixel(point.time.timestamp()) - region[:2]
+        assert np.hypot(point.x_px - sun[0], point.y_px - sun[1]) < 0.1
+    archive.close()
 
 
 def exposed(camera: AravisCamera, exposure_us: float, tries: int = 8) -> Frame:

@@ -458,3 +458,40 @@ def test_a_camera_that_is_lost_in_every_cycle_is_told_between_them_too(
     made.stop.clear()
     made.run_until(lambda: len(made.cycles) > 0)
     assert reasons(board) == set()
+
+
+def test_sun_exposures_that_always_fail_are_told_and_the_normal_ones_go_on(
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
+) -> None:
+    made, expose, refuses = bench(), camera.expose, [True]
+
+    def exposing(exposure_us: float) -> Frame:
+        if refuses[0] and exposure_us in SUN:
+            raise CameraError("the camera keeps an exposure of 48000 us")
+        return expose(exposure_us)
+
+    camera.expose = exposing  # type: ignore[method-assign]
+    made.run_until(lambda: len(made.cycles) >= 2)
+    assert reasons(board) == set()
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 5)
+    assert reasons(board) == {"sun_exposures_failing"}
+    assert len(made.sun_frames) == 0
+    refuses[0] = False
+    made.stop.clear()
+    made.run_until(lambda: len(made.sun_frames) > 0)
+    assert reasons(board) == set()
+
+
+def test_a_camera_whose_large_packets_do_not_arrive_is_told_until_it_is_opened_without(
+    bench: MakeBench, camera: FakeCamera, board: StatusRegistry
+) -> None:
+    camera.info = replace(INFO, packet_bytes=1500, packet_bytes_lost=8000)
+    made = bench()
+    made.run_until(lambda: len(made.cycles) >= 1)
+    (reason,) = board.snapshot().reasons
+    assert (reason.code, reason.data) == ("packets_too_large", {"lost": 8000, "used": 1500})
+    camera.info = INFO
+    made.stop.clear()
+    made.run_until(lambda: len(made.cycles) >= 2)
+    assert reasons(board) == set()

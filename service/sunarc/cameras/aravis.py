@@ -12,13 +12,14 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 from sunarc.cameras.abilities import abilities_of
 from sunarc.cameras.buffers import follows, image_of, incomplete, require_exposure
 from sunarc.cameras.control_lost import setter, wait_for_last_reference
-from sunarc.cameras.exposure import ExposureControl, exposure_control
+from sunarc.cameras.exposure import ExposureControl, exposure_control, require_taken
 from sunarc.cameras.features import (
     SIMULATED_SPEED,
     Pin,
@@ -33,7 +34,7 @@ from sunarc.cameras.features import (
     with_gain_raised,
 )
 from sunarc.cameras.frame import CameraCondition, CameraInfo, Frame, full_scale_of, middle_of_exposure
-from sunarc.cameras.link import PREFERRED_BUFFER_BYTES, Link, link_to
+from sunarc.cameras.link import PASSED_EVERYWHERE_BYTES, PREFERRED_BUFFER_BYTES, Link, link_to
 from sunarc.cameras.noted_exposure import NotedExposure
 from sunarc.cameras.options import AravisOptions
 from sunarc.cameras.timestamps import utc_of_timestamp
@@ -43,6 +44,9 @@ from sunarc.runtime.clock import Clock
 _log = logging.getLogger(__name__)
 
 _BUFFERS = 6
+_DISCARDED = 3
+"""Frames after each start of acquisition that are taken and left. The library enlarges the socket's buffer only when
+the first one arrives, and some cameras begin with one or two that are dark, half filled or of the exposure before."""
 _INTERFACE_OF = {"gige": "GigEVision", "usb3": "USB3Vision"}
 _INTERFACES = {*_INTERFACE_OF.values(), "Fake"}
 
@@ -85,6 +89,7 @@ class AravisCamera:
         self._handler = 0
         self._info: CameraInfo | None = None
         self._exposure: ExposureControl | None = None
+        self._exposure_us = 0.0
         self._pins: tuple[Pin, ...] = ()
         self._day_gain_db, self._simulated = 0.0, False
         self.link: Link | None = None
@@ -114,10 +119,9 @@ class AravisCamera:
             self._simulated = has(self._camera, SIMULATED_SPEED)
             self._exposure = exposure_control(self._camera)
             self._noted = NotedExposure(self._camera, self._exposure, error=self._glib.Error)
-            self._open_stream()
+            self._open_stream(self._options.packet_size)
             self._info = self._describe(self._exposure)
-            self._camera.start_acquisition()
-            self._warm_up(self._exposure)
+            self._start_with_fitting_packets(self._exposure)
         _log.info("opened %s", self._info)
 
     def expose(self, exposure_us: float) -> Frame:
@@ -128,7 +132,8 @@ class AravisCamera:
             if self._is_suspect:
                 self._resynchronise()
             self._is_suspect = True
-            actual_us = self._control.set(self._camera, exposure_us)
+            before_us, self._exposure_us = self._exposure_us, self._control.set(self._camera, exposure_us)
+            actual_us = require_taken(self._exposure_us, self._control.bounds.nearest(exposure_us), before_us=before_us)
             self._flush()
             triggered_at = self._clock.now()
             self._camera.software_trigger()
@@ -213,15 +218,15 @@ class AravisCamera:
             gain_raise_db=gain_raise_db(camera, self._pins),
         )
 
-    def _open_stream(self) -> None:
+    def _open_stream(self, packet_size: int | None) -> None:
         aravis, options = self._aravis, self._options
         if self._camera.is_gv_device():
             if not options.packet_socket:
                 self._camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-            if options.packet_size is None:
+            if packet_size is None:
                 self._camera.gv_auto_packet_size()
             else:
-                self._camera.gv_set_packet_size(options.packet_size)
+                self._camera.gv_set_packet_size(packet_size)
         payload = self._camera.get_payload()
         self._stream = self._camera.create_stream(None, None)
         if self._stream is None:
@@ -246,15 +251,40 @@ class AravisCamera:
         for complaint in self.link.complaints:
             _log.warning("stream: %s", complaint)
 
-    def _warm_up(self, exposure: ExposureControl) -> None:
-        """Take and discard a frame: the library enlarges the socket's buffer only when the first one arrives."""
-        exposure.set(self._camera, exposure.bounds.minimum_us)
-        self._camera.software_trigger()
-        buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
-        if buffer is None:
-            self._is_suspect = True
+    def _start_with_fitting_packets(self, exposure: ExposureControl) -> None:
+        """Start; where frames come and none is whole, with packets that every network passes, if that helps."""
+        if self._started(exposure) != "incomplete":
+            return
+        large = self.link.packet_bytes if self.link is not None else 0
+        if large <= PASSED_EVERYWHERE_BYTES:
+            return
+        self._restart_stream(PASSED_EVERYWHERE_BYTES)
+        if self._started(exposure) == "whole":
+            self._info = replace(self.info, packet_bytes=PASSED_EVERYWHERE_BYTES, packet_bytes_lost=large)
+            _log.warning("stream: no frame came whole with packets of %d bytes; smaller ones are used", large)
         else:
+            self._restart_stream(large)
+            self._started(exposure)
+
+    def _restart_stream(self, packet_size: int) -> None:
+        self._camera.stop_acquisition()
+        self._stream = None  # the camera sends to one at a time
+        self._open_stream(packet_size)
+
+    def _started(self, exposure: ExposureControl) -> Literal["whole", "incomplete", "silent"]:
+        """Start acquisition, and take and discard the first frames; return whether any of them came, and came whole."""
+        self._camera.start_acquisition()
+        self._exposure_us = exposure.set(self._camera, exposure.bounds.minimum_us)
+        self._previous_id, self._is_suspect, whole = None, False, False
+        for _ in range(_DISCARDED):
+            self._camera.software_trigger()
+            buffer = self._stream.timeout_pop_buffer(int(self._options.answer_timeout_s * 1e6))
+            if buffer is None:
+                self._is_suspect = True
+                return "silent"
+            whole |= buffer.get_status() == self._aravis.BufferStatus.SUCCESS
             self._stream.push_buffer(buffer)
+        return "whole" if whole else "incomplete"
 
     def _flush(self) -> None:
         """Return unclaimed frames to the stream."""
@@ -268,19 +298,22 @@ class AravisCamera:
             self._stream.push_buffer(late)
         self._camera.stop_acquisition()
         self._flush()
-        self._previous_id = None
-        self._camera.start_acquisition()
+        if self._started(self._control) == "silent":
+            raise self._silent()
 
     def _pop(self, info: CameraInfo, exposure_us: float, triggered_at: datetime) -> Frame:
         buffer = self._stream.timeout_pop_buffer(int(exposure_us + self._options.answer_timeout_s * 1e6))
         if buffer is None:
             if self._lost.is_set():
                 raise CameraLostError("the camera no longer answers")
-            raise CameraSilentError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
+            raise self._silent()
         try:
             return self._checked(buffer, info, exposure_us, triggered_at)
         finally:
             self._stream.push_buffer(buffer)
+
+    def _silent(self) -> CameraSilentError:
+        return CameraSilentError(f"no frame came within {self._options.answer_timeout_s:g} s of the exposure's end")
 
     def _checked(
         self,

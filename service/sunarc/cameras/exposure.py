@@ -12,6 +12,8 @@ from sunarc.errors import CameraError
 from sunarc.imaging import ExposureBounds
 
 _FLOATS = ("ExposureTime", "ExposureTimeAbs")
+_SAME = 1.5
+"""Factor up to which two exposures may be one to a camera that does not tell its step."""
 _RAW, _RAW_UNIT = "ExposureTimeRaw", "ExposureTimeBaseAbs"
 
 
@@ -40,6 +42,13 @@ class ExposureControl:
     def get(self, camera: Any) -> float:  # noqa: ANN401 - a GObject has no types
         """Return the exposure read back from the camera, µs."""
         return float(read(camera, self.feature, self.kind)) * self.unit_us
+
+
+def require_taken(actual_us: float, asked_us: float, *, before_us: float) -> float:
+    """Return an exposure that was read back; CameraError where the camera kept the one before instead of another."""
+    if actual_us == before_us and not 1.0 / _SAME <= actual_us / asked_us <= _SAME:
+        raise CameraError(f"the camera keeps an exposure of {actual_us:g} µs and does not take {asked_us:g} µs")
+    return actual_us
 
 
 def exposure_control(camera: Any) -> ExposureControl:  # noqa: ANN401 - a GObject has no types

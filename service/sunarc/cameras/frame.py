@@ -58,6 +58,8 @@ class CameraInfo:
     exposure_min_us, exposure_max_us : bounds of what may be asked for.
     exposure_step_us : increment of the exposure; 0 where the camera does not tell.
     gain_raise_db : by how much the gain can be raised over that of the settings; 0 where it cannot be set in decibels.
+    packet_bytes, packet_bytes_lost : size of stream packets where it is not the one that was set or negotiated, and
+        that one, with which no frame came whole.
     """
 
     address: str
@@ -72,6 +74,8 @@ class CameraInfo:
     exposure_max_us: float
     exposure_step_us: float
     gain_raise_db: float = 0.0
+    packet_bytes: int | None = None
+    packet_bytes_lost: int | None = None
 
     @property
     def exposure_bounds(self) -> ExposureBounds:

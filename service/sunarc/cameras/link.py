@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PREFERRED_BUFFER_BYTES = 32 << 20
+PASSED_EVERYWHERE_BYTES = 1500
+"""Ethernet's MTU without jumbo frames (IEEE 802.3, 3.2.7)."""
 
 _IP_MTU = 14  # linux/in.h
 _CAP_NET_RAW = 13  # linux/capability.h

@@ -42,6 +42,12 @@ MESSAGES = Messages(
     disc_poor_fit=Message("poor disc fit: residuals {residual:.3f} of its level, sigma {sigma_px:.3f} px", _REJECTED),
     disc_without_limb=Message("a disc without the sun's darker limb: the moon, or a lamp", _REJECTED),
     disc_uneven=Message("uneven brightness, worth {uneven_px:.2f} px (chi² {chi2:.0f} for 4)", _REJECTED),
+    disc_foreign_rows=Message(
+        "rows of another image (chi² {rows:.0f} for 2, {columns:.0f} in columns): packets were sent again wrongly, or "
+        "an edge as straight as a row covers the sun",
+        _REJECTED,
+        "look at the network, so that no packet has to be sent again, and at the camera's firmware",
+    ),
     disc_residuals=Message("residuals {residual:.3f} of the disc's level, reduced chi² {chi2:.1f}", _REJECTED),
     disc_faint=Message("level {level:.3f} of full scale: a covered disc would look the same", _REJECTED),
     disc_position_uncertain=Message("position uncertain: sigma {sigma_px:.3f} px", _REJECTED),
@@ -130,6 +136,11 @@ MESSAGES = Messages(
     # by what is known beside the image
     sun_elsewhere=Message(
         "not where it should be", "The sun is in the frame, away from its predicted pixel; a pose change is considered."
+    ),
+    rows_repeated=Message(
+        "the disc is that of the image of {time}, pixel by pixel: packets were sent again wrongly",
+        "Rejected.",
+        "look at the network, so that no packet has to be sent again, and at the camera's firmware",
     ),
     frame_repeated=Message(
         "the camera delivered the image of {time} again", "Rejected.", "see the condition `camera_frozen`"

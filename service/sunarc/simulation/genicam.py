@@ -9,6 +9,8 @@ SimWrongExposurePercent : of the stated exposure, which the next frame gets · S
 gets · SimStaleExposure : every frame has the exposure of the one before · SimClockDriftPpm : the timestamps run fast
 SimRepeatFrame : the last frame of the same exposure is sent again, its timestamp new · SimBlack : no light reaches the
 sensor · SimClockOffsetMs : the timestamps are ahead by so much
+SimForeignPackets : so many packets of each frame, about the sun, hold another frame's pixels (a resend gone wrong)
+SimBadAfterStart : so many frames after each start of acquisition are bad: black, half filled, of the exposure before
 SimSpeedPermille : seconds of its clock in 1000 real seconds, which may be changed while it runs
 SimPowerCycle : everything is as after switching on, and nobody in control · SimDropControl : nobody is in control
 """
@@ -23,11 +25,12 @@ VENDOR, MODEL, SERIAL = 0x48, 0x68, 0xD8
 BINNING_X, BINNING_Y, ACQUISITION, TRIGGER_MODE, TRIGGER_SOURCE = 0x108, 0x10C, 0x124, 0x300, 0x304
 TRIGGER_SOFTWARE, EXPOSE = 0x30C, 0xB140
 """What has Aravis send a frame at once; and a register of ours, after which the exposure takes its time first."""
-CONTROL_PRIVILEGE = 0xA00
+CONTROL_PRIVILEGE, PACKET_SIZE = 0xA00, 0xD04
 TEMPERATURE, DELAY, LOSS, FREEZE, WRONG_EXPOSURE = 0xB000, 0xB100, 0xB104, 0xB108, 0xB10C
 STALE_EXPOSURE, POWER_CYCLE, DROP_CONTROL, CLOCK_DRIFT = 0xB110, 0xB114, 0xB118, 0xB11C
 ALL_EXPOSURES, SPEED = 0xB120, 0xB124
 REPEAT_FRAME, BLACK, CLOCK_OFFSET = 0xB130, 0xB134, 0xB138
+FOREIGN_PACKETS, BAD_AFTER_START = 0xB150, 0xB154
 EXPOSURE_AUTO, GAIN_AUTO, BLACK_LEVEL, GAMMA, FRAME_RATE, EXPOSURE_MODE = 0xB200, 0xB204, 0xB208, 0xB20C, 0xB210, 0xB214
 
 PIXEL_FORMATS = {
@@ -156,6 +159,8 @@ def _faults() -> list[Feature]:
         _integer("SimRepeatFrame", REPEAT_FRAME, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimBlack", BLACK, category, "<Min>0</Min><Max>1</Max>"),
         _integer("SimClockOffsetMs", CLOCK_OFFSET, category),
+        _integer("SimForeignPackets", FOREIGN_PACKETS, category),
+        _integer("SimBadAfterStart", BAD_AFTER_START, category),
         _integer("SimSpeedPermille", SPEED, category, "<Min>1</Min>"),
     ]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -49,7 +49,13 @@ _DARK_US = 1e-6
 """Exposure, µs, in which even the sun leaves no count: a closed dome."""
 SLOWEST = 10.0
 """Speed that an overloaded host is not slowed below."""
+Badness = Literal["black", "half_filled", "old_exposure"]
+_BADNESSES: tuple[Badness, ...] = get_args(Badness)
 ExposureUs = Annotated[int, Ge(1), Lt(2**32)]
+_HEADERS_BYTES = 36
+"""Of a stream packet: IPv4, UDP and GVSP (AIA, "GigE Vision", version 1.2, chapter 24)."""
+_START, _NOTED_START = 1, 3
+"""A start of acquisition, and what is written over one that was noticed: any number but 0 goes on as well."""
 _FORMAT_NAMES = {number: name for name, number in genicam.PIXEL_FORMATS.items()}
 
 
@@ -182,6 +188,8 @@ class _Imager:
         self._previous_exposure_us = 0.0
         self._last_images: dict[Request, Image] = {}
         self._exposure: _Exposure | None = None
+        self._last_sent: NDArray[np.uint8] = np.empty(0, np.uint8)
+        self._bad_left = self._bad_sent = 0
         self._set_up_registers()
         start_unix_s = options.start.timestamp()
         self._timeline = Timeline(
@@ -234,12 +242,13 @@ class _Imager:
         drift_us = self._camera.read(genicam.CLOCK_DRIFT) * elapsed_s * self._options.speed
         offset_us = self._camera.read(genicam.CLOCK_OFFSET) * 1000
         image = self._repeated(request) if self._camera.read(genicam.REPEAT_FRAME) else None
+        bad = self._badness()
         if image is None:
             image = self._binned(
                 partial(
                     self.scene.render,
                     start_us,
-                    exposure_us=self._light_us(request.exposure_us),
+                    exposure_us=self._light_us(request.exposure_us, bad),
                     gain_db=request.gain_steps / genicam.GAIN_STEPS_PER_DB,
                     full_scale=full_scale_of(name),
                     bayer=bayer_of(name),
@@ -247,7 +256,11 @@ class _Imager:
                 request.region,
             )
             self._keep(request, image)
-        return _as_bytes(image, name), (start_us + round(drift_us) + offset_us) * 1000
+        if bad == "half_filled":
+            image = image.copy()  # the one that is kept to be repeated stays whole
+            image[image.shape[0] // 2 :] = 0
+        sent = self._with_foreign_packets(_as_bytes(image, name), request, start_us * 1e-6)
+        return sent, (start_us + round(drift_us) + offset_us) * 1000
 
     def _keep(self, request: Request, image: Image) -> None:
         """Keep an image to be repeated; of the oldest requests none is kept."""
@@ -274,13 +287,44 @@ class _Imager:
             self._camera.write(genicam.DROP_CONTROL, 0)
             self._camera.write(genicam.CONTROL_PRIVILEGE, 0)
 
-    def _light_us(self, exposure_us: float) -> float:
+    def _badness(self) -> Badness | None:
+        """Return what is bad about a frame that follows a start of acquisition too soon, each kind in turn."""
+        if self._camera.read(genicam.ACQUISITION) == _START:
+            self._camera.write(genicam.ACQUISITION, _NOTED_START)
+            self._bad_left = self._camera.read(genicam.BAD_AFTER_START)
+        if self._bad_left == 0:
+            return None
+        self._bad_left -= 1
+        self._bad_sent += 1
+        return _BADNESSES[self._bad_sent % len(_BADNESSES)]
+
+    def _with_foreign_packets(self, sent: NDArray[np.uint8], request: Request, unix_s: float) -> NDArray[np.uint8]:
+        """Return a frame's bytes; where that is asked for with the frame before's in the packets about the sun."""
+        before, self._last_sent = self._last_sent, sent
+        count = self._camera.read(genicam.FOREIGN_PACKETS)
+        packet = (self._camera.read(genicam.PACKET_SIZE) & 0xFFFF) - _HEADERS_BYTES
+        if count == 0 or packet <= 0 or before.size != sent.size:
+            return sent
+        at = self.scene.sun_pixel(unix_s) - request.region[:2]
+        if not np.all(np.isfinite(at)):
+            return sent
+        pixel_bytes = sent.size / (request.region[2] * request.region[3])
+        sun = round(at[1]) * request.region[2] + at[0]
+        first = max(int(sun * pixel_bytes) // packet * packet, 0)
+        changed = slice(first, first + count * packet)
+        mixed = sent.copy()
+        mixed[changed] = before[changed]
+        return mixed
+
+    def _light_us(self, exposure_us: float, bad: Badness | None) -> float:
         """Return how long the frame is exposed: what it states, unless a fault is set."""
         percent = self._camera.read(genicam.WRONG_EXPOSURE) or self._camera.read(genicam.ALL_EXPOSURES) or 100
         self._camera.write(genicam.WRONG_EXPOSURE, 0)
-        if self._camera.read(genicam.BLACK):
+        if self._camera.read(genicam.BLACK) or bad == "black":
             return _DARK_US
-        stale = bool(self._camera.read(genicam.STALE_EXPOSURE)) and self._previous_exposure_us > 0.0
+        stale = (
+            bad == "old_exposure" or bool(self._camera.read(genicam.STALE_EXPOSURE))
+        ) and self._previous_exposure_us > 0.0
         light_us = self._previous_exposure_us if stale else exposure_us * percent / 100.0
         self._previous_exposure_us = exposure_us
         return light_us

@@ -253,6 +253,16 @@ MESSAGES = Messages(
         "An exposure failed in every attempt, frames were suspect, or the camera was lost in between.",
         "check the network between host and camera, and the log; sunarc check --camera tries each exposure",
     ),
+    sun_exposures_failing=Message(
+        "no sun exposure succeeded in the last {cycles} cycles: {error}",
+        "No sighting can come of these slots; the normal exposures are taken.",
+        "see the error; sunarc check --camera tries each exposure",
+    ),
+    packets_too_large=Message(
+        "no frame came whole with stream packets of {lost} bytes; {used} are used",
+        "Frames arrive; receiving them takes more of the host's time.",
+        "set camera.packet_size = {used}, or let jumbo frames pass all the way: camera, switches, host",
+    ),
     cycle_too_long=Message(
         "for {cycles} cycles the normal exposures ({hdr_s:.3g} s in the last one) left no time for sun exposures; no "
         "sightings, so no calibration",

@@ -73,6 +73,7 @@ def good_fit(**changes: Any) -> DiscFit:  # noqa: ANN401 - a fit's fields
         "chi2": 1.0,
         "residual": 0.002,
         "uneven": 3.0,
+        "bands": (6.0, 6.0),
         "used_px": 400,
         "converged": True,
     }

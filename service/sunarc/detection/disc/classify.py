@@ -19,6 +19,7 @@ from sunarc.detection.disc.limits import (
     PSF_TOLERANCE,
     VEILED_BELOW,
 )
+from sunarc.detection.disc.row_bands import is_foreign
 from sunarc.detection.disc.search import semi_axes
 from sunarc.detection.values import Detection, Expectation, Sensor, Verdict
 from sunarc.findings import Finding
@@ -95,6 +96,8 @@ def _covered(fit: DiscFit, expectation: Expectation | None, sensor: Sensor) -> t
         return "partly_covered", Finding("disc_uneven", {"uneven_px": uneven_px, "chi2": fit.uneven})
     if fit.residual > MAX_RESIDUAL_FRACTION:
         return "partly_covered", Finding("disc_residuals", {"residual": fit.residual, "chi2": fit.chi2})
+    if is_foreign(*fit.bands):
+        return "partly_covered", Finding("disc_foreign_rows", {"rows": fit.bands[0], "columns": fit.bands[1]})
     return None
 
 

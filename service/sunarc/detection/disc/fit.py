@@ -25,6 +25,7 @@ from sunarc.detection.disc.model import (
     with_levels,
     without,
 )
+from sunarc.detection.disc.row_bands import band_evidence
 from sunarc.detection.disc.template import SunSources
 from sunarc.detection.disc.window import Window
 from sunarc.detection.values import Sensor
@@ -53,6 +54,7 @@ class DiscFit:
     snr : flux over its standard deviation, the shape given. chi2 : reduced chi².
     residual : rms of what noise does not explain, over the level (at most full scale).
     uneven : decrease of chi² by a disc of linear and quadratic brightness, over the reduced chi².
+    bands : decrease of chi² by a band of rows and by one of columns (`row_bands`).
     used_px, converged : pixels that took part; whether the steps became small.
     """
 
@@ -67,6 +69,7 @@ class DiscFit:
     chi2: float
     residual: float
     uneven: float
+    bands: tuple[float, float]
     used_px: int
     converged: bool
 
@@ -191,7 +194,7 @@ def _outliers(evaluation: Evaluation) -> BoolArray:
 
 
 def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converged: bool) -> DiscFit:
-    matrix, _ = normal_equations(problem, state, evaluation)
+    matrix, gradient = normal_equations(problem, state, evaluation)
     covariance = inverse(matrix)
     count = evaluation.residual.size
     chi2 = _chi2(evaluation)
@@ -203,10 +206,11 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
     # Mean square beyond the expected variance: negative by chance where the model is right.
     excess = float(np.mean(evaluation.residual**2 - 1.0 / evaluation.weight))
     top = max(min(level, problem.sensor.full_scale - problem.sensor.black_level), 1e-9)
+    sigma_px = math.sqrt(max(0.5 * float(np.trace(covariance[:2, :2])) * _local_chi2(evaluation, covariance), 0.0))
     return DiscFit(
         x_px=float(state.nonlinear[0]) + problem.window.first[0],
         y_px=float(state.nonlinear[1]) + problem.window.first[1],
-        sigma_px=math.sqrt(max(0.5 * float(np.trace(covariance[:2, :2])) * _local_chi2(evaluation, covariance), 0.0)),
+        sigma_px=sigma_px,
         psf_px=math.exp(float(state.nonlinear[PSF])),
         stretch=state.stretch,
         level=level,
@@ -215,6 +219,7 @@ def _summary(problem: Problem, state: State, evaluation: Evaluation, *, converge
         chi2=chi2,
         residual=math.sqrt(max(excess, 0.0)) / top,
         uneven=unevenness(problem, state, evaluation) / max(chi2, 1.0),
+        bands=band_evidence(problem, state, evaluation, (covariance, gradient), sigma_px=sigma_px),
         used_px=count,
         converged=converged,
     )

@@ -240,7 +240,12 @@ class CaptureWorker:
             return []
         selected = self._sun_exposures.choose(camera.info)
         taken, self._refused_us = exposer.take_bracket(selected, normal[:1], refused_before_us=self._refused_us)
-        self._report.sun_slot(observed=bool(taken), missed_before=self._missed_before, dropped=self._sun_frames.dropped)
+        self._report.sun_slot(
+            observed=bool(taken),
+            failed=not taken and exposer.has_time(),
+            missed_before=self._missed_before,
+            dropped=self._sun_frames.dropped,
+        )
         return taken
 
     def _at_night(self, exposer: ExposureSequence, camera: SkyCamera) -> None:

@@ -24,6 +24,9 @@ _DAYLIGHT = "daylight_at_night"
 _LIT_LEVEL, _DAYLIGHT_PER_S, _LIT_FRAMES = 0.15, 1.0, 2
 """Median over full scale, and the same in a second: the day has 10 a second, a night with a full moon 1e-4."""
 _FULL_LEVEL = 0.9
+_REDUCED = "packets_too_large"
+_SUN_FAILING = "sun_exposures_failing"
+_SUN_LASTING = 3
 
 
 class CaptureReport:
@@ -45,6 +48,7 @@ class CaptureReport:
         self._incomplete = 0  # cycles in a row
         self._overrun = 0
         self._lit = 0  # exposures of the night in a row that show daylight
+        self._sun_failed = 0
         self._failure = ""
 
     @property
@@ -85,18 +89,22 @@ class CaptureReport:
         self._report_failing()
         self._report_overrun(hdr_s)
 
-    def sun_slot(self, *, observed: bool, missed_before: int, dropped: int) -> None:
+    def sun_slot(self, *, observed: bool, failed: bool, missed_before: int, dropped: int) -> None:
         """Take note of a slot with the sun up.
 
         Parameters
         ----------
         observed : whether a sun exposure was taken.
+        failed : whether none was though there was time.
         missed_before : slots that passed without a cycle since the last one.
         dropped : sun exposures that were not evaluated, since the service started.
         """
         self.add(sun_missed=missed_before + int(not observed))
         self._counts = replace(self._counts, sun_dropped=dropped)
         self._missed_slots.add(missed_before=missed_before)
+        self._sun_failed = self._sun_failed + 1 if failed else 0
+        reason = condition(_SUN_FAILING, cycles=self._sun_failed, error=self._failure)
+        self._board.set_condition(_SUN_FAILING, reason if self._sun_failed >= _SUN_LASTING else None)
 
     def normal_frames(self, frames: Sequence[Frame], *, apparent_zenith: float) -> None:
         """Record a slot's normal exposures."""
@@ -141,6 +149,8 @@ class CaptureReport:
         _log.info("camera %s %s (%s) answers at %s", info.vendor, info.model, info.serial, info.address)
         self._set_lost(None)
         self._board.set_condition("camera_refused", None)
+        reduced = condition(_REDUCED, lost=info.packet_bytes_lost or 0, used=info.packet_bytes or 0)
+        self._board.set_condition(_REDUCED, None if info.packet_bytes_lost is None else reduced)
         self._camera = CameraStatus(
             name=self._name,
             connected=True,

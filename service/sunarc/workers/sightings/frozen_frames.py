@@ -1,4 +1,4 @@
-"""Detection of repeated images: the noise of two frames, and the sun's pixel in them, are never equal."""
+"""Detection of repeated images and discs: the noise of two frames, and the sun's pixel in them, are never equal."""
 
 from __future__ import annotations
 
@@ -31,6 +31,10 @@ _SAME_PX = 1e-6
 """Two fits of the disc to images with noise differ by a thousand times more."""
 _SUN_MOVED_RAD = np.radians(0.02)
 """The sun moves so far in 5 s, which is 0.1 px of the coarsest lens."""
+_HALF_PX = 6  # around the disc
+_FEWEST_LIT = 10
+"""Pixels of the disc, not saturated: with their noise, and a sun that moves, so many are never all equal by chance."""
+_LIT, _LEAST_COUNTS, _SATURATED = 0.1, 3.0, 0.98
 _LASTING = 3
 _CODE = "camera_frozen"
 
@@ -40,6 +44,26 @@ class _Position:
     time: datetime
     x_px: float
     y_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Disc:
+    """The pixels around a disc as they were delivered, and their place in the image."""
+
+    time: datetime
+    place: tuple[slice, slice]
+    pixels: Image
+
+    def is_in(self, frame: Frame) -> bool:
+        """Return whether a frame has these very pixels."""
+        here = frame.image[self.place]
+        if here.shape != self.pixels.shape or self.pixels.size == 0:
+            return False
+        above = self.pixels - float(np.median(self.pixels))
+        lit = (above >= max(_LIT * float(above.max()), _LEAST_COUNTS)) & (self.pixels < _SATURATED * frame.full_scale)
+        if np.count_nonzero(lit) < _FEWEST_LIT:
+            return False
+        return bool(np.array_equal(here[lit], self.pixels[lit]))
 
 
 class FrozenFrames:
@@ -57,6 +81,7 @@ class FrozenFrames:
         self._lock = threading.Lock()
         self._images: OrderedDict[bytes, datetime] = OrderedDict()
         self._positions: deque[_Position] | None = None
+        self._discs: deque[_Disc] = deque(maxlen=_MAX_POSITIONS)
         self._in_a_row = 0
 
     def remember(self, frame: Frame) -> None:
@@ -75,7 +100,7 @@ class FrozenFrames:
         if earlier is None:
             if self._in_a_row and _is_informative(frame.image):
                 self._clear()
-            return detection
+            return self._without_earlier_disc(frame, detection)
         self._count(frame.time, earlier)
         repeated = Finding("frame_repeated", {"time": earlier.isoformat(timespec="seconds")})
         return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
@@ -106,6 +131,20 @@ class FrozenFrames:
                     return position.time
         self._positions.append(_Position(time, x_px, y_px))
         return None
+
+    def _without_earlier_disc(self, frame: Frame, detection: Detection) -> Detection:
+        """Return the detection, rejected where the disc is an earlier frame's among rows of this one."""
+        if detection.x_px is None or detection.y_px is None:
+            return detection
+        among = self._discs if _is_sun(detection) else ()
+        earlier = next((one for one in among if one.time != frame.time and one.is_in(frame)), None)
+        if earlier is not None:
+            repeated = Finding("rows_repeated", {"time": earlier.time.isoformat(timespec="seconds")})
+            return replace(detection, accepted=False, verdict=FROZEN, findings=(repeated,))
+        x, y = (max(round(at) - _HALF_PX, 0) for at in (detection.x_px, detection.y_px))
+        place = (slice(y, y + 2 * _HALF_PX + 1), slice(x, x + 2 * _HALF_PX + 1))
+        self._discs.append(_Disc(frame.time, place, frame.image[place].copy()))
+        return detection
 
     def _stored(self, time: datetime) -> deque[_Position]:
         """Return where the sun was seen before this process began."""
