@@ -17,7 +17,7 @@ from sunarc.archive.days_and_events import Journal
 from sunarc.archive.engine import create_archive_engine, reading, writing
 from sunarc.archive.epoch_closing import EpochClosing
 from sunarc.archive.feeds import Feeds
-from sunarc.archive.file import DELETED, EMPTIED, REPLACED, DatabaseFile
+from sunarc.archive.file import DAMAGED, DELETED, EMPTIED, REPLACED, DatabaseFile
 from sunarc.archive.file_sightings import FileSightings
 from sunarc.archive.fleet import FleetRegistry
 from sunarc.archive.housekeeping import HousekeepingRecord
@@ -82,7 +82,7 @@ class Archive(
         problem = file.problem()
         if problem is None:
             return None
-        if problem not in {DELETED, REPLACED, EMPTIED}:
+        if problem not in {DELETED, REPLACED, EMPTIED, DAMAGED}:
             raise OutsideError(f"the database {file.path} {problem}")
         with self._lock:
             self._usable.clear()

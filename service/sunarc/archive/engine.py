@@ -10,12 +10,13 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DatabaseError, DBAPIError, IntegrityError, OperationalError
 
 from sunarc.archive import server
-from sunarc.archive.file import DatabaseFile
+from sunarc.archive.file import DAMAGED, DatabaseFile
 from sunarc.archive.json_text import json_text, parsed_json
 from sunarc.archive.server import ONE_CAMERA, WRITES, contradiction, server_errors
 from sunarc.errors import ConfigurationError, OutsideError, StoreFullError
@@ -31,6 +32,7 @@ _OF_THE_ROW = frozenset(
     }
 )
 """Result codes of SQLite that say something of a row; the others are of the file, its disk and its locks."""
+_FILES: WeakKeyDictionary[Engine, DatabaseFile] = WeakKeyDictionary()
 
 
 def create_archive_engine(
@@ -47,6 +49,8 @@ def create_archive_engine(
         json_serializer=json_text,
         json_deserializer=parsed_json,
     )
+
+    _FILES[engine] = opened
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:
@@ -119,6 +123,9 @@ def _file_errors(engine: Engine) -> Iterator[None]:
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
     except DatabaseError as error:
+        if getattr(error.orig, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT:
+            _FILES[engine].note_damage()
+            raise OutsideError(f"the database {path} {DAMAGED} ({error.orig}); it is put together anew") from error
         raise ConfigurationError(
             f"{path} is no sound SQLite database ({error.orig}); put the newest copy in its place: "
             f"sunarc db restore --latest --state {Path(str(path)).parent}"

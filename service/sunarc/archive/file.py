@@ -11,6 +11,7 @@ from sunarc.errors import OutsideError
 DELETED = "was deleted while it was in use"
 REPLACED = "was replaced while it was in use"
 EMPTIED = "was emptied while it was in use"
+DAMAGED = "has a malformed page"
 
 
 class DatabaseFile:
@@ -27,9 +28,15 @@ class DatabaseFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._identity: tuple[int, int] | None = None
+        self._damaged = False
+
+    def note_damage(self) -> None:
+        """Take note that SQLite met a page that it cannot read: nothing is written until the file is put back."""
+        self._damaged = True
 
     def remember(self) -> None:
         """Take the file that is there now for the one that is in use."""
+        self._damaged = False
         found = self.path.stat()
         self._identity = (found.st_dev, found.st_ino)
 
@@ -43,6 +50,8 @@ class DatabaseFile:
             return f"cannot be reached: {error.strerror}"
         if self._identity is not None and (found.st_dev, found.st_ino) != self._identity:
             return REPLACED
+        if self._damaged:
+            return DAMAGED
         return EMPTIED if found.st_size == 0 and self._identity is not None else None
 
     def require_in_place(self) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,12 +13,14 @@ from typing import Literal
 from sqlalchemy import URL
 
 from sunarc.archive.backup import backup, keep_aside, keep_name, newest_sound_copy, require_sound, restore
-from sunarc.archive.file import EMPTIED
+from sunarc.archive.file import DAMAGED, EMPTIED
+from sunarc.archive.leaf_pages import Column, Value, leaf_rows
 from sunarc.archive.ownership import PRIVATE, give_to_owner_of
 from sunarc.archive.schema import upgrade
+from sunarc.archive.tables import metadata
 from sunarc.errors import InputError, OutsideError
 
-Recovered = Literal["written_back", "restored", "new"]
+Recovered = Literal["written_back", "restored", "new", "salvaged"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +29,8 @@ class Recovery:
 
     Attributes
     ----------
-    kind : "written_back" (nothing is lost), "restored" (from a copy), or "new" (empty).
+    kind : "written_back" (nothing is lost), "restored" (from a copy), "new" (empty), or "salvaged" (what was readable,
+        and a copy for the rest).
     text : what happened and what was done, one sentence.
     """
 
@@ -48,6 +51,8 @@ def prepare_database(path: Path, *, backups: Path, images: Path, now: datetime) 
     """
     emptied = path.is_file() and path.stat().st_size == 0
     if path.exists() and not emptied:
+        if _is_malformed(path):
+            return _salvaged_at_start(path, now=now)
         upgrade(path)
         return None
     copy = newest_sound_copy(backups)
@@ -110,7 +115,10 @@ def rebuild(
     partial = path.with_name(f"{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        found = _copied(connection, partial, emptied=problem == EMPTIED) or _begun_again(path, partial)
+        if problem == DAMAGED:
+            found = _salvaged(connection, path, partial)
+        else:
+            found = _copied(connection, partial, emptied=problem == EMPTIED) or _begun_again(path, partial)
         upgrade(partial)  # in its place it would be a file of another revision that no open connection reads
         close()
         return _put(path, partial, found, problem=problem, now=now)
@@ -144,6 +152,95 @@ def _begun_again(path: Path, partial: Path) -> Recovery:
         return Recovery(kind="new", text="begun anew, for there was no copy")
     backup(copy, partial, replace=True)
     return Recovery(kind="restored", text=f"restored from {copy}, what came after that is lost")
+
+
+def _is_malformed(path: Path) -> bool:
+    """Return whether the structure of a database's pages is broken; damaged values in sound pages are not meant."""
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=rw", uri=True)) as connection:
+            lines = [str(row[0]) for row in connection.execute("PRAGMA quick_check(100)")]
+    except sqlite3.DatabaseError as error:
+        return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
+    return any(line.startswith(("Tree", "*** in database")) or "btreeInitPage" in line for line in lines)
+
+
+def _salvaged_at_start(path: Path, *, now: datetime) -> Recovery:
+    partial = path.with_name(f"{path.name}.partial")
+    with closing(sqlite3.connect(path)) as connection:
+        found = _salvaged(connection, path, partial)
+    upgrade(partial)
+    return _put(path, partial, found, problem=DAMAGED, now=now)
+
+
+def _salvaged(connection: sqlite3.Connection, path: Path, partial: Path) -> Recovery:
+    """Put a database together from what can be read of a malformed one, and the newest sound copy for the rest."""
+    partial.unlink(missing_ok=True)
+    copy = newest_sound_copy(path.parent / "backups")
+    if copy is not None:
+        backup(copy, partial, replace=True)
+    upgrade(partial)
+    connection.text_factory = lambda stored: stored.decode("utf-8", "replace")
+    with suppress(sqlite3.DatabaseError):
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()  # leaf pages are read from the file itself
+    broken, kept = list[str](), 0
+    with closing(sqlite3.connect(partial)) as target:
+        for table in metadata.tables:
+            columns = _columns(connection, table)
+            whole, rows = _readable_rows(connection, table, columns)
+            if not whole:
+                broken.append(table)
+                rows = [*leaf_rows(path, columns), *rows]
+            elif columns:
+                target.execute(f'DELETE FROM "{table}"')  # noqa: S608 - a name of the schema
+            kept += _insert(target, table, columns, rows)
+        target.commit()
+        target.execute("PRAGMA journal_mode=DELETE")
+    rest = "there is no copy for the rest" if copy is None else f"the rest is from {copy}"
+    damaged = ", ".join(broken) or "none"
+    return Recovery(kind="salvaged", text=f"put together from {kept} readable rows; damaged tables: {damaged}; {rest}")
+
+
+def _columns(connection: sqlite3.Connection, table: str) -> tuple[Column, ...]:
+    """Return a table's columns; none where the database does not have it."""
+    try:
+        found = connection.execute(f'PRAGMA table_info("{table}")').fetchall()
+    except sqlite3.DatabaseError:
+        return ()
+    key = [row for row in found if row[5]]
+    return tuple(
+        Column(row[1], row[2].upper(), required=bool(row[3]), is_rowid=key == [row] and row[2].upper() == "INTEGER")
+        for row in found
+    )
+
+
+def _readable_rows(
+    connection: sqlite3.Connection, table: str, columns: tuple[Column, ...]
+) -> tuple[bool, list[tuple[Value, ...]]]:
+    """Return whether all of a table can be read, and its readable rows from either end."""
+    if not columns:
+        return True, []
+    rows: dict[int, tuple[Value, ...]] = {}
+    for order in ("ASC", "DESC"):
+        with suppress(sqlite3.DatabaseError):
+            query = f'SELECT rowid, * FROM "{table}" NOT INDEXED ORDER BY rowid {order}'  # noqa: S608 - as above
+            for row in connection.execute(query):
+                rows[row[0]] = row[1:]
+            return order == "ASC", list(rows.values())
+    return False, list(rows.values())
+
+
+def _insert(
+    target: sqlite3.Connection, table: str, columns: tuple[Column, ...], rows: Sequence[tuple[Value, ...]]
+) -> int:
+    """Insert rows, in place of those with the same key; return how many were sound."""
+    names = ", ".join(f'"{column.name}"' for column in columns)
+    marks = ", ".join("?" * len(columns))
+    inserted = 0
+    for row in rows:
+        with suppress(sqlite3.IntegrityError):
+            target.execute(f'INSERT OR REPLACE INTO "{table}" ({names}) VALUES ({marks})', row)  # noqa: S608 - as above
+            inserted += 1
+    return inserted
 
 
 def _closed(connection: sqlite3.Connection) -> bool:

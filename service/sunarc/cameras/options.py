@@ -24,7 +24,7 @@ class AravisOptions:
     ----------
     address : its IP address; names are refused, for they would be looked for by broadcast. With USB the device's id.
     transport : "gige"; or "usb3" for USB3 Vision, which no one has tried.
-    packet_size : bytes per stream packet; None negotiates it with the camera. Where no frame comes whole, 1500 are used.
+    packet_size : bytes per stream packet; None negotiates it with the camera. Where no frame comes whole, 1500 is used.
     packet_socket : use a packet socket where the process may (CAP_NET_RAW); otherwise UDP with a large buffer.
     pixel_format : a single-channel GenICam format; those of 10 and 12 bits may be packed (Mono12p, Mono12Packed).
     binning : pixels that are joined in either direction by the camera.

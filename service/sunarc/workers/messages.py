@@ -336,6 +336,11 @@ MESSAGES = Messages(
         "The database was deleted, replaced or emptied, or cannot be reached; sightings wait in memory.",
         "check the disk and the state folder; retried automatically, do not restart before",
     ),
+    database_salvaged=Message(
+        "{text}",
+        "A page of the database could not be read; what could be was written into a new one.",
+        "check the disk (smartctl, journalctl -k); sunarc db check; a restart ends this notice",
+    ),
     database_written_back=Message(
         "{text}",
         "A database deleted or replaced under the service was written back from the open connection.",
