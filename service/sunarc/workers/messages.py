@@ -336,6 +336,11 @@ MESSAGES = Messages(
         "The database was deleted, replaced or emptied, or cannot be reached; sightings wait in memory.",
         "check the disk and the state folder; retried automatically, do not restart before",
     ),
+    database_slow=Message(
+        "storing sightings took up to {seconds:.1f} s",
+        "Nothing is lost: exposures go on, and sightings wait in memory for the device.",
+        "look at the device of the state folder (journalctl -k, smartctl, iostat), or move the folder to another one",
+    ),
     database_salvaged=Message(
         "{text}",
         "A page of the database could not be read; what could be was written into a new one.",

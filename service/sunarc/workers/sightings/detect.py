@@ -109,7 +109,8 @@ class DetectWorker:
             exposure_us=frame.exposure_us,
             clock_error_s=self._clock_error_s(frame.time),
         )
-        self._keeper.keep(point)
+        # While frames wait, their sightings share a commit: on a device that stalls one each would fill the queue.
+        self._keeper.keep(point, store=len(self._frames) == 0)
         self._report(frame, detection)
         if detection.accepted:
             self._board.note(last_sighting_at=frame.time)
