@@ -123,7 +123,7 @@ def _file_errors(engine: Engine) -> Iterator[None]:
         remedy = "" if may else "; give the file to the service's user (chown), or ask as that user"
         raise OutsideError(f"cannot use the database {path}: {error.orig}{remedy}") from error
     except DatabaseError as error:
-        if getattr(error.orig, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT:
+        if _result_code(error) == sqlite3.SQLITE_CORRUPT:
             _FILES[engine].note_damage()
             raise OutsideError(f"the database {path} {DAMAGED} ({error.orig}); it is put together anew") from error
         raise ConfigurationError(
