@@ -56,7 +56,7 @@ def overwrite_inner_page(path: Path) -> None:
         file.write(np.random.default_rng(1).integers(20, 256, size, dtype=np.uint8).tobytes())
 
 
-def stored(archive: Archive) -> list[float | None]:
+def stored(archive: Archive) -> list[float]:
     return sorted(point.x_px for point in archive.sun_points("roof") if point.x_px is not None)
 
 
