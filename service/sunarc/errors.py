@@ -14,6 +14,7 @@
         ├── CameraTimeoutError no frame came in time
         │   └── CameraSilentError not a packet of it came
         └── CameraLostError    the connection is gone: close, wait, open anew
+            └── ExposureMismatchError the frame's brightness contradicts its exposure
 """
 
 from __future__ import annotations

@@ -58,7 +58,8 @@ def calibrate(
     options : how to fit; the defaults are the service's.
     circle : the image circle, where it is known.
     start : a camera to start from, in place of a search.
-    parts : whether parts of the sightings are held against the fit; one that is only compared with others needs it not.
+    parts : whether parts of the sightings are held against the fit, and a refusal against the other handedness; one
+        that is only compared with others needs it not.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def _calibrated(job: Job) -> Calibration:
 def _explained(calibration: Calibration, job: Job, cost: float) -> Calibration:
     """Return a calibration; where it is refused and the other handedness is far more plausible, its verdict says so."""
     verdict, known = calibration.verdict, job.options.mirrored
-    if verdict.accepted or known == "auto" or job.start is not None:
+    if verdict.accepted or known == "auto" or job.start is not None or not job.parts:
         return calibration
     other: Mirrored = "no" if known == "yes" else "yes"
     tried = most_plausible_start(observations(job.usable), job._replace(options=replace(job.options, mirrored=other)))

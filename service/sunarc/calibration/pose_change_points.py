@@ -74,6 +74,7 @@ def calibrate_moved(
     circle: ImageCircle | None = None,
     start: Camera | None = None,
     solved: Calibration | None = None,
+    parts: bool = True,
 ) -> Moved:
     """Fit a camera that may have been moved among the sightings: one lens, and a pose before and after every move.
 
@@ -84,7 +85,7 @@ def calibrate_moved(
 
     Parameters
     ----------
-    points, site, image_size, options, circle, start : as `calibrate` takes them.
+    points, site, image_size, options, circle, start, parts : as `calibrate` takes them.
     solved : what `calibrate` makes of them, where it is known.
     """
     effective = CalibrationOptions() if options is None else options
@@ -94,7 +95,7 @@ def calibrate_moved(
             given, site=site, image_size=image_size, options=effective, circle=circle, start=begin, parts=parts
         )
 
-    solved = fit(points, start, parts=True) if solved is None else solved
+    solved = fit(points, start, parts=parts) if solved is None else solved
     no_track = bool(np.any(np.isfinite(points.directions)))
     if np.any(points.epoch != points.epoch[:1]) or effective.method != "robust" or no_track:
         return Moved(solved, points)
@@ -108,7 +109,7 @@ def calibrate_moved(
         solved, points = found
         usable = replace(usable, epoch=points.epoch[usable.index])
     if begin is not None:
-        solved = fit(points, begin, parts=True)
+        solved = fit(points, begin, parts=parts)
     return Moved(_with_moves(solved, usable), points)
 
 

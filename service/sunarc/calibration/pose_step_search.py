@@ -107,7 +107,12 @@ class _Search(NamedTuple):
         for begin in np.unique(np.linspace(0, days.size - _LENS_DAYS, _LENS_TRIALS).astype(int)):
             some = thin.select(np.isin(day, days[begin : begin + _LENS_DAYS]))
             solved = calibrate(
-                some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle
+                some,
+                site=self.site,
+                image_size=self.image_size,
+                options=self.options,
+                circle=self.circle,
+                parts=False,
             )
             if solved.verdict.accepted:
                 fits.append((solved.metrics.rmse_px, solved.evidence.n_rejected, solved))
@@ -125,7 +130,7 @@ class _Search(NamedTuple):
     def _verified(self, points: SunPoints, some: SunPoints) -> list[PoseStep]:
         """Return the steps that a fit of a few days finds, dated among all sightings."""
         solved, _ = calibrate_moved(
-            some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle
+            some, site=self.site, image_size=self.image_size, options=self.options, circle=self.circle, parts=False
         )
         moves = solved.evidence.moves
         poses = [*(move.pose_before for move in moves), solved.camera.rotation_cam_enu]

@@ -20,7 +20,7 @@ from sunarc.sky import Site, date_of_day, day_bounds_unix_s, sun_angles
 
 _FEWEST = 20
 _FEWEST_BELOW = 4
-"""Sightings of a sun below the horizon that tell a wrong site or clock; fewer may be false ones at dusk."""
+"""Sightings of a sun below the horizon that show a wrong site or clock; fewer may be false ones at dusk."""
 _SHORTEST_ARC_DEG = 10.0
 _SMALLEST_SPREAD_PX = 10.0
 _MOST_STATIC = 0.5

@@ -123,6 +123,7 @@ def _fitted(archive: Archive, settings: Settings, found: Sequence[Found]) -> Cal
         image_size=record.image_size,
         options=replace(settings.calibration, **_LOOSE),
         circle=None if circle is None else ImageCircle(x=circle[0], y=circle[1], radius=circle[2]),
+        parts=False,
     )
     return solved if solved.verdict.accepted else solved.verdict.findings
 

@@ -236,7 +236,9 @@ def _with_other_lens(states: Sequence[State], points: SunPoints, camera: Camera)
     clock = states[-1].clock_offset_s if states else 0.0
     hand: Mirrored = "auto" if not states else "yes" if states[-1].calibration.camera.mirrored else "no"
     options = replace(camera.loosely(), mirrored=hand)
-    fitted = calibrate(camera.shifted(points, clock), site=camera.site, image_size=camera.size, options=options)
+    fitted = calibrate(
+        camera.shifted(points, clock), site=camera.site, image_size=camera.size, options=options, parts=False
+    )
     if not fitted.verdict.accepted:
         return None, fitted.verdict.findings[0]
     scatter = robust_sigma(camera.distances_of(fitted, points, clock), floor=0.05)
@@ -252,6 +254,7 @@ def _with_other_lens(states: Sequence[State], points: SunPoints, camera: Camera)
             image_size=camera.size,
             options=options,
             start=fitted.camera,
+            parts=False,
         )
         fitted = again if again.verdict.accepted else fitted
     lens, pose = (1 + max((getattr(one, name) for one in states), default=-1) for name in ("lens", "pose"))
